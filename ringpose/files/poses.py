@@ -22,6 +22,7 @@ from ringpose.types.pose import (
     MEASURED_PARAMETERS,
     LaserState,
     LinearizationPoint,
+    PlaneEvidence,
     PoseFlag,
     PoseLine,
     Priors,
@@ -57,7 +58,10 @@ _UNCHANGED = "give the output of ringpose pose unchanged"
 
 
 def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
-    """The record of one shot, without `measurement` if `brief`; the writer replaces NaN and infinity by null."""
+    """The record of one shot; the writer replaces NaN and infinity by null.
+
+    With `brief`, without `measurement` and `plane_evidence`.
+    """
     return {
         "schema": SCHEMA,
         "shot": line.shot,
@@ -72,7 +76,10 @@ def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
         **(
             {}
             if brief
-            else {"measurement": None if line.measurement is None else _measurement_values(line.measurement)}
+            else {
+                "measurement": None if line.measurement is None else _measurement_values(line.measurement),
+                "plane_evidence": None if line.plane_evidence is None else asdict(line.plane_evidence),
+            }
         ),
         "priors": None if line.priors is None else _priors_values(line.priors),
         "lasers": {name: state.value for name, state in line.lasers.items()},
@@ -207,6 +214,7 @@ def _values_of_version_2(fields: Fields) -> dict[str, Any]:
         "pose_stamp_s": _number(fields, "pose_stamp_s"),
         "velocity": _velocity(fields.fields("velocity")) if fields.has("velocity") else None,
         "measurement": _measurement(fields.fields("measurement")) if fields.has("measurement") else None,
+        "plane_evidence": _plane_evidence(fields.fields("plane_evidence")) if fields.has("plane_evidence") else None,
         "priors": _priors(fields.fields("priors")) if fields.has("priors") else None,
         "lasers": _lasers(fields.fields("lasers")) if fields.has("lasers") else {},
         "rejected": rejections_in(fields),
@@ -310,6 +318,18 @@ def _measurement(fields: Fields) -> RingMeasurement:
         degrees_of_freedom=fields.integer("degrees_of_freedom"),
         chi2=fields.number("chi2", least=0),
         camera_motion=cast(Literal["none", "robot_poses"], fields.choice("camera_motion", ("none", "robot_poses"))),
+    )
+
+
+def _plane_evidence(fields: Fields) -> PlaneEvidence:
+    parameters = fields.texts("parameters")
+    if "" in parameters or len(set(parameters)) < len(parameters):
+        raise fields.problem("parameters", "has an empty name, or one that occurs twice", _UNCHANGED)
+    return PlaneEvidence(
+        parameters=parameters,
+        rows=fields.array("rows", (None, len(parameters) + 1)),
+        normal=fields.unit_vector("normal"),
+        place_m=fields.vector("place_m", 3),
     )
 
 

@@ -6,7 +6,7 @@ within its calibration and stability.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, hypot, sqrt
 
 import numpy as np
@@ -14,21 +14,18 @@ import numpy as np
 from ringpose.estimate.consistency import chi2_quantile
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import (
-    FORM_PARAMETERS,
-    form_sd_m,
     light_plane_bases,
-    rate_sds,
     rig_errors,
     rig_jacobian,
     total_covariance,
 )
 from ringpose.estimate.residuals import PARAMETERS
 from ringpose.estimate.solver import RIDGE, Estimate
-from ringpose.geometry.rotations import angle_between, tilt_basis
+from ringpose.geometry.rotations import angle_between
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.covariance import PLANE_PARAMETERS, laser_parameters
-from ringpose.types.pose import MEASURED_PARAMETERS, PlaneEvidence, PoseFlag, PoseLine, Priors, RingMeasurement
+from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
 
 STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
@@ -75,8 +72,11 @@ class MovedPlane:
 class RigEvidence:
     """The evidence of many shots for errors of a rig, and its tests."""
 
-    def __init__(self, rig: Rig, stability: RigStability, shots_kept: int | None = None) -> None:
+    def __init__(
+        self, rig: Rig, stability: RigStability, shots_kept: int | None = None, left_out: int = SHOTS_LEFT_OUT
+    ) -> None:
         self.rig = rig
+        self._left_out = left_out
         self.parameters, self.prior = _parameters_and_prior(rig, stability)
         self._kept = shots_kept
         self._rows: list[Float64[Array, "row column"]] = []
@@ -103,8 +103,9 @@ class RigEvidence:
                 return False
         self._poses = [*self._poses, (evidence.normal, evidence.place_m)][-POSES_REMEMBERED:]
         rows = np.zeros((len(evidence.rows), len(self.parameters) + 1))
-        columns = [self.parameters.index(name) for name in evidence.parameters]
-        rows[:, columns], rows[:, -1] = evidence.rows[:, :-1], evidence.rows[:, -1]
+        known = [index for index, name in enumerate(evidence.parameters) if name in self.parameters]  # others are exact
+        rows[:, [self.parameters.index(evidence.parameters[index]) for index in known]] = evidence.rows[:, known]
+        rows[:, -1] = evidence.rows[:, -1]
         self._rows.append(rows)
         if self._kept is not None:
             self._rows = self._rows[-self._kept :]
@@ -133,9 +134,9 @@ class RigEvidence:
             return None, False
         return worst, bool(turned + CLEARLY >= chi2[worst])
 
-    def moved_plane(self, laser: int) -> MovedPlane:
-        """The plane's change by the evidence, and its covariance."""
-        mean, covariance = self.posterior([laser])
+    def moved_plane(self, laser: int, moved: Sequence[int] = ()) -> MovedPlane:
+        """The plane's change by the evidence, and its covariance, if the planes in `moved` may have moved, too."""
+        mean, covariance = self.posterior(sorted({laser, *moved}))
         at = self.columns(laser)
         block = covariance[np.ix_(at, at)]
         return MovedPlane(laser=laser, change=mean[at], covariance=0.5 * (block + block.T))
@@ -173,7 +174,7 @@ class RigEvidence:
             precision = np.linalg.inv(np.eye(len(target)) + jacobian @ prior @ jacobian.T)
             left = target - jacobian @ change
             falls.append(float(target @ precision @ target - left @ precision @ left))
-        return float(sum(sorted(falls)[: len(falls) - SHOTS_LEFT_OUT]))
+        return float(sum(sorted(falls)[: len(falls) - self._left_out]))
 
     def _prior_if_moved(self, lasers: Sequence[int]) -> Float64[Array, "parameter parameter"]:
         prior = self.prior.copy()
@@ -241,63 +242,13 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
     )
 
 
-UNUSABLE = (
-    PoseFlag.STRIPE_REJECTED
-    | PoseFlag.ASSIGNMENT_AMBIGUOUS
-    | PoseFlag.MOTION
-    | PoseFlag.RING_FORM
-    | PoseFlag.RADIUS_INCONSISTENT
-    | PoseFlag.RIG_UNCHECKED
-)
-"""Flags of recorded shots whose measurement has no redundancy, or leaves out what may be due to the rig."""
-
-
-def recorded_plane_evidence(line: PoseLine, rig: Rig) -> PlaneEvidence | None:
-    """What the record of a shot shows about the rig of its file; None if nothing.
-
-    The measurement of section 9 with the priors of motion, radii and form that the record states, and the ring, its
-    rates and its form eliminated. The planes that the stream had corrected before are taken back to the rig's.
-    """
-    measurement, priors = line.measurement, line.priors
-    # after a drift that could not be corrected, every line is flagged as inconsistent, also those that are not
-    doubted = PoseFlag.INCONSISTENT in line.flags and PoseFlag.RIG_DRIFT not in line.flags
-    if measurement is None or priors is None or priors.regularization is not None or doubted or line.flags & UNUSABLE:
+def evidence_for_file(line: PoseLine) -> PlaneEvidence | None:
+    """The evidence of a recorded shot for errors of the rig in the file: corrections of its planes are taken back."""
+    evidence = line.plane_evidence
+    if evidence is None or line.priors is None or PoseFlag.RADIUS_INCONSISTENT in line.flags:
         return None
-    names = tuple(name for name in measurement.nuisance_parameters if name not in FORM_PARAMETERS)
-    if not set(laser_parameters(rig.lasers.names)) <= set(names):
-        return None
-    ring, count = len(MEASURED_PARAMETERS), len(measurement.nuisance_parameters)
-    of_form = [ring + index for index in range(count) if measurement.nuisance_parameters[index] not in names]
-    of_rig = [ring + index for index in range(count) if measurement.nuisance_parameters[index] in names]
-    order = [*range(ring), *of_form, *of_rig, ring + count]
-    rows = np.concatenate(
-        [_ring_prior(measurement, priors, len(of_form), len(order)), measurement.square_root[:, order]]
-    )
-    if priors.assumptions.motion is None:  # the rates are zero
-        rows[:, 7:ring] = 0.0
-    eliminated = ring + len(of_form)
-    evidence = np.asarray(np.linalg.qr(rows, mode="r"))[eliminated:, eliminated:]
-    for laser, correction in priors.moved_planes.items():
-        columns = [names.index(name) for name in laser_parameters([laser])]
-        evidence[:, -1] += evidence[:, columns] @ correction.change
-    point = measurement.linearized_at
-    return PlaneEvidence(parameters=names, rows=evidence, normal=point.normal, place_m=point.center_m)
-
-
-def _ring_prior(measurement: RingMeasurement, priors: Priors, form: int, columns: int) -> Float64[Array, "row column"]:
-    """Rows of what a record assumes about rates, radii and form, each in its standard deviation; weak for the rest."""
-    point, ring = measurement.linearized_at, len(MEASURED_PARAMETERS)
-    sd, error = np.full(ring + form, np.inf), np.zeros(ring + form)
-    if priors.assumptions.motion is not None:
-        sd[7:ring] = rate_sds(priors.assumptions.motion)
-        error[7:ring] = np.concatenate([point.velocity_m_s, tilt_basis(point.normal) @ point.rate_rad_s])
-    if priors.radius is not None:
-        sd[5:7] = [priors.radius.inner_sd_m, priors.radius.outer_sd_m]
-        error[5] = point.radius_inner_m - priors.radius.inner_m
-        error[6] = point.radius_outer_m - priors.radius.outer_m
-    sd[ring:] = form_sd_m(priors.assumptions.ring_tolerance_m)
-    rows = np.zeros((ring + form, columns))
-    known = np.isfinite(sd) & (sd > 0)
-    rows[known, np.flatnonzero(known)] = 1.0 / sd[known]
-    rows[known, -1] = -error[known] / sd[known]
-    return rows
+    rows = evidence.rows.copy()
+    for laser, correction in line.priors.moved_planes.items():
+        columns = [evidence.parameters.index(name) for name in laser_parameters([laser])]
+        rows[:, -1] += rows[:, columns] @ correction.change
+    return replace(evidence, rows=rows)

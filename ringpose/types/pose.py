@@ -275,7 +275,7 @@ class PoseLine:
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
     plane_evidence: PlaneEvidence | None = None
-    """As in `PoseResult`; not part of the record."""
+    """As in `PoseResult`."""
     rig_health: Mapping[str, float] = field(default_factory=dict)
     """Normalised error of each laser's light plane; empty where it was not measured."""
     shots_dropped: int = 0

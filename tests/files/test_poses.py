@@ -16,6 +16,7 @@ from ringpose.types.pose import (
     MEASURED_PARAMETERS,
     LaserState,
     LinearizationPoint,
+    PlaneEvidence,
     PoseFlag,
     PoseLine,
     Priors,
@@ -92,6 +93,12 @@ def complete(rng, pose, measurement) -> PoseLine:
             },
             regularization=rng.normal(size=(2, 13)),
         ),
+        plane_evidence=PlaneEvidence(
+            parameters=("left.tilt_1", "focal_ratio"),
+            rows=rng.normal(size=(4, 3)),
+            normal=np.array([0.0, 0.6, -0.8]),
+            place_m=rng.normal(size=3),
+        ),
         lasers={"left": LaserState.USED, "middle": LaserState.PARTLY, "right": LaserState.OUT_OF_VIEW},
         rejected=(Rejection(what="point", laser="middle", edge="inner", chi2=40.0), Rejection(what="radius")),
         rig_health={"left": 0.9, "middle": math.nan, "right": 1.1},
@@ -112,7 +119,18 @@ def record(line: PoseLine, brief: bool = False) -> dict:
 
 KEYS = [
     *("schema", "shot", "stamp_s", "pose_stamp_s", "frame", "status", "reason", "flags", "pose", "velocity"),
-    *("measurement", "priors", "lasers", "rejected", "rig_health", "shots_dropped", "latency_s", "stage_s", "rig"),
+    *(
+        "measurement",
+        "plane_evidence",
+        "priors",
+        "lasers",
+        "rejected",
+        "rig_health",
+        "shots_dropped",
+        "latency_s",
+        "stage_s",
+        "rig",
+    ),
 ]
 """Of a pose line, in their order."""
 
@@ -122,7 +140,9 @@ def test_record_has_the_keys_in_their_order(complete):
 
 
 def test_brief_record_has_no_measurement(complete):
-    assert list(validated(record(complete, brief=True))) == [key for key in KEYS if key != "measurement"]
+    assert list(validated(record(complete, brief=True))) == [
+        key for key in KEYS if key not in ("measurement", "plane_evidence")
+    ]
 
 
 def test_line_with_everything_fits_the_schema(complete):
