@@ -99,7 +99,7 @@ def pose(
     ring_options = RingOptions(
         radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
     )
-    known = known_ring(ring_options, method)
+    known = known_ring(ring_options, method, ring_tolerance)
     options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     rig_of_shots = read_rig(rig)
     if frame is PoseFrame.TOOL:

@@ -87,6 +87,8 @@ def most_likely_pose(
         posterior = _posterior(best, known)
         ring = likely_ring(posterior, known)
         if ring is not None:
+            if ring.tolerance_m is not None:
+                assumptions = replace(assumptions, ring_tolerance_m=ring.tolerance_m)
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
