@@ -17,7 +17,7 @@ from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
+from ringpose.detect.saturation import exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
@@ -179,6 +179,8 @@ def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, ass
         return _Found(face)
     saturation_dn = images[0].saturation_dn
     points = break_points(face, tracks, images, rig, saturation_dn)
+    if saturated_along_stripes(points, images, saturation_dn):
+        return _Found(NoBreakPoints.HIDDEN_BY_SATURATION)
     motion = None if assumptions.motion is None else ring_motion(points, shot, rig)
     if motion is not None:
         unmoved = [_without_moved_background(image, motion) for image in images]
