@@ -5,6 +5,7 @@ again. If one stripe would be too dim at the exposure that the brightest one all
 two exposures are merged (`ringpose.capture.hdr`).
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,10 +13,11 @@ import numpy as np
 
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.pipeline import detect
+from ringpose.detect.saturation import overexposure
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.detection import BreakPoints
+from ringpose.types.detection import BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
@@ -27,6 +29,9 @@ BRIGHT_PERCENTILE = 90
 
 MAX_RATIO = 2.0
 """A shot is taken again if its exposure is off by more than this factor."""
+
+BELOW_TOO_LONG = 1.5
+"""Factor by which an exposure stays below one that was far too long."""
 
 MAX_CLIPPED = 0.3
 """Share of saturated columns above which a stripe's brightness is not known."""
@@ -63,21 +68,28 @@ class ExposureControl:
     def __init__(self, rig: Rig | None, lasers: int, min_s: float, max_s: float) -> None:
         self._rig = rig
         self._lasers = lasers
-        self._limits_s = (min_s, max_s)
+        self._min_s, self._max_s = min_s, max_s
+        self._too_long_s = math.inf
         self.exposures: Exposures | None = None
         """None before the first shot, which has the exposure that the camera is set to."""
 
     def accepts(self, shot: Shot) -> bool:
-        """Whether a shot is well exposed, or cannot be exposed better; sets the exposures of the next one."""
-        used = exposures_of(shot)
-        wanted = self._limited(wanted_exposures(shot, self._lasers, self._rig))
+        """Whether a shot is well exposed, or cannot be exposed better; sets the exposures of the next one.
+
+        An exposure that was far too long is not reached again until a shot is accepted: what it saturates may hide the
+        ring, whose stripes alone would suggest it.
+        """
+        used, wanted = exposures_of(shot), wanted_exposures(shot, self._lasers, self._rig)
+        if wanted.longest_s < used.longest_s / MAX_RATIO:
+            self._too_long_s = min(self._too_long_s, used.longest_s)
+        max_s = max(self._min_s, min(self._max_s, self._too_long_s / BELOW_TOO_LONG))
+        wanted = Exposures(tuple(sorted({float(np.clip(each, self._min_s, max_s)) for each in wanted.values_s})))
         self.exposures = wanted
         pairs = [(used.values_s[place], wanted.values_s[place]) for place in (0, -1)]
-        return all(1 / MAX_RATIO <= better_s / used_s <= MAX_RATIO for used_s, better_s in pairs)
-
-    def _limited(self, exposures: Exposures) -> Exposures:
-        limited = sorted({float(np.clip(each, *self._limits_s)) for each in exposures.values_s})
-        return Exposures(tuple(limited))
+        accepted = all(1 / MAX_RATIO <= better_s / used_s <= MAX_RATIO for used_s, better_s in pairs)
+        if accepted:
+            self._too_long_s = math.inf
+        return accepted
 
 
 def exposures_of(shot: Shot) -> Exposures:
@@ -91,11 +103,15 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
     """The exposures at which each stripe of the shot would reach `TARGET_SHARE`.
 
     One if it suits all stripes, else the shortest and the longest. Of a shot with a known rig, the stripes on the
-    ring's face are measured, else all of them.
+    ring's face are measured, else all of them. If no ring is found and the ambient light saturates, it is shorter.
     """
     images = laser_images(shot, lasers)
+    points = None if rig is None else detect(shot, rig, edges=False).break_points
+    shorter = overexposure(points, images) if isinstance(points, NoBreakPoints) else 1.0
+    if shorter > MAX_RATIO:  # the face is brighter than what is seen of the stripes
+        return Exposures(tuple(each / shorter for each in exposures_of(shot).values_s))
     scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
-    stripes = list(_stripes_on_face(shot, images, rig)) if rig is not None else []
+    stripes = list(_stripes_on_face(points, images, rig)) if rig is not None and isinstance(points, BreakPoints) else []
     if not stripes:
         stripes = [(image, position_px) for image in images for position_px in _any_stripes(image)]
     if not stripes:
@@ -109,12 +125,9 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
 
 
 def _stripes_on_face(
-    shot: Shot, images: list[LaserImage], rig: Rig
+    points: BreakPoints, images: list[LaserImage], rig: Rig
 ) -> Iterator[tuple[LaserImage, Float64[Array, "column xy=2"]]]:
     """The stripes on the ring's face: a place in each of their columns."""
-    points = detect(shot, rig, edges=False).break_points
-    if not isinstance(points, BreakPoints):
-        return
     for image in images:
         for laser in image.lasers:
             ends_px = np.stack([points.face_start_px[laser], points.face_end_px[laser]])

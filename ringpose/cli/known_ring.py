@@ -53,13 +53,18 @@ class RingOptions(NamedTuple):
     rings: Path | None = None
 
 
-def known_ring(options: RingOptions, method: Method) -> "KnownRadii | Sequence[Ring] | None":
-    """The radii, or the catalogue that the ring belongs to; None if no option is given."""
+def known_ring(
+    options: RingOptions, method: Method, ring_tolerance_m: float | None = None
+) -> "KnownRadii | Sequence[Ring] | None":
+    """The radii, or the catalogue that the ring belongs to; None if no option is given.
+
+    A given tolerance replaces those of the catalogue.
+    """
     if method is not Method.ML and options != RingOptions():
         raise UsageError("--method", f"{method.value} does not use the ring's radii", "use --method ml")
     _check(options)
     if options.ring is not None:
-        return _of_catalogue(options.ring, options.rings)
+        return _of_catalogue(options.ring, options.rings, keep_tolerance=ring_tolerance_m is None)
     if options.radius_outer_m is None and options.radius_inner_m is None:
         return None
     import numpy as np
@@ -95,11 +100,15 @@ def _in_metres(value: float) -> str:
     return f"give metres: {value / 1000:g}" if 0 < value < 1000 * MAX_LENGTH_M else "give metres"
 
 
-def _of_catalogue(name: str, path: Path | None) -> "KnownRadii | Sequence[Ring]":
+def _of_catalogue(name: str, path: Path | None, *, keep_tolerance: bool) -> "KnownRadii | Sequence[Ring]":
+    from dataclasses import replace
+
     from ringpose.files.rings import SHIPPED, read_rings
     from ringpose.files.schema import hint
 
     rings = read_rings(path or SHIPPED)
+    if not keep_tolerance:
+        rings = tuple(replace(ring, tolerance_m=None) for ring in rings)
     if name == AUTO:
         return rings
     for ring in rings:

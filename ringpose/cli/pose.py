@@ -119,7 +119,8 @@ def pose(
     from ringpose.files.rigs import read_rig, require_mount
 
     _check_source(inputs, camera, lasers)
-    known = known_ring(RingOptions(radius_outer, radius_inner, radius_sd, ring, rings), method)
+    ring_options = RingOptions(radius_outer, radius_inner, radius_sd, ring, rings)
+    known = known_ring(ring_options, method, ring_tolerance)
     assumed = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
     _check_method(method, assumed)

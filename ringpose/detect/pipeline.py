@@ -18,7 +18,7 @@ from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face, surface_in_front
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
+from ringpose.detect.saturation import exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
@@ -252,6 +252,8 @@ def _found(
         return _Found(face)
     saturation_dn = images[0].saturation_dn
     points = break_points(face, tracks, images, rig, saturation_dn)
+    if saturated_along_stripes(points, images, saturation_dn):
+        return _Found(NoBreakPoints.HIDDEN_BY_SATURATION)
     still = assumptions.motion is None and camera is None
     motion = None if still else ring_motion(points, shot, rig)
     if motion is not None:

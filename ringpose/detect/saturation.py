@@ -8,12 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
+from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 
 HIDING_COLUMNS, FLANK_ROWS, HIDDEN_SHARE = np.arange(2.0, 8.0), np.array([-7.0, -6.0, 6.0, 7.0]), 0.5
 """Columns beyond an end in which ambient light may hide the stripe; rows about its line in which that shows without a
 background frame; share of saturated pixels there above which it does."""
+
+HIDDEN_COURSE, COURSE_STEP = 0.5, 8
+"""Share of a stripe's course across the image in which ambient light saturates, above which the stripe may be brightest
+where it cannot be seen; step in columns by which it is sampled."""
 
 
 def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], saturation_dn: int) -> bool:
@@ -24,7 +29,7 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
     """
     hidden, middle_x = 0, (points.face_start_px[:, 0] + points.face_end_px[:, 0]) / 2
     for image in images:
-        ambient, rows = (image.lit, FLANK_ROWS) if image.dark is None else (image.dark, np.array([-1.0, 0.0, 1.0]))
+        ambient, rows = _ambient(image)
         for laser in image.lasers:
             for x, y in points.position_px[laser, points.seen[laser]].tolist():
                 column = np.rint(x + HIDING_COLUMNS * (1 if x > middle_x[laser] else -1)).astype(int)
@@ -32,6 +37,33 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
                 near = ambient[row][:, column[(column >= 0) & (column < ambient.shape[1])]]
                 hidden += int((near >= saturation_dn).sum() > HIDDEN_SHARE * rows.size * HIDING_COLUMNS.size)
     return 2 * hidden >= int(points.seen.sum())
+
+
+def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], saturation_dn: int) -> bool:
+    """Whether the ambient light saturates along most of the course of most stripes across the image.
+
+    What is seen of them then lies in shadows, and the ring's face is among what is saturated: metal in the sun is
+    brighter than foil. Edges seen there are borders of the shadows.
+    """
+    courses = []
+    for image in images:
+        ambient, rows = _ambient(image)
+        column = np.arange(0, ambient.shape[1], COURSE_STEP)
+        for laser in image.lasers:
+            start, end = points.face_start_px[laser], points.face_end_px[laser]
+            if not np.isfinite(start + end).all():
+                continue
+            slope = (end[1] - start[1]) / (end[0] - start[0])
+            row = np.rint(start[1] + slope * (column - start[0]) + rows[:, None]).astype(int)
+            inside = (row >= 0) & (row < ambient.shape[0])
+            course = ambient[row.clip(0, ambient.shape[0] - 1), column] >= saturation_dn
+            courses.append(bool(course[inside].mean() > HIDDEN_COURSE) if inside.any() else False)
+    return 2 * sum(courses) > len(courses)
+
+
+def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Array, "row"]]:
+    """The image that shows the ambient light, and the rows about a stripe's line in which to look at it."""
+    return (image.lit, FLANK_ROWS) if image.dark is None else (image.dark, np.array([-1.0, 0.0, 1.0]))
 
 
 SATURATED_SHARE = 0.02
@@ -43,18 +75,22 @@ SHORTER, MUCH_SHORTER = 2.0, 4.0
 
 def exposure_advice(found: BreakPoints | NoBreakPoints, shot: Shot, images: Sequence[LaserImage]) -> str:
     """The exposure that would help, as a phrase; empty if nothing that matters is saturated."""
-    factor = 1.0
-    if isinstance(found, BreakPoints):
-        if np.any(found.flags & int(BreakPointFlag.SATURATED)):
-            factor = SHORTER
-    elif images:
-        saturation_dn = images[0].saturation_dn
-        ambient = [image.lit if image.dark is None else image.dark for image in images]
-        if max(float((each[::4, ::4] >= saturation_dn).mean()) for each in ambient) > SATURATED_SHARE:
-            factor = MUCH_SHORTER
-        elif max(float((image.lit[::4, ::4] >= saturation_dn).mean()) for image in images) > SATURATED_SHARE / 4:
-            factor = SHORTER
+    factor = overexposure(found, images)
     if factor == 1.0:
         return ""
     used_s = float(shot.exposure_s.max())
     return f"saturated at an exposure of {1e3 * used_s:.3g} ms: expose for about {1e3 * used_s / factor:.2g} ms"
+
+
+def overexposure(found: BreakPoints | NoBreakPoints, images: Sequence[LaserImage]) -> float:
+    """By which factor the exposure should be shorter; 1 if nothing that matters is saturated."""
+    if isinstance(found, BreakPoints):
+        return SHORTER if np.any(found.flags & int(BreakPointFlag.SATURATED)) else 1.0
+    if not images:
+        return 1.0
+    saturation_dn = images[0].saturation_dn
+    ambient = [image.lit if image.dark is None else image.dark for image in images]
+    if max(float((each[::4, ::4] >= saturation_dn).mean()) for each in ambient) > SATURATED_SHARE:
+        return MUCH_SHORTER
+    lit = max(float((image.lit[::4, ::4] >= saturation_dn).mean()) for image in images)
+    return SHORTER if lit > SATURATED_SHARE / 4 else 1.0

@@ -108,7 +108,7 @@ def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
         covariance[of_plane, of_plane] += variance
         if laser in rig.moved_planes:
             covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
-            covariance[np.ix_(of_plane, of_plane)] = rig.moved_planes[laser]
+            covariance[np.ix_(of_plane, of_plane)] = rig.moved_planes[laser].covariance
     return ParameterCovariance(parameters=names, data=covariance)
 
 

@@ -5,7 +5,7 @@ Version 2 is written; versions 1 and 2 are read. Keys and flags that this versio
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -22,6 +22,7 @@ from ringpose.types.pose import (
     MEASURED_PARAMETERS,
     LaserState,
     LinearizationPoint,
+    PlaneEvidence,
     PoseFlag,
     PoseLine,
     Priors,
@@ -31,6 +32,7 @@ from ringpose.types.pose import (
     RingVelocity,
     Status,
 )
+from ringpose.types.rig import PlaneCorrection
 
 SCHEMA = "ringpose/pose/2"
 
@@ -56,7 +58,10 @@ _UNCHANGED = "give the output of ringpose pose unchanged"
 
 
 def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
-    """The record of one shot, without `measurement` if `brief`; the writer replaces NaN and infinity by null."""
+    """The record of one shot; the writer replaces NaN and infinity by null.
+
+    With `brief`, without `measurement` and `plane_evidence`.
+    """
     return {
         "schema": SCHEMA,
         "shot": line.shot,
@@ -71,7 +76,10 @@ def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
         **(
             {}
             if brief
-            else {"measurement": None if line.measurement is None else _measurement_values(line.measurement)}
+            else {
+                "measurement": None if line.measurement is None else _measurement_values(line.measurement),
+                "plane_evidence": None if line.plane_evidence is None else asdict(line.plane_evidence),
+            }
         ),
         "priors": None if line.priors is None else _priors_values(line.priors),
         "lasers": {name: state.value for name, state in line.lasers.items()},
@@ -139,6 +147,7 @@ def _measurement_values(measurement: RingMeasurement) -> dict[str, Any]:
 
 def _priors_values(priors: Priors) -> dict[str, Any]:
     motion, radius, stability = priors.assumptions.motion, priors.radius, priors.assumptions.stability
+    moved = {name: asdict(each) for name, each in priors.moved_planes.items()}
     return {
         "motion": STILL
         if motion is None
@@ -161,7 +170,7 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
                 "plane_distance_m": stability.plane_distance_m,
                 "focal_ratio": stability.focal_ratio,
             },
-            **({"moved": dict(priors.moved_planes)} if priors.moved_planes else {}),
+            **({"moved": moved} if moved else {}),
         },
         "regularization": priors.regularization,
     }
@@ -205,6 +214,7 @@ def _values_of_version_2(fields: Fields) -> dict[str, Any]:
         "pose_stamp_s": _number(fields, "pose_stamp_s"),
         "velocity": _velocity(fields.fields("velocity")) if fields.has("velocity") else None,
         "measurement": _measurement(fields.fields("measurement")) if fields.has("measurement") else None,
+        "plane_evidence": _plane_evidence(fields.fields("plane_evidence")) if fields.has("plane_evidence") else None,
         "priors": _priors(fields.fields("priors")) if fields.has("priors") else None,
         "lasers": _lasers(fields.fields("lasers")) if fields.has("lasers") else {},
         "rejected": rejections_in(fields),
@@ -311,6 +321,18 @@ def _measurement(fields: Fields) -> RingMeasurement:
     )
 
 
+def _plane_evidence(fields: Fields) -> PlaneEvidence:
+    parameters = fields.texts("parameters")
+    if "" in parameters or len(set(parameters)) < len(parameters):
+        raise fields.problem("parameters", "has an empty name, or one that occurs twice", _UNCHANGED)
+    return PlaneEvidence(
+        parameters=parameters,
+        rows=fields.array("rows", (None, len(parameters) + 1)),
+        normal=fields.unit_vector("normal"),
+        place_m=fields.vector("place_m", 3),
+    )
+
+
 def _priors(fields: Fields) -> Priors:
     rig = fields.fields("rig")
     return Priors(
@@ -328,8 +350,13 @@ def _priors(fields: Fields) -> Priors:
     )
 
 
-def _moved_planes(fields: Fields) -> dict[str, Float64[Array, "3 3"]]:
-    return {name: checked_covariance(fields, name, fields.array(name, (3, 3))) for name in fields.values}
+def _moved_planes(fields: Fields) -> dict[str, PlaneCorrection]:
+    corrections = {}
+    for name in fields.values:
+        each = fields.fields(name)
+        covariance = checked_covariance(each, "covariance", each.array("covariance", (3, 3)))
+        corrections[name] = PlaneCorrection(change=each.vector("change", 3), covariance=covariance)
+    return corrections
 
 
 def motion_prior(fields: Fields) -> MotionPrior | None:

@@ -68,13 +68,18 @@ def read_mount(path: Path) -> Float64[Array, "4 4"]:
     return _tool_from_camera(fields)
 
 
+def calibration_quality(path: Path) -> Mapping[str, Any]:
+    """The key `quality` of a rig file: how its calibration was assessed; empty if it has none."""
+    fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
+    return fields.fields("quality").values if fields.has("quality") else {}
+
+
 def median_board_rms_px(path: Path) -> float | None:
     """RMS reprojection error of the corners in the calibration of the rig, the median over its boards, in pixels.
 
     None if the file does not contain it.
     """
-    fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
-    boards = fields.fields("quality").values.get("boards") if fields.has("quality") else None
+    boards = calibration_quality(path).get("boards")
     values = [board.get("rms_px") for board in boards or () if isinstance(board, Mapping)]
     numbers = [rms_px for rms_px in values if isinstance(rms_px, float) and np.isfinite(rms_px)]
     return float(np.median(numbers)) if numbers else None

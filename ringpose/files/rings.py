@@ -15,7 +15,10 @@ RESERVED = ("auto", "none of these")
 """Words that cannot be the name of a ring, since options and records give them another meaning."""
 
 _KEYS = ("ringpose", "provenance", "rings")
-_RING_KEYS = ("name", "radius_inner_m", "radius_outer_m", "nominal", "source")
+_RING_KEYS = ("name", "radius_inner_m", "radius_outer_m", "nominal", "source", "tolerance_m")
+
+MAX_TOLERANCE_M = 0.05
+"""Upper bound of a ring's tolerance; larger values are probably millimetres."""
 
 
 def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:
@@ -39,12 +42,20 @@ def _ring(fields: Fields) -> Ring:
     inner, outer = _interval(fields, "radius_inner_m"), _interval(fields, "radius_outer_m")
     if not inner[1] < outer[0]:
         raise fields.problem("radius_inner_m", f"reaches {inner[1]:g}, must end below the outer edge's {outer[0]:g}")
+    tolerance_m = fields.number("tolerance_m", least=0) if fields.has("tolerance_m") else None
+    if tolerance_m is not None and tolerance_m >= MAX_TOLERANCE_M:
+        raise fields.problem(
+            "tolerance_m", f"is {tolerance_m:g}, must be metres", "give a standard deviation in metres"
+        )
+    if tolerance_m is not None and not fields.has("source"):
+        raise fields.problem("tolerance_m", "has no source", "add source: the drawing or the measurement it is from")
     return Ring(
         name=fields.text("name"),
         radius_inner_m=inner,
         radius_outer_m=outer,
         nominal=fields.optional("nominal", fields.boolean) or False,
         source=fields.optional("source", fields.text) or "",
+        tolerance_m=tolerance_m,
     )
 
 

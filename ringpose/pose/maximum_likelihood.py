@@ -27,8 +27,8 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
+from ringpose.pose.plane_evidence import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -74,15 +74,11 @@ def most_likely_pose(
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
     found = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
-    without = PoseResult(
-        pose=NoPose.TOO_FEW_BREAK_POINTS, lasers=unused_lasers(rig, lasers_on, found), rejected=tuple(rejected)
-    )
-    if not len(measured.points.x):
-        return without
-    if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
-        return replace(without, pose=NoPose.UNTRIANGULATED)
-    if camera is not None and measured.observations(rig.lasers).view.camera is None:
-        return replace(without, pose=NoPose.NO_ROBOT_POSES)
+    lasers = unused_lasers(rig, lasers_on, found)
+    without = PoseResult(pose=NoPose.NOT_FINITE, lasers=lasers, rejected=tuple(rejected))
+    unusable = _unusable(measured, rig, camera)
+    if unusable is not None:
+        return replace(without, pose=unusable)
     assumptions, untimed = _timed(break_points, assumptions, moving=camera is not None)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
@@ -94,6 +90,8 @@ def most_likely_pose(
         posterior = _posterior(best, known)
         ring = likely_ring(posterior, known)
         if ring is not None:
+            if ring.tolerance_m is not None:
+                assumptions = replace(assumptions, ring_tolerance_m=ring.tolerance_m)
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
@@ -106,6 +104,17 @@ def most_likely_pose(
         return replace(result, flags=flags, lasers=states, rejected=rejected)
     pose = replace(result.pose, flags=flags, ring_posterior=posterior)
     return replace(result, pose=pose, flags=flags, lasers=states, rejected=rejected)
+
+
+def _unusable(measured: Measurements, rig: Rig, camera: CameraMotion | None) -> NoPose | None:
+    """Why these measurements cannot be estimated from; None if they can."""
+    if not len(measured.points.x):
+        return NoPose.TOO_FEW_BREAK_POINTS
+    if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
+        return NoPose.UNTRIANGULATED
+    if camera is not None and measured.observations(rig.lasers).view.camera is None:
+        return NoPose.NO_ROBOT_POSES
+    return None
 
 
 def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:

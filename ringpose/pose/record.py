@@ -8,6 +8,7 @@ print(line.status, line.pose.center_m, pose_record(line))
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import isfinite
 from time import perf_counter
 from types import MappingProxyType
@@ -48,6 +49,8 @@ def pose_line(
     about the motion are then relative to the robot's base. None for a camera that counts as inertial.
     """
     assumptions = options.about_shot(rig.stability, still=source.still)
+    if isinstance(known, KnownRadii) and known.tolerance_m is not None:
+        assumptions = replace(assumptions, ring_tolerance_m=known.tolerance_m)
     if rig.tool_from_camera is None:
         frame = PoseFrame.CAMERA
     start_s = detected_s = perf_counter()

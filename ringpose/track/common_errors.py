@@ -13,7 +13,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
 from ringpose.types.covariance import ParameterCovariance, laser_parameters
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
-from ringpose.types.rig import Rig
+from ringpose.types.rig import PlaneCorrection, Rig
 
 NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
 """Of a rig that counts as exact."""
@@ -56,7 +56,7 @@ def _common_errors(
     stability: RigStability,
     ring_tolerance_m: float,
     rig: Rig | None,
-    moved_planes: Mapping[str, Float64[Array, "3 3"]] = MappingProxyType({}),
+    moved_planes: Mapping[str, PlaneCorrection] = MappingProxyType({}),
 ) -> CommonErrors | str:
     """The errors, or the name of a parameter without a prior; the same for all records of a stream."""
     calibrated = NOT_CALIBRATED if rig is None or rig.covariance is None else rig.covariance
@@ -75,7 +75,7 @@ def _common_errors(
     for laser, moved in moved_planes.items():
         of_plane = [names.index(name) for name in laser_parameters([laser]) if name in names]
         covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
-        covariance[np.ix_(of_plane, of_plane)] = moved
+        covariance[np.ix_(of_plane, of_plane)] = moved.covariance
     return CommonErrors(names=names, root=covariance_root(covariance))
 
 

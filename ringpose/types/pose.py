@@ -15,6 +15,7 @@ from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
+from ringpose.types.rig import PlaneCorrection
 
 
 class NoPose(Enum):
@@ -199,8 +200,8 @@ class Priors:
     radius: RadiusPrior | None = None
     rig_covariance: bool = False
     """Whether the covariance of rig.yaml was used; without one the calibration counts as exact."""
-    moved_planes: Mapping[str, Float64[Array, "parameter=3 parameter=3"]] = field(default_factory=dict)
-    """Of each light plane that was corrected, the covariance that replaces calibration and stability."""
+    moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
+    """The corrections of light planes, by the laser's name."""
     regularization: Float64[Array, "row column"] | None = None
     """Rows [J, z - h] in units of their standard deviations, columns `MEASURED_PARAMETERS` and residual: weak priors
     that hold the parameters which the shot leaves open; None if it leaves none open."""
@@ -277,7 +278,7 @@ class PoseLine:
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
     plane_evidence: PlaneEvidence | None = None
-    """As in `PoseResult`; not part of the record."""
+    """As in `PoseResult`."""
     rig_health: Mapping[str, float] = field(default_factory=dict)
     """Normalised error of each laser's light plane; empty where it was not measured."""
     shots_dropped: int = 0

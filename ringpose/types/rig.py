@@ -22,6 +22,16 @@ class LaserPlanes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlaneCorrection:
+    """Correction of a light plane that a stream of shots has shown to have moved."""
+
+    change: Float64[Array, "parameter=3"]
+    """Tilts in radians and distance in metres, relative to the rig's file."""
+    covariance: Float64[Array, "parameter=3 parameter=3"]
+    """Of the corrected plane: replaces that of the calibration and the stability."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig:
     """The calibrated measurement system."""
 
@@ -31,11 +41,8 @@ class Rig:
     stability: RigStability = TYPICAL_STABILITY
     """How far light planes and camera may have moved since the calibration."""
     tool_from_camera: Float64[Array, "4 4"] | None = None
-    moved_planes: Mapping[str, Float64[Array, "parameter=3 parameter=3"]] = field(default_factory=dict)
-    """Covariance of tilts and distance of each light plane that a stream of shots has shown to have moved.
-
-    The plane is the corrected one. Its covariance replaces that of the calibration and the stability.
-    """
+    moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
+    """By the laser's name; the light planes are the corrected ones."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""

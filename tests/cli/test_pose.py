@@ -205,6 +205,21 @@ def test_a_catalogue_gives_probabilities(rig, detections, capsys):
     assert {"nominal-1194", "none of these"} < set(posterior)
 
 
+@pytest.mark.parametrize("name", ["mine", "auto"])
+@pytest.mark.parametrize(("words", "tolerance_m"), [([], 3e-4), (["--ring-tolerance", "0.0002"], 2e-4)])
+def test_the_tolerance_of_a_ring_of_the_catalogue_is_assumed(
+    rig, detections, tmp_path, capsys, name, words, tolerance_m
+):
+    (tmp_path / "rings.yaml").write_text(
+        "ringpose: rings/1\nrings: [{name: mine, radius_inner_m: [0.5665, 0.5675], radius_outer_m: [0.5965, 0.5975], "
+        "source: drawing 12, tolerance_m: 0.0003}]"
+    )
+
+    main(["pose", str(detections), "--rig", str(rig), "--rings", str(tmp_path / "rings.yaml"), "--ring", name, *words])
+
+    assert pose_lines(capsys.readouterr().out)[0]["priors"]["ring_tolerance_m"] == tolerance_m
+
+
 def test_a_known_radius_is_the_radius(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "--radius-outer", "0.597", "--radius-sd", "1e-6"])
 

@@ -16,6 +16,7 @@ from ringpose.types.pose import (
     MEASURED_PARAMETERS,
     LaserState,
     LinearizationPoint,
+    PlaneEvidence,
     PoseFlag,
     PoseLine,
     Priors,
@@ -24,6 +25,7 @@ from ringpose.types.pose import (
     RingPose,
     RingVelocity,
 )
+from ringpose.types.rig import PlaneCorrection
 
 SCHEMA = SCHEMAS["pose"]
 
@@ -86,8 +88,16 @@ def complete(rng, pose, measurement) -> PoseLine:
             ),
             radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, inner_sd_m=math.nan, outer_sd_m=0.0005, source="given"),
             rig_covariance=True,
-            moved_planes={"left": np.diag([1e-9, 2e-9, 3e-10])},
+            moved_planes={
+                "left": PlaneCorrection(change=np.array([2e-3, 0.0, 1e-4]), covariance=np.diag([1e-9, 2e-9, 3e-10]))
+            },
             regularization=rng.normal(size=(2, 13)),
+        ),
+        plane_evidence=PlaneEvidence(
+            parameters=("left.tilt_1", "focal_ratio"),
+            rows=rng.normal(size=(4, 3)),
+            normal=np.array([0.0, 0.6, -0.8]),
+            place_m=rng.normal(size=3),
         ),
         lasers={"left": LaserState.USED, "middle": LaserState.PARTLY, "right": LaserState.OUT_OF_VIEW},
         rejected=(Rejection(what="point", laser="middle", edge="inner", chi2=40.0), Rejection(what="radius")),
@@ -109,7 +119,18 @@ def record(line: PoseLine, brief: bool = False) -> dict:
 
 KEYS = [
     *("schema", "shot", "stamp_s", "pose_stamp_s", "frame", "status", "reason", "flags", "pose", "velocity"),
-    *("measurement", "priors", "lasers", "rejected", "rig_health", "shots_dropped", "latency_s", "stage_s", "rig"),
+    *(
+        "measurement",
+        "plane_evidence",
+        "priors",
+        "lasers",
+        "rejected",
+        "rig_health",
+        "shots_dropped",
+        "latency_s",
+        "stage_s",
+        "rig",
+    ),
 ]
 """Of a pose line, in their order."""
 
@@ -119,7 +140,9 @@ def test_record_has_the_keys_in_their_order(complete):
 
 
 def test_brief_record_has_no_measurement(complete):
-    assert list(validated(record(complete, brief=True))) == [key for key in KEYS if key != "measurement"]
+    assert list(validated(record(complete, brief=True))) == [
+        key for key in KEYS if key not in ("measurement", "plane_evidence")
+    ]
 
 
 def test_line_with_everything_fits_the_schema(complete):

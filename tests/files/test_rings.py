@@ -45,6 +45,8 @@ def test_an_interval_has_the_moments_of_a_uniform_distribution(tmp_path):
         ("mine", "none of these", "is taken"),
         ("rings/1", "rings/2", "must be 'rings/1'"),
         ("radius_inner_m", "inner_m", "unknown key 'inner_m'"),
+        ("name: mine", "name: mine\n  source: drawing\n  tolerance_m: 0.2", "tolerance_m: is 0.2, must be metres"),
+        ("name: mine", "name: mine\n  tolerance_m: 0.0003", "tolerance_m: has no source"),
     ],
 )
 def test_an_invalid_catalogue_is_rejected(tmp_path, old, new, finding):

@@ -4,25 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_streams import measured_stream, moved, poses_before
 
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
-from ringpose.geometry.rotations import tilted
-from ringpose.pose.drift import DriftMonitor
-from ringpose.pose.pipeline import pose_result
-from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions
-from ringpose.types.pose import NoPose, PoseFlag, PoseLine
+from ringpose.types.pose import PoseFlag
 
-ASSUMED = Assumptions(ring_tolerance_m=1e-4, stability=TYPICAL_STABILITY)
 SHOTS = 50
 TILT_RAD, SHIFT_M = np.radians(0.1), 0.3e-3
-
-
-def moved(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
-    """The rig with one light plane moved."""
-    normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
-    normal[laser] = tilted(normal[laser], np.array(tilt_rad))
-    distance[laser] += shift_m
-    return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
 
 
 def drawn(rig, rng):
@@ -41,37 +29,9 @@ def camera_turned(rig, angle_rad):
 
 
 @pytest.fixture
-def poses(scene_of, face_points, rng):
+def poses(rng):
     """Draws scenes at many poses, seen by a rig, and their noisy break points."""
-
-    def drawn_poses(real, shots=SHOTS):
-        for _ in range(shots):
-            tilt, distance_m, turn = rng.uniform(-0.2, 0.2, 2), rng.uniform(0.3, 1.0), rng.uniform(-0.2, 0.2)
-            scene = scene_of(real, distance_m=float(distance_m), tilt_rad=tuple(tilt), turn_rad=float(turn))
-            yield scene, face_points(scene, 0.3, 0.02, rng)
-
-    return drawn_poses
-
-
-def measured_stream(rig, scenes):
-    """The lines of a stream, as `ringpose pose` computes them, and the warnings by shot."""
-    monitor, lines, warnings = DriftMonitor(rig, rig.stability), [], {}
-    for number, (_, points) in enumerate(scenes):
-        result = pose_result(points, monitor.rig, assumptions=replace(ASSUMED, stability=monitor.rig.stability))
-        pose = None if isinstance(result.pose, NoPose) else result.pose
-        line = PoseLine(
-            shot=str(number),
-            stamp_s=float(number),
-            pose=pose,
-            flags=result.flags,
-            priors=result.priors,
-            plane_evidence=result.plane_evidence,
-        )
-        line, warning = monitor.update(line)
-        lines.append(line)
-        if warning is not None:
-            warnings[number] = warning
-    return lines, warnings
+    return lambda real, shots=SHOTS: poses_before(real, rng, shots)
 
 
 @pytest.fixture

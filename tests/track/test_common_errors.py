@@ -11,6 +11,7 @@ from ringpose.track.common_errors import common_errors
 from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RingMeasurement
+from ringpose.types.rig import PlaneCorrection
 
 STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
 CALIBRATED = ("fx", "fy", "left.tilt_1", "left.distance")
@@ -68,8 +69,9 @@ def test_stability_is_added_to_the_covariance_of_the_calibration():
 
 def test_the_covariance_of_a_corrected_plane_replaces_calibration_and_stability():
     names, moved = ("left.tilt_1", "left.tilt_2", "left.distance", "right.tilt_1"), np.diag([1e-9, 4e-9, 1e-11])
+    correction = PlaneCorrection(change=np.zeros(3), covariance=moved)
 
-    found = covariance_of(names, stability=STABILITY, moved_planes={"left": moved})
+    found = covariance_of(names, stability=STABILITY, moved_planes={"left": correction})
 
     expected = np.diag([1e-9, 4e-9, 1e-11, 1e-8])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-20)

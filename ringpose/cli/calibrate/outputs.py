@@ -98,9 +98,13 @@ CHECKING = frozenset(
 )
 """What goes together with `--check`."""
 
+UPDATING = (CHECKING - {"check"}) | {"update", "output"}
+"""What goes together with `--update`."""
+
 _MODES = {
     "print_board": ("--print-board", "only draws the board", PRINTING),
     "check": ("--check", "only compares, with the rig's own camera", CHECKING),
+    "update": ("--update", "keeps the rig's camera and lasers", UPDATING),
 }
 
 _NONE: tuple[Any, ...] = (None, (), [])

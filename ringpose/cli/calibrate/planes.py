@@ -7,7 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
+from ringpose.cli.options import Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
 from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from ringpose.calibrate.planes.shots import StripeShots
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
+    from ringpose.pose.plane_evidence import RigEvidence
     from ringpose.types.arrays import Array, Float64
     from ringpose.types.camera import Camera
+    from ringpose.types.rig import Rig
 
 CameraFile = Annotated[
     Path | None, typer.Option("--camera", readable=False, metavar="FILE", help="The calibrated camera (camera.yaml).")
@@ -55,6 +57,13 @@ Check = Annotated[
     Path | None,
     typer.Option("--check", readable=False, metavar="RIG", help="Only see whether this rig agrees with the shots."),
 ]
+Update = Annotated[
+    Path | None,
+    typer.Option("--update", readable=False, metavar="RIG", help="Estimate anew the planes of this rig that moved."),
+]
+OptionalBoard = Annotated[
+    Path | None, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
+]
 Surround = Annotated[
     float,
     typer.Option(
@@ -66,7 +75,7 @@ Surround = Annotated[
 class _Inputs(NamedTuple):
     """Options by which shots are read."""
 
-    board: Path
+    board: Path | None
     names: str | None
     order: str | None
     surround_m: float
@@ -90,7 +99,7 @@ class _Outputs(NamedTuple):
 
 @app.command("calibrate-planes", cls=CommandWithModes)
 def calibrate_planes(
-    board: BoardFile,
+    board: OptionalBoard = None,
     inputs: OptionalInputs = None,
     camera: CameraFile = None,
     output: OptionalOutput = None,
@@ -102,6 +111,7 @@ def calibrate_planes(
     working_distance: WorkingDistance = None,
     mount: Mount = None,
     check: Check = None,
+    update: Update = None,
     print_board: PrintBoard = None,
     surround: Surround = 0.0,
     overlay: Overlay = None,
@@ -119,12 +129,15 @@ def calibrate_planes(
     if print_board is not None:
         from ringpose.cli.calibrate.outputs import print_board as printed
 
-        printed(print_board, board, "four_markers", force=force, quiet=quiet)
+        printed(print_board, given(board, "--board"), "four_markers", force=force, quiet=quiet)
         return
     shots = given(inputs, "INPUT")
     options = _Inputs(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
-        _check(shots, check, options)
+        _check(shots, check, options, None)
+        return
+    if update is not None:
+        _check(shots, update, options, given(output, "--output"))
         return
     angles_rad = _angles_rad(expected_angles)
     outputs = _Outputs(
@@ -142,7 +155,8 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.rigs import read_mount
 
-    files = [options.board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
+    board = given(options.board, "--board")
+    files = [board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
     refuse_existing_outputs(outputs.output, outputs.report, options.force, files)
     tool_from_camera = None if outputs.mount is None else read_mount(outputs.mount)
     batch = Batch()
@@ -165,7 +179,7 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
         for shot, found in assessment.calibration.contradicting:
             with batch.guarded():
                 raise DataError(shot, found)  # reported like any other unusable shot
-        _write(assessment, tool_from_camera, outputs, [options.board, *images.paths], options.force)
+        _write(assessment, tool_from_camera, outputs, [board, *images.paths], options.force)
         if not options.quiet:
             _say_number(stripes)
         batch.record_status(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
@@ -214,25 +228,128 @@ def _write(
         write_page(outputs.report, planes_report(assessment), force=force)
 
 
-def _check(shots: list[str], rig_file: Path, options: _Inputs) -> None:
-    from ringpose.calibrate.planes.check import rig_check, rig_check_lines
+def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
+    """Compare a rig with shots of a board or the records of a stream; with an output, write it as they show it."""
+    from ringpose.calibrate.planes.update import checked_shots, evidence_lines, moved_lasers
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.errors import NO_POSE
-    from ringpose.files.rigs import median_board_rms_px, read_rig
+    from ringpose.cli.calibrate.outputs import refuse_existing_outputs
+    from ringpose.errors import NO_POSE, DataError
+    from ringpose.files.rigs import read_rig
 
-    rig, usual_px = read_rig(rig_file), median_board_rms_px(rig_file)
+    rig = read_rig(rig_file)
+    if output is not None:
+        refuse_existing_outputs(output, None, options.force, [rig_file])
     batch = Batch()
+    boards = options.board is not None
+    if boards:
+        evidence, files, depth_m = _board_evidence(inputs, rig_file, rig, options, batch, update=output is not None)
+    else:
+        evidence, files, depth_m = _stream_evidence(inputs, rig, batch, quiet=options.quiet)
+    moved: list[int] | None = []
+    with batch.guarded():
+        if output is not None or not boards:
+            checked_shots(evidence, boards=boards)
+            moved = moved_lasers(evidence, boards=boards)
+            for line in evidence_lines(evidence, moved, depth_m) if moved != [] or not options.quiet else ():
+                messages.echo(line)
+        if output is None:
+            batch.record_status(0 if moved == [] else NO_POSE)
+        elif moved is None:
+            found = "the shots contradict it, but not by one light plane alone"
+            raise DataError(str(rig_file), found, "give shots of a board, or calibrate it again")
+        elif moved:
+            _write_update(evidence, moved, output, [rig_file, *files], depth_m, options)
+        else:
+            messages.echo(f"{rig_file}: its light planes hold: nothing to update, {output} is not written")
+    batch.finish()
+
+
+def _board_evidence(
+    inputs: list[str], rig_file: Path, rig: "Rig", options: _Inputs, batch: "Batch", *, update: bool
+) -> "tuple[RigEvidence, list[Path], float]":
+    """Compare each shot of a board with a rig by itself; for an update, what all show about its planes."""
+    import numpy as np
+
+    from ringpose.calibrate.planes.check import rig_check, rig_check_lines
+    from ringpose.calibrate.planes.update import board_evidence
+    from ringpose.cli import messages
+    from ringpose.errors import NO_POSE
+    from ringpose.files.rigs import median_board_rms_px
+    from ringpose.pose.plane_evidence import RigEvidence
+
+    usual_px = median_board_rms_px(rig_file)
     images, stripes = _sources(options._replace(names=",".join(rig.lasers.names)), rig.camera)
-    _read(shots, options, images, stripes, batch)
+    _read(inputs, options, images, stripes, batch)
+    evidence, depths = RigEvidence(rig, rig.stability, left_out=0), [0.5]
     for view in stripes.views:
         found = rig_check(view, rig, usual_px)
-        if not found.holds:
+        if not found.holds and not update:
             batch.record_status(NO_POSE)
         if not (options.quiet and found.holds):
             for line in rig_check_lines(found):
                 messages.echo(line)
-    batch.finish()
+        if update and found.board_rms_px <= found.board_limit_px:
+            evidence.add(board_evidence(view, rig))
+            depths.append(found.distance_m)
+    return evidence, [*([options.board] if options.board else []), *images.paths], float(np.median(depths))
+
+
+def _stream_evidence(
+    inputs: list[str], rig: "Rig", batch: "Batch", *, quiet: bool
+) -> "tuple[RigEvidence, list[Path], float]":
+    """What the pose records of a stream show about the rig that took it."""
+    import numpy as np
+
+    from ringpose.cli import messages
+    from ringpose.errors import DataError, UsageError
+    from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
+    from ringpose.files.inputs import inputs as named
+    from ringpose.files.poses import pose_line_of
+    from ringpose.pose.plane_evidence import RigEvidence, evidence_for_file
+
+    evidence, depths, shots = RigEvidence(rig, rig.stability), [0.5], 0
+    for item in batch.valid_inputs(named(inputs, [RECORDS_SUFFIX])):
+        if not isinstance(item, Record):
+            raise UsageError(
+                "--board", f"is missing: {item} is not a file of pose records", "give --board or FILE.jsonl"
+            )
+        with batch.guarded():
+            line = pose_line_of(item.values, item.location)
+            if line.rig and line.rig != rig.sha256:
+                raise DataError(
+                    item.location, "is of another rig file", "give the rig by which the stream was measured"
+                )
+            shots += 1
+            found = evidence_for_file(line)
+            if found is not None and evidence.add(found):
+                depths.append(float(found.place_m[2]))
+    if not quiet:
+        messages.echo(f"{shots} shots, {evidence.shots} of them show the light planes at different poses of the ring")
+    files = [Path(word) for word in inputs if holds_records(Path(word))]
+    return evidence, files, float(np.median(depths))
+
+
+def _write_update(
+    evidence: "RigEvidence", moved: list[int], output: Path, files: list[Path], depth_m: float, options: _Inputs
+) -> None:
+    """Write the rig as the evidence shows it, with the quality of its calibration and what was changed."""
+    from ringpose.calibrate.planes.update import change_line, updated_rig
+    from ringpose.cli import messages
+    from ringpose.files.rigs import calibration_quality, write_rig
+
+    planes = [evidence.moved_plane(laser, moved) for laser in moved]
+    names = evidence.rig.lasers.names
+    changes = [
+        {"laser": names[plane.laser], "change": plane.change, "covariance": plane.covariance, "shots": evidence.shots}
+        for plane in planes
+    ]
+    quality = {**calibration_quality(files[0]), "updated": changes}
+    rig = updated_rig(evidence.rig, evidence, moved)
+    write_rig(output, rig, extra={"quality": quality}, force=options.force, inputs=files)
+    if not options.quiet:
+        for plane in planes:
+            messages.echo(f"{output}: {change_line(names[plane.laser], plane, depth_m)}")
 
 
 def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeShots]":
@@ -240,7 +357,8 @@ def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeSh
     from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.files.boards import read_board
 
-    images = BoardImages(read_board(options.board), options.overlay, channel=options.channel, force=options.force)
+    board = read_board(given(options.board, "--board"))
+    images = BoardImages(board, options.overlay, channel=options.channel, force=options.force)
     images.luminance_too = True
     return images, StripeShots(images.board, camera, options.names, options.order, options.surround_m)
 

@@ -1,0 +1,156 @@
+"""Light planes that have moved since the calibration, by board shots or by the records of a stream (method(7), 11).
+
+Both are evidence in the same form: rows A q = y in the errors q of the rig, with everything else of a shot eliminated.
+The rig's parameters are their mean given calibration, stability and evidence, if the moved planes may be anywhere.
+"""
+
+from dataclasses import replace
+from math import degrees, hypot, sqrt
+
+import numpy as np
+
+from ringpose.calibrate.boards.corner_errors import (
+    MIN_SIGMA_PX,
+    corner_residuals,
+    corner_sigma_px,
+    maximum_likelihood_pose,
+    whiten,
+)
+from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
+from ringpose.calibrate.planes.board_surface import triangulated
+from ringpose.calibrate.planes.check import FLATNESS_M, SIGMAS
+from ringpose.calibrate.planes.labels import labelled_by_planes
+from ringpose.calibrate.planes.stripe_errors import center_sigma_px, line_modes, shared_length, stripe_residuals
+from ringpose.errors import DataError
+from ringpose.estimate.nuisance import FOCAL_RATIO
+from ringpose.geometry.rays import rays, undistorted_pixels
+from ringpose.geometry.rotations import tilted
+from ringpose.pose.plane_evidence import MovedPlane, RigEvidence
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.calibration import StripeView
+from ringpose.types.covariance import PLANE_PARAMETERS, ParameterCovariance, laser_parameters
+from ringpose.types.pose import PlaneEvidence
+from ringpose.types.rig import Rig
+
+MIN_STREAM_SHOTS, MIN_BOARD_SHOTS = 4, 2
+"""Number of shots at different poses that a plane can be estimated from."""
+
+_POSE = 6
+
+
+def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
+    """What a view of a board shows about camera and light planes, with the board's pose and unevenness eliminated."""
+    pose, _ = maximum_likelihood_pose(view.board, rig.camera)
+    planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
+    if view.unlabelled_px:
+        view = labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
+    camera = (*parameter_names(rig.camera.distortion_model), FOCAL_RATIO)
+    names = (*camera, *laser_parameters(rig.lasers.names))
+    corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
+    by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, rig.camera)
+    wrt_camera = whiten(by_camera.reshape(by_pose.size // _POSE, -1), view.board)
+    corners = np.zeros((len(wrt_camera), _POSE + len(names) + 1))
+    corners[:, :_POSE] = whiten(by_pose.reshape(-1, _POSE), view.board)
+    corners[:, _POSE : _POSE + len(camera)] = _with_focal_ratio(wrt_camera, rig)
+    corners[:, -1] = corner_residuals(view.board, pose, rig.camera)
+    blocks = [corners / corner_px]
+    straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
+    length = shared_length(straight)
+    for laser, points_px in enumerate(view.stripes_px):
+        if not len(points_px):
+            continue
+        found = stripe_residuals(rays(points_px, rig.camera), pose, *planes[laser], rig.camera)
+        rows = np.zeros((len(points_px), corners.shape[1]))
+        rows[:, :_POSE] = found.wrt_pose
+        rows[:, _POSE : _POSE + len(camera)] = _with_focal_ratio(found.wrt_camera, rig)
+        first = _POSE + len(camera) + len(PLANE_PARAMETERS) * laser
+        rows[:, first : first + len(PLANE_PARAMETERS)] = found.wrt_plane
+        rows[:, -1] = -found.residual_px
+        sigma_px = max(center_sigma_px(straight[laser], length), MIN_SIGMA_PX)
+        blocks.append(_without_unevenness(rows / sigma_px, line_modes(points_px) / sigma_px, found.metres_per_pixel))
+    triangle = np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))[_POSE:, _POSE:]
+    return PlaneEvidence(parameters=names, rows=triangle, normal=pose.rotation[:, 2], place_m=pose.translation_m)
+
+
+def _with_focal_ratio(wrt_camera: Float64[Array, "row parameter"], rig: Rig) -> Float64[Array, "row parameter+1"]:
+    """Derivatives by the camera's parameters, and by the change of both focal lengths together."""
+    ratio = wrt_camera[:, :2] @ rig.camera.camera_matrix[[0, 1], [0, 1]]
+    return np.column_stack([wrt_camera, ratio])
+
+
+def _without_unevenness(
+    rows: Float64[Array, "n column"], modes: Float64[Array, "mode=2 n"], metres_per_pixel: Float64[Array, "n"]
+) -> Float64[Array, "row column"]:
+    """The rows of a stripe, with a shift and a turn of its line by an uneven board eliminated."""
+    sd_px = FLATNESS_M / SIGMAS / float(metres_per_pixel.mean())
+    count = len(modes)
+    prior = np.eye(count, count + rows.shape[1])
+    return np.asarray(np.linalg.qr(np.concatenate([prior, np.hstack([sd_px * modes.T, rows])]), mode="r"))[
+        count:, count:
+    ]
+
+
+def checked_shots(evidence: RigEvidence, *, boards: bool) -> None:
+    """Raise DataError if there are too few shots to see whether a plane has moved."""
+    needed = MIN_BOARD_SHOTS if boards else MIN_STREAM_SHOTS
+    if evidence.shots < needed:
+        found = f"{evidence.shots} usable shots at different poses, {needed} are needed"
+        remedy = "of the board at other distances" if boards else "with three stripes, whose records are not --brief"
+        raise DataError("calibrate-planes", found, f"give shots {remedy}")
+
+
+def moved_lasers(evidence: RigEvidence, *, boards: bool) -> list[int] | None:
+    """The lasers whose light planes have moved, none if the rig holds; None if shots of rings do not name one.
+
+    Boards show each plane by itself. Rings show the planes relative to each other: of one plane that has moved.
+    """
+    chi2 = evidence.chi2_of_planes()
+    if not boards:
+        if not chi2.max(initial=0.0) > evidence.limit:
+            return []
+        laser, turned = evidence.moved_laser(chi2)
+        return None if laser is None or turned else [laser]
+    moved: list[int] = []
+    while len(moved) < len(chi2) and chi2.max() > evidence.limit:
+        moved.append(int(np.argmax(chi2)))
+        chi2 = evidence.chi2_of_planes(moved)
+        chi2[moved] = 0.0
+    return moved
+
+
+def updated_rig(rig: Rig, evidence: RigEvidence, moved: list[int]) -> Rig:
+    """The rig as the evidence shows it, with its covariance; only the planes in `moved` may have moved far."""
+    mean, covariance = evidence.posterior(moved)
+    error = dict(zip(evidence.parameters, mean.tolist(), strict=True))
+    camera_names, lasers = parameter_names(rig.camera.distortion_model), rig.lasers
+    step = np.array([error.get(name, 0.0) for name in camera_names])
+    step[:2] += error[FOCAL_RATIO] * rig.camera.camera_matrix[[0, 1], [0, 1]]
+    planes = np.array([[error[name] for name in laser_parameters([laser])] for laser in lasers.names])
+    normal = np.array([tilted(n, tilts) for n, tilts in zip(lasers.normal, planes[:, :2], strict=True)])
+    names = (*camera_names, *laser_parameters(lasers.names))
+    jacobian = np.array([[float(name == other) for other in evidence.parameters] for name in names])
+    jacobian[:2, evidence.parameters.index(FOCAL_RATIO)] = rig.camera.camera_matrix[[0, 1], [0, 1]]
+    return replace(
+        rig,
+        camera=camera_with(parameters_of(rig.camera) + step, rig.camera),
+        lasers=replace(lasers, normal=normal, distance_m=lasers.distance_m + planes[:, 2]),
+        covariance=ParameterCovariance(parameters=names, data=jacobian @ covariance @ jacobian.T),
+    )
+
+
+def evidence_lines(evidence: RigEvidence, moved: list[int] | None, depth_m: float) -> list[str]:
+    """For each laser, by how much the evidence contradicts its plane, those that have moved set aside."""
+    alone, beside = evidence.chi2_of_planes(), evidence.chi2_of_planes(moved or ())
+    limit, lines = sqrt(evidence.limit / len(PLANE_PARAMETERS)), []
+    for laser, name in enumerate(evidence.rig.lasers.names):
+        suspect = moved is None or laser in moved
+        error = sqrt(max(float(alone[laser] if suspect else beside[laser]), 0.0) / len(PLANE_PARAMETERS))
+        found = "does not hold: " + evidence.moved_plane(laser, moved or ()).description(depth_m)
+        lines.append(f"{name}: normalized error {error:.1f} (limit {limit:.1f}): {found if error > limit else 'holds'}")
+    return lines
+
+
+def change_line(name: str, moved: MovedPlane, depth_m: float) -> str:
+    """By how much a plane has moved, and the standard deviation of that."""
+    sd = np.sqrt(np.diag(moved.covariance)).tolist()
+    return f"{name} {moved.description(depth_m)}; known to {degrees(hypot(*sd[:2])):.3f} degrees, {1e3 * sd[2]:.2g} mm"

@@ -1,0 +1,53 @@
+"""Streams of shots of a ring at many poses, and a rig one of whose light planes has moved."""
+
+from dataclasses import replace
+
+import numpy as np
+from ring_scenes import face_points_of, make_scene
+
+from ringpose.geometry.rotations import tilted
+from ringpose.pose.drift import DriftMonitor
+from ringpose.pose.pipeline import pose_result
+from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions
+from ringpose.types.pose import NoPose, PoseLine
+
+ASSUMED = Assumptions(ring_tolerance_m=1e-4, stability=TYPICAL_STABILITY)
+
+
+def moved(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
+    """The rig with one light plane moved."""
+    normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
+    normal[laser] = tilted(normal[laser], np.array(tilt_rad))
+    distance[laser] += shift_m
+    return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
+
+
+def poses_before(rig, rng, shots):
+    """Scenes at many poses, seen by a rig, and their noisy break points."""
+    for _ in range(shots):
+        tilt, distance_m, turn = rng.uniform(-0.2, 0.2, 2), rng.uniform(0.3, 1.0), rng.uniform(-0.2, 0.2)
+        scene = make_scene(rig, distance_m=float(distance_m), tilt_rad=tuple(tilt), turn_rad=float(turn))
+        yield scene, face_points_of(scene, 0.3, 0.02, rng)
+
+
+def measured_stream(rig, scenes):
+    """The lines of a stream, as `ringpose pose` computes them, and the warnings by shot."""
+    monitor, lines, warnings = DriftMonitor(rig, rig.stability), [], {}
+    for number, (_, points) in enumerate(scenes):
+        result = pose_result(points, monitor.rig, assumptions=replace(ASSUMED, stability=monitor.rig.stability))
+        pose = None if isinstance(result.pose, NoPose) else result.pose
+        line = PoseLine(
+            shot=str(number),
+            stamp_s=float(number),
+            pose=pose,
+            flags=result.flags,
+            priors=result.priors,
+            measurement=result.measurement,
+            plane_evidence=result.plane_evidence,
+            rig=rig.sha256,
+        )
+        line, warning = monitor.update(line)
+        lines.append(line)
+        if warning is not None:
+            warnings[number] = warning
+    return lines, warnings
