@@ -79,6 +79,7 @@ def detect(
             break_points=NoBreakPoints.NO_LASER_FRAME,
             lasers_on=lasers_on,
             still=shot.still,
+            ambient_changed=shot.ambient_changed,
         )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
@@ -105,6 +106,7 @@ def detect(
         ring_edges=ring_edges if edges else None,
         lasers_on=lasers_on,
         still=shot.still,
+        ambient_changed=shot.ambient_changed,
         rejected=(*on_ring.rejected, *_missing_edges(found, shot, missing)) if isinstance(found, BreakPoints) else (),
         advice=exposure_advice(found, shot, images),
     )

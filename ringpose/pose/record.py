@@ -80,6 +80,7 @@ def pose_line(
         points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected, camera
     )
     rejected = result.rejected or source.rejected
+    ambient = PoseFlag.AMBIENT_CHANGED if source.ambient_changed else PoseFlag(0)
     pose, velocity = result.pose, result.velocity
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
         from ringpose.pose.transform import pose_in_frame, velocity_in_frame
@@ -92,7 +93,7 @@ def pose_line(
         stamp_s=source.stamp_s,
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
-        flags=result.flags | flags_of(rejected),
+        flags=result.flags | flags_of(rejected) | ambient,
         reason=_reason(result, source),
         frame=frame,
         velocity=velocity,
@@ -110,8 +111,9 @@ def pose_line(
 def _reason(result: PoseResult, source: Detection) -> str | None:
     """Why there is no pose, or what contradicts it, and what would improve the shot; None if there is neither."""
     why = result.pose.value if isinstance(result.pose, NoPose) else contradictions(result, source.rejected)
-    limited = isinstance(result.pose, NoPose) or result.flags & ~HARMLESS_FLAGS
-    return "; ".join(filter(None, [why, source.advice if limited else ""])) or None
+    limited = isinstance(result.pose, NoPose) or source.ambient_changed or result.flags & ~HARMLESS_FLAGS
+    changed = "ambient light changed within the shot" if source.ambient_changed else ""
+    return "; ".join(filter(None, [why, changed, source.advice if limited else ""])) or None
 
 
 WITHOUT_STRIPES = (

@@ -175,6 +175,8 @@ class Detection:
     """Measurements that the detector did not use because they contradict the others."""
     still: bool = False
     """Whether the target was held still while the shot was taken, as the shot states."""
+    ambient_changed: bool = False
+    """Whether ambient light changed within the shot, as the shot states."""
     advice: str = ""
     """What would improve the shot, such as a shorter exposure; empty if nothing is known."""
 

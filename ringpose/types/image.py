@@ -73,6 +73,11 @@ class Shot:
         return self.meta.get("still") is True
 
     @property
+    def ambient_changed(self) -> bool:
+        """Whether ambient light changed within the shot, by less than makes `capture` repeat it, as `meta` states."""
+        return "ambient_change_dn" in self.meta
+
+    @property
     def measured_at_s(self) -> float:
         """Time stamp of the shot: mid exposure of its first frame with a laser on, or of its first frame."""
         lit = np.flatnonzero(self.lasers)

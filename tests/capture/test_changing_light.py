@@ -78,6 +78,17 @@ def test_a_small_change_spoils_nothing_and_is_noted(rng):
     assert shot.meta["ambient_change_dn"] == pytest.approx(12.0 * 0.75, rel=0.2)
 
 
+@pytest.mark.parametrize(("share", "is_lost"), [(0.15, False), (0.5, True), (0.85, True)])
+def test_a_lamp_that_goes_on_within_the_last_exposure_is_noted_or_costs_the_shot(rng, share, is_lost):
+    (steady,) = shots_of(BlinkingScene(rng, on_s=1e-9, off_s=1e9), count=1)
+    on_s = float(steady.stamp_s[-1] + (1.0 - share) * steady.exposure_s[-1])
+
+    (shot,) = shots_of(BlinkingScene(rng, on_s=1.0, off_s=1e9, phase_s=on_s), count=1)
+
+    assert lost_of([shot]) == is_lost
+    assert ("ambient_change_dn" in shot.meta) != is_lost
+
+
 def test_one_dark_frame_is_enough_to_recognise_a_change_behind_it(rng):
     scene = BlinkingScene(rng, on_s=1.0, off_s=1.0, phase_s=100.06)
 

@@ -7,6 +7,8 @@ import pytest
 from drawn_scene import DrawnScene, draw_shot, drawn_rig
 
 from ringpose.detect.pipeline import detect
+from ringpose.files.records import plain
+from ringpose.files.records.detections import detection_of, detection_record
 from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
 from ringpose.pose.record import pose_line, remarks_on
 from ringpose.types.assumptions import AssumptionOptions
@@ -54,6 +56,18 @@ def test_edges_that_ambient_light_should_show_and_that_were_not_found_are_not_ok
     assert PoseFlag.EDGE_REJECTED in line.flags
     assert line.status == "degraded"
     assert "ambient light" in line.reason
+
+
+@pytest.mark.parametrize("is_detected", [False, True])
+def test_a_change_of_ambient_light_within_a_shot_is_flagged_and_named(shot, is_detected):
+    rig = drawn_rig()
+    changed = replace(shot, meta={**shot.meta, "ambient_change_dn": 9.0})
+
+    line = pose_line(detection_of(plain(detection_record(detect(changed, rig))), "a") if is_detected else changed, rig)
+
+    assert line.status == "degraded"
+    assert line.flags & ~pose_line(shot, rig).flags == PoseFlag.AMBIENT_CHANGED
+    assert "ambient light" in (line.reason or "")
 
 
 def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):

@@ -57,6 +57,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "reason": detection.break_points.value if isinstance(detection.break_points, NoBreakPoints) else None,
         "lasers_on": detection.lasers_on,
         "still": detection.still,
+        "ambient_changed": detection.ambient_changed,
         "advice": detection.advice,
         "break_points": _part("break_points", found),
         "ring_edges": _part("ring_edges", detection.ring_edges),
@@ -89,6 +90,7 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         ring_edges=_ring_edges(parts["ring_edges"]) if "ring_edges" in parts else None,
         lasers_on=_lasers_on(fields, points) if fields.has("lasers_on") else None,
         still=fields.boolean("still") if fields.has("still") else False,
+        ambient_changed=fields.boolean("ambient_changed") if fields.has("ambient_changed") else False,
         advice=str(fields.raw("advice")) if fields.has("advice") else "",
         rejected=rejections_in(fields),
     )
