@@ -187,7 +187,9 @@ def test_a_report_has_every_section_and_stands_alone(folder):
         ("methods:", "table: hue\nmethods:", "hue"),
         ("level: features", "level: images\ncalibrate: 1", "calibrate"),
         ("level: features", "level: features\ncalibrate: true", "calibrate"),
-        ("vary: {", "vary: {speed_sd_m_s: 0.1, ", "features"),
+        ("vary: {", "vary: {missing_share: 0.1, ", "features"),
+        ("[ml, paper]", "[ml, track]", "track"),
+        ("methods:", "track: {shots: 3, period_s: 0.2}\nmethods:", "track"),
     ],
 )
 def test_a_bad_study_is_refused_with_the_key_that_is_wrong(folder, capsys, old, new, word):
