@@ -17,6 +17,7 @@ from ringpose.cli.assumption_options import (
     Still,
     assumption_options,
 )
+from ringpose.cli.batch import Jobs
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile
 from ringpose.cli.options import (
@@ -84,6 +85,7 @@ def pose(
     brief: Brief = False,
     overlay: Overlay = None,
     report: Report = None,
+    jobs: Jobs = 1,
     force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -96,6 +98,8 @@ def pose(
     from ringpose.pose.record import pose_line
 
     _check_source(inputs, camera, lasers)
+    if jobs > 1 and (camera is not None or overlay is not None or report is not None):
+        raise UsageError("--jobs", "excludes --camera, --overlay and --report", "leave it out")
     ring_options = RingOptions(
         radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
     )
@@ -118,7 +122,15 @@ def pose(
         pictures = PosePictures(measure, rig_of_shots, overlay, report, force=force)
         measure = pictures.measure
     lines: AbstractContextManager[Iterator[PoseLine]]
-    if camera is None:
+    if jobs > 1:
+        from ringpose.cli.pose_jobs import SingleShot, parallel_lines
+        from ringpose.files.inputs import inputs as named
+        from ringpose.files.sources import SUFFIXES
+
+        single = SingleShot(rig=rig_of_shots, channel=channel, method=method, frame=frame, known=known, options=options)
+        items = named(inputs or [], SUFFIXES)
+        lines = nullcontext(parallel_lines(items, single, jobs, batch, lambda: monitor.rig, measured))
+    elif camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
     else:
         from ringpose.capture.source import CaptureRequest
