@@ -7,7 +7,6 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -83,7 +82,7 @@ def test_after_a_full_disk_the_finished_shots_are_valid_and_the_study_goes_on(
 
     words = ["bench", "study", "study.yaml", "--quiet", "--jobs", "1", "--output"]
     with monkeypatch.context() as patched:
-        patched.setattr(import_module("ringpose.cli.bench.study"), "PART_S", (0.0, 0.0))
+        patched.setattr("ringpose.bench.study.pipeline.PART_S", (0.0, 0.0))
         patched.setattr(os, "fsync", full_after_two_parts)
         assert main([*words, "out"]) == 74
     assert "free space" in capsys.readouterr().err

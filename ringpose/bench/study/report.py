@@ -270,7 +270,7 @@ def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> P
     for each_m in np.unique(distance_m) if 0 < len(steps) < 20 else ():
         bound_mm = 1e3 * np.nanmedian(columns[methods[0]]["bound_center_m"][distance_m == each_m])
         ends_mm = 1e3 * (each_m - width_m / 2), 1e3 * (each_m + width_m / 2)
-        axis.hlines(bound_mm, *ends_mm, color="black", label=None if axis.collections else "bound, radii unknown")
+        axis.hlines(bound_mm, *ends_mm, color="black", label="" if axis.collections else "bound, radii unknown")
     axis.set_yscale("log")
     axis.set_xlabel("distance (mm), methods side by side" if 0 < len(steps) < 20 else "distance (mm)")
     axis.set_ylabel("centre error (mm)")
