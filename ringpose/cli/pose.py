@@ -17,6 +17,7 @@ from ringpose.cli.assumption_options import (
     Still,
     assumption_options,
 )
+from ringpose.cli.batch import Jobs
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile, known_ring
 from ringpose.cli.options import (
@@ -31,6 +32,7 @@ from ringpose.cli.options import (
     RigFile,
     Verbose,
 )
+from ringpose.cli.pose_jobs import SingleShot, parallel_lines
 from ringpose.cli.track_options import (
     Format,
     GripperRadial,
@@ -108,6 +110,7 @@ def pose(
     brief: Brief = False,
     overlay: Overlay = None,
     report: Report = None,
+    jobs: Jobs = 1,
     force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -119,6 +122,8 @@ def pose(
     from ringpose.files.rigs import read_rig, require_mount
 
     _check_source(inputs, camera, lasers)
+    if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
+        raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
     ring_options = RingOptions(radius_outer, radius_inner, radius_sd, ring, rings)
     known = known_ring(ring_options, method, ring_tolerance)
     assumed = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
@@ -131,7 +136,12 @@ def pose(
     tracker = settings.tracker(rig_of_shots, assumed, None) if track else None
     stream = _Stream(rig_of_shots, method, frame, known, assumed, tracker)
     lines: AbstractContextManager[Iterator[PoseLine]]
-    if camera is None:
+    if jobs > 1:
+        single = SingleShot(rig_of_shots, channel, method, frame, known, assumed)
+        lines = nullcontext(
+            parallel_lines(inputs or [], single, jobs, batch, lambda: stream.monitor.rig, stream.measured)
+        )
+    elif camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
     else:
         request = CaptureRequest(

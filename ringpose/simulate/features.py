@@ -25,6 +25,7 @@ from ringpose.simulate.appearance import (
 )
 from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors, form_deviations, form_displacement
 from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
+from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, ring_views
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import MotionPrior
@@ -113,8 +114,9 @@ def draw_detection(
 ) -> DrawnShot:
     """The detection in a shot of one view that begins at `stamp_s`, with its truth.
 
-    Without `common` errors they are drawn for this shot alone. Edges are named as they are: a detector may exchange
-    inner and outer edge where the stripes hardly show the ring's curvature.
+    The truth of a target on a path holds at the beginning of the shot, and its velocities during all of it; otherwise
+    the truth holds at the first frame with a laser. Without `common` errors they are drawn for this shot alone. Edges
+    are named as they are: a detector may exchange inner and outer edge where the stripes hardly show the curvature.
     """
     if common is None:
         common = common_errors(scene, rng, deviations)
@@ -125,13 +127,16 @@ def draw_detection(
     shown_s = np.where(frames.number >= 0, middle_s[frames.number], np.nan)
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
-    motion = _motion(view.normal, deviations.motion, unit[:5])
+    motion, reference_s = _motion(view.normal, deviations.motion, unit[:5]), first_s
+    if view.path is not None:
+        face_m = np.array([0.0, 0.0, scene.ring.height_m])
+        motion, reference_s = _Motion(*velocities(view.path, view.begin_s, face_m)), stamp_s
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
     found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
-        time_s = np.nan_to_num(shown_s - first_s)
+        time_s = np.nan_to_num(shown_s - reference_s)
         stripes = _stripes(appearance, common, motion, time_s, outliers.behind_m)
         position_px = stripes.true_px
         if outliers.behind_m.any():
@@ -143,18 +148,18 @@ def draw_detection(
             stamp = np.where(seen, shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _edges_of_frames(scene, appearance, common, motion, middle_s, first_s, unit)
+            edges = _edges_of_frames(scene, appearance, common, motion, middle_s, reference_s, unit)
     detection = Detection(
         shot=view.name,
         stamp_s=first_s,
         break_points=found,
         ring_edges=edges,
         lasers_on=frames.number >= 0,
-        still=deviations.motion is None,
+        still=deviations.motion is None and view.path is None,
     )
     return DrawnShot(
         detection=detection,
-        truth=_truth(scene, view, position_px, first_s, motion if deviations.motion else None, outliers),
+        truth=_truth(scene, view, position_px, reference_s, None if detection.still else motion, outliers),
         common=common,
         displaced=outliers.displaced,
         background=outliers.behind_m > 0,
@@ -327,7 +332,7 @@ def _edges_of_frames(
     common: CommonErrors,
     motion: _Motion,
     middle_s: Float64[Array, "frame"],
-    first_s: float,
+    reference_s: float,
     unit: Float64[Array, "place"],
 ) -> RingEdgePoints | None:
     """Points of the visible edges in the frames that the detector searches: of a moving ring two, else one.
@@ -339,7 +344,7 @@ def _edges_of_frames(
     dark = [number for number, mask in enumerate(scene.sequence) if not mask]
     if dark and (np.any(motion.velocity_m_s) or np.any(motion.rate_rad_s)):
         numbers = sorted({dark[0], dark[-1]})
-    parts = [_drawn_edges(appearance, common, motion, float(middle_s[number]), first_s, unit) for number in numbers]
+    parts = [_drawn_edges(appearance, common, motion, float(middle_s[number]), reference_s, unit) for number in numbers]
     found = [replace(part, sigma_px=sqrt(len(parts)) * part.sigma_px) for part in parts if part is not None]
     return joined_edge_points(found) if found else None
 
@@ -349,14 +354,14 @@ def _drawn_edges(
     common: CommonErrors,
     motion: _Motion,
     stamp_s: float,
-    first_s: float,
+    reference_s: float,
     unit: Float64[Array, "place"],
 ) -> RingEdgePoints | None:
     """Points of the visible edges in a frame at `stamp_s`, with errors by standard normal numbers; None without any.
 
-    The pose holds at `first_s`.
+    The pose holds at `reference_s`.
     """
-    visible, camera, time_s = appearance.edges, common.rig.camera, stamp_s - first_s
+    visible, camera, time_s = appearance.edges, common.rig.camera, stamp_s - reference_s
     arcs = appearance.arcs.after(time_s, *motion)
     place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
     if common.form.any():

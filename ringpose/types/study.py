@@ -40,8 +40,8 @@ NUMBERS: Mapping[str, Bounds] = {
     "speckle_contrast": Bounds(least=0.0, most=1.0),
     "dark_noise_e": Bounds(least=0.0, most=1000.0),
     "ring_tolerance_m": Bounds(least=0.0, most=0.05, only_features=True),
-    "speed_sd_m_s": Bounds(least=0.0, most=1.0, only_features=True),
-    "rate_sd_rad_s": Bounds(least=0.0, most=1.0, only_features=True),
+    "speed_sd_m_s": Bounds(least=0.0, most=1.0),
+    "rate_sd_rad_s": Bounds(least=0.0, most=1.0),
     "displaced_share": Bounds(least=0.0, most=1.0, only_features=True),
     "background_share": Bounds(least=0.0, most=1.0, only_features=True),
     "missing_share": Bounds(least=0.0, most=1.0, only_features=True),
@@ -84,6 +84,16 @@ class StudyMethod(StrEnum):
     """Circle pose from `cv2.fitEllipse` of the ring's visible outer edge; the radii are known."""
     ELLIPSE_REFINED = "ellipse-refined"
     """The same, refined on all visible points of both edges."""
+    TRACK = "track"
+    """The state after the last shot of a run, tracked by the poses of `ml`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotRun:
+    """The shots of one index of a study: the last one is measured by every method, and all of them by `track`."""
+
+    shots: int = 1
+    period_s: float = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,6 +115,7 @@ class Study:
     """Whether the rig that measures is calibrated from simulated board views first."""
     rig: Rig | None = None
     """The rig that measures; that of the scene if None."""
+    run: ShotRun = ShotRun()
     limits: Mapping[str, float] = field(default_factory=dict)
     """Limits of `LIMITS` on the first method."""
 

@@ -1,8 +1,10 @@
-"""A rig, detections of a ring that is exactly known, and shots that show nothing."""
+"""A rig, detections of a ring that is exactly known, shots that show nothing, and small studies."""
 
+import csv
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +19,8 @@ import yaml
 from forked import Forked
 from plane_views import copy_views
 from served_scene import small_scene
+
+from ringpose.types.study import TIMES
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 500.0
 CENTER = np.array([0.58, 0.02, 0.9])
@@ -142,3 +146,51 @@ def serve(tmp_path, monkeypatch, loopback_address, forker):
         with process:
             process.send_signal(signal.SIGTERM)
             assert process.wait(20) == 143
+
+
+STUDY = """\
+ringpose: study/1
+title: small
+scene: scene.yaml
+level: features
+count: {count}
+seed: 1
+vary: {{distance_m: [0.3, 0.5], light: {light}}}
+methods: {methods}
+"""
+
+
+@pytest.fixture
+def study_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Makes a working folder with a small study, study.yaml, of the example scene."""
+
+    def made(count: int = 2, light: str = "[dim, normal]", methods: str = "[ml]") -> Path:
+        for name in ("scene.yaml", "scene-rig.yaml"):
+            shutil.copy(Path(__file__).parents[2] / "examples" / name, tmp_path)
+        (tmp_path / "study.yaml").write_text(STUDY.format(count=count, light=light, methods=methods))
+        monkeypatch.chdir(tmp_path)
+        return tmp_path
+
+    return made
+
+
+@pytest.fixture
+def study_process(started: Callable[..., "subprocess.Popen[str]"]) -> Callable[..., "subprocess.Popen[str]"]:
+    """Starts `ringpose bench study` of study.yaml as a process of its own; `before` is run in it first."""
+
+    def start(output: str, *words: str, before: str = "") -> "subprocess.Popen[str]":
+        arguments = ("bench", "study", "study.yaml", "--output", output, "--quiet", *words)
+        return started(*arguments, before=before, stdout=subprocess.DEVNULL)
+
+    return start
+
+
+@pytest.fixture
+def study_rows() -> Callable[[str], list[dict[str, str]]]:
+    """The rows of a study's results.csv without the times."""
+
+    def read(output: str) -> list[dict[str, str]]:
+        with Path(output, "results.csv").open() as stream:
+            return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(stream)]
+
+    return read

@@ -2,14 +2,26 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from study_work import reversed_name
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.main import main
+from ringpose.cli.pose_jobs import SingleShot, parallel_lines
 from ringpose.errors import DataError
+from ringpose.files.records import line_of
+from ringpose.files.records.detections import detection_record
+from ringpose.files.rigs import read_rig, write_rig
+from ringpose.files.scenes import read_scene
+from ringpose.geometry.rotations import tilted
+from ringpose.simulate.features import drawn_features
+from ringpose.types.assumptions import NOISE_ONLY
+from ringpose.types.options import Method, PoseFrame
+from ringpose.types.scene import Approach
 
 
 def names(count):
@@ -80,3 +92,56 @@ def test_tracking_cannot_use_several_processes(carried_data, capsys):
 
     assert main(words) == 2
     assert "--track" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_poses_by_several_processes_are_those_of_one_with_the_health_of_the_rig(tmp_path, capsys):
+    scene = read_scene(Path(__file__).parents[2] / "examples" / "scene.yaml")
+    approach = Approach(count=12, distances_m=(0.4,), name="s")
+    scene = replace(scene, approaches=(approach,), views=(), camera_boards=None, plane_boards=None)
+    lasers = scene.rig.lasers
+    moved = lasers.normal.copy()
+    moved[0] = tilted(moved[0], np.radians([0.3, 0.0]))
+    turned = replace(scene, rig=replace(scene.rig, lasers=replace(lasers, normal=moved)))
+    lines = [line_of(detection_record(shot.detection)) for shot in drawn_features(turned)]
+    (tmp_path / "detections.jsonl").write_text("".join([*lines[:3], "{}\n", *lines[3:]]))
+    write_rig(tmp_path / "rig.yaml", scene.rig)
+
+    found = []
+    for jobs in ("1", "3"):
+        words = ["pose", "--rig", str(tmp_path / "rig.yaml"), "--still", "--jobs", jobs, "--quiet"]
+        assert main([*words, str(tmp_path / "detections.jsonl")]) == 65
+        out, error = capsys.readouterr()
+        assert "detections.jsonl:4" in error
+        records = [json.loads(line) for line in out.splitlines()]
+        found.append([{**record, "latency_s": 0, "stage_s": {}} for record in records])
+
+    assert len(found[0]) == len(lines)
+    assert any("rig_drift" in record["flags"] for record in found[0])
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("option", ["--overlay", "--report"])
+def test_pictures_cannot_be_drawn_by_several_processes(carried_data, tmp_path, capsys, option):
+    words = ["pose", "--rig", str(carried_data / "rig_b" / "rig.yaml"), option, str(tmp_path / "x"), "--jobs", "2"]
+
+    assert main([*words, "x.npz"]) == 2
+    assert option in capsys.readouterr().err
+
+
+def test_shots_after_a_correction_of_the_rig_are_measured_again_with_it(carried_data):
+    shots = sorted((carried_data / "rig_b" / "shots").glob("*.npz"))[:2]
+    given = read_rig(carried_data / "rig_b" / "rig.yaml")
+    corrected = replace(given, moved_planes={"left": np.eye(3)})
+    rigs, measured = [given, corrected], []
+    work = SingleShot(rig=given, channel=None, method=Method.ML, frame=PoseFrame.CAMERA, known=None, options=NOISE_ONLY)
+
+    def measure(source):
+        measured.append(source.name)
+        return replace(work(shots[1])[1], reason="with the corrected rig")
+
+    found = list(parallel_lines(shots, work, 1, Batch(), lambda: rigs.pop(0), measure))
+
+    assert [line.shot for line in found] == [shot.stem for shot in shots]
+    assert measured == [shots[1].stem]
+    assert found[1].reason == "with the corrected rig"

@@ -1,51 +1,24 @@
 """`ringpose bench study`: results, resumption, and what is refused."""
 
-import csv
 import json
-import shutil
-from pathlib import Path
 
 import pytest
 from filelock import SoftFileLock
 
 from ringpose.cli.main import main
 from ringpose.files.studies.specification import preset_names, read_study, study_path
-from ringpose.types.study import TIMES
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-STUDY = """\
-ringpose: study/1
-title: small
-scene: scene.yaml
-level: features
-count: 2
-seed: 1
-vary: {distance_m: [0.3, 0.5], light: dim}
-methods: [ml, paper]
-"""
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A working folder with a small study."""
-    for name in ("scene.yaml", "scene-rig.yaml"):
-        shutil.copy(EXAMPLES / name, tmp_path)
-    (tmp_path / "study.yaml").write_text(STUDY)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+def folder(study_folder):
+    """A working folder with a study of two cells by two methods."""
+    return study_folder(light="dim", methods="[ml, paper]")
 
 
-def rows_in(folder):
-    """The rows of results.csv without the times."""
-    with (folder / "results.csv").open() as stream:
-        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(stream)]
-
-
-def test_a_study_prints_tables_and_writes_a_row_for_each_shot_and_method(folder, capsys):
+def test_a_study_prints_tables_and_writes_a_row_for_each_shot_and_method(folder, capsys, study_rows):
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 0
 
-    rows = rows_in(folder / "out")
+    rows = study_rows("out")
     assert [(row["shot"], row["method"]) for row in rows] == [(str(i), m) for i in range(4) for m in ("ml", "paper")]
     assert "position error x (mm)" in capsys.readouterr().out
     about = json.loads((folder / "out" / "study.json").read_text())
@@ -54,18 +27,18 @@ def test_a_study_prints_tables_and_writes_a_row_for_each_shot_and_method(folder,
 
 
 @pytest.mark.slow
-def test_parquet_has_the_same_rows_and_names_the_study(folder):
+def test_parquet_has_the_same_rows_and_names_the_study(folder, study_rows):
     parquet = pytest.importorskip("pyarrow.parquet")
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
 
     table = parquet.read_table("out/results.parquet")
 
-    expected = [float(row["center_m"]) for row in rows_in(folder / "out") if row["center_m"]]
+    expected = [float(row["center_m"]) for row in study_rows("out") if row["center_m"]]
     assert [value for value in table["center_m"].to_pylist() if value is not None] == expected
     assert json.loads(table.schema.metadata[b"ringpose"])["title"] == "small"
 
 
-def test_an_interrupted_study_resumes_to_the_same_results(folder):
+def test_an_interrupted_study_resumes_to_the_same_results(folder, study_rows):
     main(["bench", "study", "study.yaml", "--output", "whole", "--jobs", "1"])
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
     parts = list((folder / "out" / "parts").iterdir())
@@ -77,24 +50,24 @@ def test_an_interrupted_study_resumes_to_the_same_results(folder):
 
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 0
 
-    assert rows_in(folder / "out") == rows_in(folder / "whole")
+    assert study_rows("out") == study_rows("whole")
 
 
 @pytest.mark.slow
-def test_the_number_of_processes_does_not_change_the_results(folder):
+def test_the_number_of_processes_does_not_change_the_results(folder, study_rows):
     for jobs in ("1", "3"):
         main(["bench", "study", "study.yaml", "--output", jobs, "--jobs", jobs, "--count", "8"])
 
-    assert rows_in(folder / "1") == rows_in(folder / "3")
+    assert study_rows("1") == study_rows("3")
 
 
-def test_results_of_another_study_are_not_continued(folder, capsys):
+def test_results_of_another_study_are_not_continued(folder, capsys, study_rows):
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1"])
 
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 65
     assert "another study" in capsys.readouterr().err
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--force"]) == 0
-    assert len(rows_in(folder / "out")) == 8
+    assert len(study_rows("out")) == 8
 
 
 @pytest.mark.slow
@@ -214,11 +187,13 @@ def test_a_report_has_every_section_and_stands_alone(folder):
         ("methods:", "table: hue\nmethods:", "hue"),
         ("level: features", "level: images\ncalibrate: 1", "calibrate"),
         ("level: features", "level: features\ncalibrate: true", "calibrate"),
-        ("vary: {", "vary: {speed_sd_m_s: 0.1, ", "features"),
+        ("vary: {", "vary: {missing_share: 0.1, ", "features"),
+        ("[ml, paper]", "[ml, track]", "track"),
+        ("methods:", "track: {shots: 3, period_s: 0.2}\nmethods:", "track"),
     ],
 )
 def test_a_bad_study_is_refused_with_the_key_that_is_wrong(folder, capsys, old, new, word):
-    text = STUDY.replace(old, new)
+    text = (folder / "study.yaml").read_text().replace(old, new)
     (folder / "study.yaml").write_text(text.replace("level: features", "level: images") if word == "features" else text)
 
     assert main(["bench", "study", "study.yaml", "--output", "out"]) == 65

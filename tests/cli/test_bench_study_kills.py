@@ -1,123 +1,111 @@
-"""A study that is killed again and again has in the end the results of one that was not."""
+"""A study that is killed, interrupted or out of space has in the end the results of one that was not."""
 
-import csv
+import errno
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from ringpose.types.study import TIMES
+from ringpose.cli.main import main
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-KILLS = 20
-
-STUDY = """\
-ringpose: study/1
-title: killed
-scene: scene.yaml
-level: features
-count: 250
-seed: 1
-vary: {distance_m: [0.3, 0.5], light: [dim, normal]}
-methods: [ml]
-"""
+KILLS = 6 * ("worker", "worker", "command") + ("command", "command")
+"""What is killed. A shot that kills three workers of one command counts as failed, so that two are killed in turn."""
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    for name in ("scene.yaml", "scene-rig.yaml"):
-        shutil.copy(EXAMPLES / name, tmp_path)
-    (tmp_path / "study.yaml").write_text(STUDY)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def started(output, *words):
-    program = "from ringpose.cli.main import run; run()"
-    command = [sys.executable, "-c", program, "bench", "study", "study.yaml", "--output", output, "--quiet", *words]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-
-
-def children_of(pid):
-    """Processes whose parent it is."""
+def children_of(pid: int) -> list[int]:
+    """Processes whose parent it is, other than the tracker of shared resources."""
     found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
+    for process in Path("/proc").glob("[0-9]*"):
         try:
-            fields = status.read_text().rpartition(")")[2].split()
+            parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == pid and b"spawn_main" in (process / "cmdline").read_bytes():
+                found.append(int(process.name))
         except OSError:
             continue
-        if int(fields[1]) == pid:
-            found.append(int(status.parent.name))
     return found
 
 
-def rows_in(folder):
-    with (folder / "results.csv").open() as stream:
-        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(stream)]
+def children_awaited(process) -> list[int]:
+    """The workers of a command; none if it ends before it has any."""
+    while process.poll() is None:
+        if workers := children_of(process.pid):
+            return workers
+        time.sleep(0.01)
+    return []
 
 
 @pytest.mark.slow
-def test_twenty_kills_of_the_command_and_its_workers_change_nothing(folder, rng):
-    with started("whole", "--jobs", "2") as process:
+def test_twenty_kills_of_the_command_and_its_workers_change_nothing(study_folder, study_process, study_rows, rng):
+    folder, words = study_folder(count=60), ("--jobs", "2")
+    begun_s = time.monotonic()
+    with study_process("whole", *words) as process:
         assert process.wait() == 0
-    kills = {"command": 0, "worker": 0}
+    whole_s = time.monotonic() - begun_s
+    left = list(KILLS)
+
     finished = False
-    while not finished:
-        with started("out", "--jobs", "2") as process:
-            while sum(kills.values()) < KILLS and process.poll() is None:
-                time.sleep(float(rng.uniform(0.4, 2.0)))
-                workers = children_of(process.pid)
-                what = "worker" if workers and rng.uniform() < 0.6 else "command"
-                victim = int(rng.choice(workers)) if what == "worker" else process.pid
+    while left or not finished:
+        if finished:  # before all kills: it has to compute half of the shots again
+            for part in list((folder / "out" / "parts").glob("*.jsonl"))[::2]:
+                part.unlink()
+        with study_process("out", *words) as process:
+            while left:
+                time.sleep(float(rng.uniform(0.0, 0.2)) * whole_s)
+                victims = [process.pid] if left[0] == "command" else children_awaited(process)
+                if process.poll() is not None:
+                    break
                 with suppress(ProcessLookupError):
-                    os.kill(victim, signal.SIGKILL)
-                    kills[what] += 1
-            status = process.wait(timeout=200)
-            error = process.stderr.read()
-        finished = status == 0
-        assert finished or status == -signal.SIGKILL, error
+                    os.kill(int(rng.choice(victims)), signal.SIGKILL)
+                    left.pop(0)
+            error = process.communicate()[1]
+        finished = process.returncode == 0
+        assert finished or process.returncode == -signal.SIGKILL, error
 
-    assert sum(kills.values()) == KILLS
-    assert min(kills.values()) > 3
-    assert rows_in(folder / "out") == rows_in(folder / "whole")
+    assert study_rows("out") == study_rows("whole")
+
+
+def test_after_a_full_disk_the_finished_shots_are_valid_and_the_study_goes_on(
+    study_folder, study_rows, monkeypatch, capsys
+):
+    folder = study_folder(count=2)
+    synchronize: Callable[[int], None] = os.fsync
+
+    def full_after_two_parts(handle: int) -> None:
+        if len(list((folder / "out" / "parts").glob("*.jsonl"))) >= 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        synchronize(handle)
+
+    words = ["bench", "study", "study.yaml", "--quiet", "--jobs", "1", "--output"]
+    with monkeypatch.context() as patched:
+        patched.setattr("ringpose.bench.study.pipeline.PART_S", (0.0, 0.0))
+        patched.setattr(os, "fsync", full_after_two_parts)
+        assert main([*words, "out"]) == 74
+    assert "free space" in capsys.readouterr().err
+    shots = [line for part in (folder / "out" / "parts").iterdir() for line in part.read_text().splitlines()]
+    assert len(shots) == 2
+    shutil.copytree(folder / "out", folder / "kept")
+
+    assert main([*words, "out"]) == main([*words, "whole"]) == 0
+
+    assert study_rows("out") == study_rows("whole")
+    assert all(part.exists() for part in (folder / "out" / "parts" / p.name for p in (folder / "kept/parts").iterdir()))
 
 
 @pytest.mark.slow
-def test_after_a_full_disk_the_finished_shots_are_valid_and_the_study_goes_on(folder):
-    program = (
-        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000));"
-        "from ringpose.cli.main import run; run()"
-    )
-    words = ["bench", "study", "study.yaml", "--quiet", "--jobs", "1", "--count", "8", "--output"]
-    full = subprocess.run([sys.executable, "-c", program, *words, "out"], capture_output=True, text=True)
-    parts = len(list((folder / "out" / "parts").glob("*.jsonl")))
-    for output in ("out", "whole"):
-        with started(output, "--jobs", "1", "--count", "8") as process:
-            assert process.wait() == 0
-
-    assert full.returncode == 74, full.stderr
-    assert "free space" in full.stderr
-    assert parts > 0
-    assert rows_in(folder / "out") == rows_in(folder / "whole")
-
-
-@pytest.mark.slow
-def test_an_interrupt_keeps_what_is_finished_and_ends_with_its_status(folder):
-    with started("out", "--jobs", "2", "--count", "100") as process:
-        while not list((folder / "out" / "parts").glob("*.jsonl")):
-            time.sleep(0.1)
-        time.sleep(0.3)
+def test_an_interrupt_keeps_what_is_finished_and_ends_with_its_status(study_folder, study_process):
+    folder = study_folder(count=100_000)
+    with study_process("out", "--jobs", "2") as process:
+        while not list((folder / "out" / "parts").glob("*.jsonl")) and process.poll() is None:
+            time.sleep(0.01)
         process.send_signal(signal.SIGINT)
-        status = process.wait(timeout=60)
-        error = process.stderr.read()
+        error = process.communicate()[1]
 
     shots = sum(len(part.read_text().splitlines()) for part in (folder / "out" / "parts").glob("*.jsonl"))
-    assert (status, error) == (130, "")
-    assert 0 < shots < 400
+    assert (process.returncode, error) == (130, "")
+    assert 0 < shots < 400_000
     assert not (folder / "out" / "results.lock").exists()

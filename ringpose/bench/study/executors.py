@@ -28,6 +28,9 @@ thus some thousand cores."""
 MAX_CHUNK = 5000
 """Maximum number of shots in a chunk."""
 
+SCHEDULER_S = 20
+"""Time that a scheduler has to answer."""
+
 WORKERS_S = 30
 """Time that a cluster's first worker has to appear."""
 
@@ -231,7 +234,7 @@ def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, schedu
     distributed: Any = import_module("distributed")
     place = scheduler or scheduler_file or ""
     try:
-        client = distributed.Client(scheduler, scheduler_file=scheduler_file, timeout="20s", set_as_default=False)
+        client = distributed.Client(scheduler, scheduler_file=scheduler_file, timeout=SCHEDULER_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise DeviceError(place, f"no scheduler answers: {error}", "start a dask scheduler and workers") from error
     try:

@@ -151,10 +151,10 @@ def _paper_table(summary: StudySummary) -> Table:
     for method in summary.methods:
         keys, found = _wide(summary, method)
         headings = [value_text(summary.table, key[0]) if key else "all" for key in keys]
-        for label, name, factor in PAPER_ROWS:
-            rows.append([method, label, *(number(each.rms(name) * factor) for each in found)])
-        rows.append([method, "shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
-        rows.append([method, "shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
+        block = [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
+        block.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
+        block.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
+        rows += [["" if number else method, *row] for number, row in enumerate(block)]
     return Table(headings=("method", "root mean square", *headings), rows=rows)
 
 
@@ -164,17 +164,17 @@ def _wide(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistic
 
 
 def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
-    rows = [
-        [
-            *(value_text(name, value) for name, value in zip(summary.by, key, strict=True)),
-            method,
-            *(statistics_cells(summary.cells[method, key])[HEADINGS.index(heading)] for heading in shown),
-        ]
-        for key in sorted_keys(key for _, key in summary.cells)
-        for method in summary.methods
-        if (method, key) in summary.cells
-    ]
-    return Table(headings=(*summary.by, "method", *shown), rows=rows)
+    """A row for each cell and method; the values of a cell stand in its first row."""
+    rows = []
+    for key in sorted_keys(key for _, key in summary.cells):
+        values = [value_text(name, value) for name, value in zip(summary.by, key, strict=True)]
+        for method in summary.methods:
+            if (method, key) in summary.cells:
+                cells = dict(zip(HEADINGS, statistics_cells(summary.cells[method, key]), strict=True))
+                rows.append([*values, method, *(cells[heading] for heading in shown)])
+                values = [""] * len(values)
+    names = [name.removesuffix("_m").removesuffix("_rad").replace("_", " ") for name in summary.by]  # values have units
+    return Table(headings=(*names, "method", *shown), rows=rows)
 
 
 def _failures(summary: StudySummary) -> Table:
@@ -226,10 +226,10 @@ def _errors(study: Study, summary: StudySummary) -> Picture:
         axis.set_yscale("log")
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
-        if _numeric(keys):
-            axis.set_xlabel(drawn(summary.table))
-        else:
-            axis.set_xticks(range(len(keys)), [str(key[0]) if key else "all" for key in keys])
+        _plain_ticks(axis)
+        axis.set_xlabel(drawn(summary.table))
+        names = [value_text(summary.table, key[0]) if key else "all" for key in keys]
+        axis.set_xticks(_positions(keys, 0, 1) if _numeric(keys) else range(len(keys)), names)
     handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, m)) for m in summary.methods]
     handles += [Line2D([], [], color="black", dashes=dashes) for dashes in ((4, 2), (1, 1))[: len(bounds)]]
     labels = [*map(drawn, summary.methods), "bound, radii unknown", "bound, radii known"][: len(handles)]
@@ -253,26 +253,30 @@ def _positions(keys: Sequence[Key], place: int, count: int) -> np.ndarray:
 
 
 def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
-    """Centre errors of single shots against distance."""
+    """Centre errors of single shots against distance; at equal distances the methods are drawn side by side."""
     methods = list(columns)
+    distance_m = columns[methods[0]]["distance_m"]
+    steps = np.diff(np.unique(distance_m))
+    width_m = 0.8 * float(steps.min()) if 0 < len(steps) < 20 else 0.0
+    width_m = width_m or 0.1 * (1.0 if len(steps) == 0 else float(np.ptp(distance_m)) / 20)
     figure = canvas(11, 4.5)
     axis = figure.subplots()
     rng = np.random.default_rng(0)
-    for method in methods:
-        distance_m = columns[method]["distance_m"]
-        spread = 0.01 * (np.nanmax(distance_m) - np.nanmin(distance_m) or 0.1) * rng.uniform(-1, 1, len(distance_m))
-        x, y = 1e3 * (distance_m + spread), 1e3 * columns[method]["center_m"]
-        axis.plot(
-            x, y, ".", markersize=_marker_size(study), color=_color(methods, method), alpha=0.6, label=drawn(method)
-        )
-    bound = columns[methods[0]]["bound_center_m"]
-    axis.plot(1e3 * columns[methods[0]]["distance_m"], 1e3 * bound, "k_", markersize=6, label="bound, radii unknown")
+    for place, method in enumerate(methods):
+        share = (place + 0.5 + rng.uniform(-0.35, 0.35, len(columns[method]["distance_m"]))) / len(methods) - 0.5
+        x, y = columns[method]["distance_m"] + width_m * share, columns[method]["center_m"]
+        color, size = _color(methods, method), _marker_size(study)
+        axis.plot(1e3 * x, 1e3 * y, ".", markersize=size, color=color, alpha=0.6, label=drawn(method))
+    for each_m in np.unique(distance_m) if 0 < len(steps) < 20 else ():
+        bound_mm = 1e3 * np.nanmedian(columns[methods[0]]["bound_center_m"][distance_m == each_m])
+        ends_mm = 1e3 * (each_m - width_m / 2), 1e3 * (each_m + width_m / 2)
+        axis.hlines(bound_mm, *ends_mm, color="black", label="" if axis.collections else "bound, radii unknown")
     axis.set_yscale("log")
-    axis.set_xlabel("distance (mm), spread a little")
+    axis.set_xlabel("distance (mm), methods side by side" if 0 < len(steps) < 20 else "distance (mm)")
     axis.set_ylabel("centre error (mm)")
     axis.grid(alpha=0.3, which="both")
     figure.legend(loc="outside upper center", ncols=5, fontsize=8, markerscale=2)
-    return Picture(png=png_of(figure), caption="Each shot; black: the bound for its place and light.")
+    return Picture(png=png_of(figure), caption="Each shot; black: median of the bounds for its places and lights.")
 
 
 def _marker_size(study: Study) -> float:
@@ -287,7 +291,8 @@ def _plain_ticks(axis: Axes) -> None:
     """Numbers such as 0.5 and 2 on a logarithmic axis of little range, instead of powers of ten."""
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     low, high = axis.get_ylim()
-    minor = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+    digits = "23456789" if high < 4 * low else "25"
+    minor = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else "")
     axis.yaxis.set_minor_formatter(minor if high < 100 * low else NullFormatter())
 
 

@@ -17,6 +17,7 @@ from ringpose.bench.design.bounds import Bound, cramer_rao
 from ringpose.bench.design.rig_changes import with_laser_angle
 from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
+from ringpose.bench.study.runs import tracked, with_run
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
@@ -38,8 +39,8 @@ from ringpose.types.study import Row, Study, StudyMethod, Value, columns
 from ringpose.types.target import RingShape
 from ringpose.types.truth import Truth
 
-_FACTORS, _SCENE, _RIG, _RADII = 10, 11, 12, 13
-"""First numbers of the seeds of a shot's factors, scene, true rig and assumed radii."""
+_FACTORS, _SCENE, _RIG, _RADII, _MOTION = 10, 11, 12, 13, 14
+"""First numbers of the seeds of a shot's factors, scene, true rig, assumed radii and motion."""
 
 _POSE_METHODS = {
     StudyMethod.ML: (Method.ML, False),
@@ -57,7 +58,7 @@ ERROR = "error"
 
 
 class StudyShot(NamedTuple):
-    """A simulated shot with its truth."""
+    """A simulated shot with its truth, and those before it in its run."""
 
     setting: Mapping[str, Value]
     scene: Scene
@@ -65,6 +66,8 @@ class StudyShot(NamedTuple):
     source: Shot | Detection
     truth: Truth
     simulate_s: float
+    """For all shots of the run."""
+    before: tuple[Shot | Detection, ...] = ()
 
 
 def study_rows(study: Study, index: int) -> list[Row]:
@@ -105,21 +108,22 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     start_s = perf_counter()
     scene = scene_of(study, index, setting)
     deviations = _deviations(setting)
-    source: Shot | Detection
+    run: list[tuple[Shot | Detection, Truth]]
     if study.level == "features":
-        drawn = next(drawn_features(scene, deviations, 1))
-        source, truth = drawn.detection, drawn.truth
+        run = [(drawn.detection, drawn.truth) for drawn in drawn_features(scene, deviations)]
     else:
         taken_by = scene
         if deviations.rig_errors:
             taken_by = replace(scene, rig=drawn_rig(scene.rig, np.random.default_rng([_RIG, study.seed, index])))
-        source, truth = simulated_shot(taken_by, taken_by.views, 0)
+        run = [simulated_shot(taken_by, taken_by.views, number) for number in range(len(taken_by.views))]
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
-    return StudyShot(setting, measured_by, source, truth, perf_counter() - start_s)
+    source, truth = run[-1]
+    before = tuple(earlier for earlier, _ in run[:-1])
+    return StudyShot(setting, measured_by, source, truth, perf_counter() - start_s, before)
 
 
 def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
-    """The scene of one shot: a single random view, with a seed of its own."""
+    """The scene of one shot: a random view, with a seed of its own, or a run of views that ends in it."""
     seed = int(np.random.SeedSequence([_SCENE, study.seed, index]).generate_state(1)[0])
     numbers: Mapping[str, Any] = setting
     scene = study.scene
@@ -149,7 +153,8 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     )
     scene = replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
     # as a view of its own, whose appearance is then computed once for the shot and its bound
-    return replace(scene, views=ring_views(scene), approaches=())
+    rng = np.random.default_rng([_MOTION, study.seed, index])
+    return with_run(replace(scene, views=ring_views(scene), approaches=()), study.run, _motion(setting), rng)
 
 
 def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
@@ -160,12 +165,17 @@ def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
     return replace(ring, profile_m=profile_m)
 
 
-def _deviations(setting: Mapping[str, Value]) -> Deviations:
+def _motion(setting: Mapping[str, Value]) -> MotionPrior | None:
+    """The distribution of the target's motion; None if it is still."""
     numbers: Mapping[str, Any] = setting
     speed, rate = float(numbers.get("speed_sd_m_s", 0.0)), float(numbers.get("rate_sd_rad_s", 0.0))
+    return MotionPrior(speed_sd_m_s=speed, rate_sd_rad_s=rate) if speed or rate else None
+
+
+def _deviations(setting: Mapping[str, Value]) -> Deviations:
+    numbers: Mapping[str, Any] = setting
     return Deviations(
         rig_errors=bool(setting.get("rig_errors", False)),
-        motion=MotionPrior(speed_sd_m_s=speed, rate_sd_rad_s=rate) if speed or rate else None,
         ring_tolerance_m=float(numbers.get("ring_tolerance_m", 0.0)),
         displaced_share=float(numbers.get("displaced_share", 0.0)),
         background_share=float(numbers.get("background_share", 0.0)),
@@ -176,23 +186,20 @@ def _deviations(setting: Mapping[str, Value]) -> Deviations:
 def options_of(setting: Mapping[str, Value]) -> AssumptionOptions:
     """What the estimator assumes about a shot of this setting: the distributions that it was drawn from."""
     numbers: Mapping[str, Any] = setting
-    speed_sd_m_s, rate_sd_rad_s = float(numbers.get("speed_sd_m_s", 0.0)), float(numbers.get("rate_sd_rad_s", 0.0))
-    moving = bool(speed_sd_m_s or rate_sd_rad_s)
+    motion = _motion(setting)
     return AssumptionOptions(
-        still=not moving,
-        max_speed_m_s=2.0 * speed_sd_m_s if moving else None,
-        max_rate_deg_s=math.degrees(2.0 * rate_sd_rad_s) if moving else None,
+        still=motion is None,
+        max_speed_m_s=None if motion is None else 2.0 * motion.speed_sd_m_s,
+        max_rate_deg_s=None if motion is None else math.degrees(2.0 * motion.rate_sd_rad_s),
         ring_tolerance_m=float(numbers.get("ring_tolerance_m", 0.0)),
         rig_stability=1.0 if setting.get("rig_errors", False) else 0.0,
     )
 
 
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
-    rig, source = shot.scene.rig, shot.source
+    rig, truth, options = shot.scene.rig, shot.truth, options_of(shot.setting)
     start_s = perf_counter()
-    options = options_of(shot.setting)
-    assumptions = options.about_shot(rig.stability, still=source.still)
-    detection = detect(source, rig, assumptions=assumptions) if isinstance(source, Shot) else source
+    *before, detection = (_detection(source, rig, options) for source in (*shot.before, shot.source))
     detect_s = perf_counter() - start_s
     radii = _radii(
         shot.scene, RADIUS_SD_M * float(np.random.default_rng([_RADII, study.seed, index]).standard_normal())
@@ -202,23 +209,34 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     common: Row = {
         "shot": index,
         **shot.setting,
-        "expect": shot.truth.expect,
+        "expect": truth.expect,
         "break_points": int(points.seen.sum()) if isinstance(points, BreakPoints) else 0,
         "edge_points": 0 if detection.ring_edges is None else len(detection.ring_edges.edge),
-        **_true_pose(shot.truth),
+        **_true_pose(truth),
         "simulate_s": shot.simulate_s,
         "detect_s": detect_s,
     }
     empty: Row = dict.fromkeys(columns(study))
     for method in study.methods:
         start_s = perf_counter()
-        line = measured_line(detection, rig, method, radii, options)
+        if method is StudyMethod.TRACK:
+            lines = [pose_line(each, rig, options=options) for each in (*before, detection)]
+            (estimate, reason), bound = tracked(lines, rig, _motion(shot.setting)), None
+        else:
+            line = measured_line(detection, rig, method, radii, options)
+            estimate, reason = replace(estimate_of(line, truth.shot), method=method.value), line.reason
+            bound = bounds[method in WITH_RADII]
         pose_s = perf_counter() - start_s
-        estimate = replace(estimate_of(line, shot.truth.shot), shot=shot.truth.shot, method=method.value)
-        scored = score(shot.truth, estimate, method.value, rig.camera)
-        bound = bounds[method in WITH_RADII]
-        row = {**empty, **common, **_scored(scored, estimate, shot.truth, line), **_bound(bound), "pose_s": pose_s}
+        # the grasp point of a track moves with the ring, also out of the arc that the stripes of the last shot span
+        scored = score(truth, estimate, method.value, None if method is StudyMethod.TRACK else rig.camera)
+        row = {**empty, **common, **_scored(scored, estimate, truth, reason), **_bound(bound), "pose_s": pose_s}
         yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
+
+
+def _detection(source: Shot | Detection, rig: Rig, options: AssumptionOptions) -> Detection:
+    if isinstance(source, Detection):
+        return source
+    return detect(source, rig, assumptions=options.about_shot(rig.stability, still=source.still))
 
 
 def measured_line(
@@ -237,11 +255,13 @@ def measured_line(
 
 
 def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
-    """Cramér-Rao bounds of the scene's view without and with known radii; None where the ring is not determined.
+    """Cramér-Rao bounds of the scene's last view without and with known radii; None where the ring is not determined.
 
     They are those of the break points and edges that an image of this scene shows, without motion.
     """
-    exact = next(drawn_features(scene, Deviations(noise=False), 1)).detection
+    if scene.views[-1].path is not None or len(scene.views) > 1:
+        scene = replace(scene, views=(replace(scene.views[-1], path=None),))
+    exact = next(drawn_features(scene, Deviations(noise=False))).detection
     radii = {False: None, True: _radii(scene)}
     lines = {known: pose_line(exact, scene.rig, known=radii[known], options=NOISE_ONLY) for known in with_radii}
     return {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
@@ -261,14 +281,14 @@ def _true_pose(truth: Truth) -> Row:
     return {**center, **normal}
 
 
-def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, line: PoseLine) -> Row:
+def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, reason: str | None) -> Row:
     """Outcome, errors and reported standard deviations of a method."""
     flags = " ".join(str(flag.name).lower() for flag in PoseFlag if flag in estimate.flags)
     row: Row = {
         "method": scored.method,
         "outcome": str(scored.outcome),
         "status": scored.status,
-        "reason": line.reason,
+        "reason": reason,
         "flags": flags,
         "wrong": " ".join(scored.wrong),
         "gross": " ".join(scored.gross),

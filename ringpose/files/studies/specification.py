@@ -15,7 +15,7 @@ from ringpose.files.schema import Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types.scene import Scene
 from ringpose.types.sequence import parsed_sequence
-from ringpose.types.study import LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, Study, StudyMethod, Value
+from ringpose.types.study import LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, ShotRun, Study, StudyMethod, Value
 
 SCHEMA = "study/1"
 
@@ -23,7 +23,9 @@ PRESETS = Path(__file__).parent / "presets"
 
 MAX_SHOTS = 100_000_000
 
-_KEYS = ("ringpose", "title", "scene", "level", "count", "seed", "vary", "methods", "table", "calibrate", "limits")
+_KEYS = (
+    "ringpose", "title", "scene", "level", "count", "seed", "vary", "methods", "table", "calibrate", "track", "limits",
+)  # fmt: skip
 
 _FACTORS = (*TEXTS, *NUMBERS, *SWITCHES)
 
@@ -66,6 +68,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     table = fields.text("table") if fields.has("table") else next(iter(grid), "")
     if table and table not in grid:
         raise fields.problem("table", f"is {table!r}, must be a factor of the grid", hint(table, grid))
+    methods = _methods(fields)
     level = fields.choice("level", ("images", "features"))
     study = Study(
         title=fields.text("title"),
@@ -74,9 +77,10 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         count=count if count is not None else fields.integer("count", least=1, most=MAX_SHOTS),
         seed=seed if seed is not None else fields.integer("seed", least=0, most=2**32 - 1),
         factors=factors,
-        methods=_methods(fields),
+        methods=methods,
         table=table,
         calibrate=fields.boolean("calibrate") if fields.has("calibrate") else False,
+        run=_run(fields, methods),
         limits=_limits(fields),
     )
     _check(fields, study)
@@ -95,6 +99,18 @@ def _methods(fields: Fields) -> tuple[StudyMethod, ...]:
     if not names or len(set(names)) < len(names):
         raise fields.problem("methods", "must name each method once, and at least one")
     return tuple(StudyMethod(name) for name in names)
+
+
+def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
+    if (StudyMethod.TRACK in methods) != fields.has("track"):
+        remedy = "give track: {shots: N, period_s: S} and the method track"
+        raise fields.problem("track", "and the method track need each other", remedy)
+    if not fields.has("track"):
+        return ShotRun()
+    track = fields.fields("track", ("shots", "period_s"))
+    return ShotRun(
+        shots=track.integer("shots", least=2, most=1000), period_s=track.number("period_s", least=0.01, most=60.0)
+    )
 
 
 def _limits(fields: Fields) -> dict[str, float]:

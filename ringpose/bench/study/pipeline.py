@@ -1,0 +1,146 @@
+"""A study from its file to its folder of results (ringpose-bench(1)): compute, write, and repeat the worst shots."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from ringpose.bench.study import executors
+from ringpose.bench.study.executors import Done
+from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
+from ringpose.bench.study.table import worst_shots
+from ringpose.files.studies.results import ResultFolder
+from ringpose.files.studies.specification import StudyFile
+from ringpose.report.page import Picture
+from ringpose.types.image import Shot
+from ringpose.types.study import Row, Study, StudyMethod
+
+PART_S = (0.5, 10.0)
+"""Time after which finished shots are written to a new part file, at first and later: what a killed study loses."""
+
+PART_SHOTS = 5000
+"""Number of shots after which they are written earlier."""
+
+OVERLAYS = 4
+"""Number of the worst shots whose images are in the report."""
+
+
+def metadata(read: StudyFile, command: str) -> dict[str, Any]:
+    """What identifies the results, and where they come from."""
+    study = read.study
+    return {
+        "ringpose": "study_results/1",
+        "title": study.title,
+        "study_sha256": read.sha256,
+        **executors.software(),
+        "seed": study.seed,
+        "count": study.count,
+        "shots": study.shots,
+        "level": study.level,
+        "factors": [factor.name for factor in study.factors],
+        "methods": [method.value for method in study.methods],
+        "rig_sha256": study.scene.rig.sha256,
+        "files": [str(file) for file in read.files],
+        "command": command,
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
+    """The study with the rig that measures: if it asks for that, calibrated first, and kept in the folder."""
+    from ringpose.files.rigs import read_rig, write_rig
+
+    if not study.calibrate:
+        return study
+    rig_file = folder.folder / "calibrated-rig.yaml"
+    if not rig_file.exists():
+        from ringpose.bench.study.calibrated_rig import calibrated_rig
+
+        write_rig(rig_file, calibrated_rig(study.scene, jobs or executors.cores()))
+    return replace(study, rig=read_rig(rig_file))
+
+
+def missing(study: Study, folder: ResultFolder) -> list[int]:
+    """Shots that are not finished, in order."""
+    done = folder.finished(study.shots)
+    return [index for index in range(study.shots) if index not in done]
+
+
+def computed(
+    study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
+) -> Iterator[Done]:
+    """The shots in any order, by a cluster if a scheduler is given, else by processes (0: one per core)."""
+    work, processes = partial(study_rows, study), jobs or executors.cores()
+    if not indices:
+        return iter(())
+    if scheduler is not None or scheduler_file is not None:
+        return executors.by_cluster(work, indices, scheduler, None if scheduler_file is None else str(scheduler_file))
+    return executors.here(work, indices) if processes == 1 else executors.by_processes(work, indices, processes)
+
+
+def write_finished(study: Study, folder: ResultFolder, done: Iterable[Done]) -> None:
+    """Write shots as they are finished; what is finished survives an interrupt."""
+    unwritten: dict[int, list[Row]] = {}
+    begun_s = last_s = monotonic()
+    try:
+        for shot in done:
+            rows = shot.rows
+            unwritten[shot.shot] = failed_rows(study, shot.shot, "killed its worker") if rows is None else rows
+            now_s = monotonic()
+            due_s = last_s + min(max(PART_S[0], 0.1 * (now_s - begun_s)), PART_S[1])
+            if len(unwritten) >= PART_SHOTS or now_s > due_s:
+                folder.add(unwritten)
+                unwritten, last_s = {}, now_s
+    finally:
+        if unwritten:
+            folder.add(unwritten)
+
+
+def _worst(study: Study, folder: ResultFolder, count: int) -> Iterator[tuple[int, StudyShot]]:
+    """The shots with the largest errors of the main method, computed again."""
+    for index in worst_shots(folder.rows(), _main_method(study), count):
+        yield index, study_shot(study, index, setting_of(study, index))
+
+
+def _main_method(study: Study) -> str:
+    return (StudyMethod.ML if StudyMethod.ML in study.methods else study.methods[0]).value
+
+
+def write_worst(study: Study, folder: ResultFolder, count: int) -> None:
+    """The shots with the largest errors with their truth: a data set for `ringpose bench`."""
+    from ringpose.files.images.simulations import SimulationFolder
+
+    content = "shots" if study.level == "images" else "detections"
+    rig = study.rig or study.scene.rig
+    kept = SimulationFolder(folder.folder / "worst", rig, force=True, inputs=[], content=content)
+    for _, shot in _worst(study, folder, count):
+        if isinstance(shot.source, Shot):
+            kept.add(shot.source, shot.truth)
+        else:
+            kept.add_detection(shot.source, shot.truth)
+
+
+def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
+    """The images with the largest errors, with what was detected in them; none of features."""
+    import cv2
+
+    from ringpose.detect.pipeline import detect
+    from ringpose.report.overlay import overlay, picture_of
+
+    if study.level == "features":
+        return []
+    method, pictures = _main_method(study), []
+    worst = set(worst_shots(folder.rows(), method, OVERLAYS))
+    rows = {row["shot"]: row for row in folder.rows() if row["method"] == method and row["shot"] in worst}
+    for index, shot in _worst(study, folder, OVERLAYS):
+        assert isinstance(shot.source, Shot)
+        picture = overlay(picture_of(shot.source), detect(shot.source, shot.scene.rig))
+        png = cv2.imencode(".png", cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))[1]
+        error, reason = rows[index]["center_m"], rows[index]["reason"]
+        found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"
+        setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
+        pictures.append(Picture(png=png.tobytes(), caption=f"Shot {index} ({method}): {found}; {setting}"))
+    return pictures
