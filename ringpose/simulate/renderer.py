@@ -18,7 +18,7 @@ from ringpose.kernels import render
 from ringpose.kernels.render import SKY_SHADOWS, THIN, PixelImage
 from ringpose.simulate.light import IlluminatedTarget, caster_input
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
-from ringpose.types.arrays import Array, Float32, Float64, Int16, UInt8
+from ringpose.types.arrays import Array, Bool, Float32, Float64, Int16, Int64, UInt8
 from ringpose.types.camera import Camera
 from ringpose.types.image import Frame
 from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
@@ -181,9 +181,20 @@ def layers(
             image.code.reshape(shape), image.stripe.reshape(shape), blur_px, everywhere=illuminated.has_ambient_light
         )
         for count in (SAMPLES, EDGE_SAMPLES, FINE_SAMPLES):
-            cast(pixels=np.flatnonzero(needed == count), samples=count)
+            cast(pixels=_tiled(needed == count), samples=count)
     radiance = image.radiance.reshape(-1, rays.height, rays.width)
     return Layers(ambient=radiance[0], laser=radiance[1:])
+
+
+_TILE_PX = 16
+"""Side of the squares of pixels that are cast together: rays of neighbouring pixels pass the same few parts."""
+
+
+def _tiled(chosen: Bool[Array, "row column"]) -> Int64[Array, "chosen"]:
+    """Indices of the chosen pixels, tile by tile."""
+    row, column = np.nonzero(chosen)
+    tile = row // _TILE_PX * (chosen.shape[1] // _TILE_PX + 1) + column // _TILE_PX
+    return (row * chosen.shape[1] + column)[np.argsort(tile, kind="stable")]
 
 
 def _edges(code: Array) -> UInt8[Array, "row column"]:
@@ -208,10 +219,11 @@ def _samples_needed(
     """Samples of each pixel; 1 where one is enough.
 
     With ambient light edges are refined everywhere; otherwise only thin stripes, and edges of surfaces and of lasers'
-    shadows where they cross a stripe, because these pixels determine the break points. A blur of up to a pixel stays
-    within the pixels on both sides of an edge, and does not displace a stripe; what a wider one adds has fewer samples.
+    shadows where they cross a stripe, because these pixels determine the break points. A blur of up to 1.25 px adds
+    less than 0.002 px rms beyond the pixels on both sides of an edge, and does not displace a stripe; what a wider one
+    adds has fewer samples.
     """
-    reach_px = max(round(np.ceil((blur_px - 1) / 2)), 0)
+    reach_px = max(round(np.ceil((blur_px - 1.25) / 2)), 0)
     around, nearest = np.ones((3 + 2 * reach_px,) * 2, np.uint8), np.ones((3, 3), np.uint8)
     edge, of_surface = _edges(code), _edges(code & ~np.int32(SKY_SHADOWS))
     at_stripe = cv2.dilate(stripe, around) > 0

@@ -104,6 +104,7 @@ typedef struct {
 typedef struct {
     int64_t pixel[BLOCK];
     double x[BLOCK], y[BLOCK]; /* ray (x, y, 1) in the camera frame */
+    double turn[BLOCK], other[BLOCK]; /* shifts of the samples of each pixel */
     Draw draw[BLOCK];
     Rays rays;
     Hits hits;
@@ -173,9 +174,9 @@ static void find_shadows(const Scene *scene, const Hits *hits, double spread, Be
     for (int i = 0; i < rays.count; i++) beam->shadowed[hit[i]] = rays.part[i] != EMPTY;
 }
 
-/* exp(x) for x from -80 to 0, relative error 2e-7: 2^n times a polynomial of the rest. */
+/* exp(x) for x from -87 to 0, relative error 2e-7: 2^n times a polynomial of the rest. */
 static inline float exponential(float x) {
-    const float scaled = (x < -80 ? -80 : x) * 1.44269504f;
+    const float scaled = x * 1.44269504f;
     const int32_t whole_part = (int32_t)(scaled - 0.5f), bits = (whole_part + 127) << 23;
     const float r = (scaled - (float)whole_part) * 0.69314718f;
     float power;
@@ -206,8 +207,8 @@ VECTOR_LOOP static void add_laboratory(const Scene *restrict scene, const Block 
             const float facing = x * block->nx[i] + y * block->ny[i] + z * block->nz[i];
             const float sharpness = 1 / (width + hits->roughness[i] * hits->roughness[i]);
             const float off = x * mx[i] + y * my[i] + z * mz[i] - 1;
-            matt[i] += share * (facing > 0 ? facing : 0);
-            glossy[i] += share * sharpness / 2 * exponential(sharpness * (off < 0 ? off : 0));
+            matt[i] += share / 2 * (facing + fabsf(facing)); /* of the facing side alone */
+            glossy[i] += share * sharpness / 2 * exponential(sharpness / 2 * (off - fabsf(off)));
         }
     }
     for (int i = 0; i < count; i++) {
@@ -457,37 +458,28 @@ static double reversed(int number, int base) {
     return sum;
 }
 
-/* Samples of a pixel: a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated
-   by the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
-static void draw_sample(const Scene *scene, int sample, int samples, uint32_t column, uint32_t row, double shift_px[2],
-                        Draw *draw) {
-    const double turn = fraction(0.7548776662 * (double)column + 0.5698402910 * (double)row);
-    const int first = (int)(turn * DISC);
-    draw->sun = (first + sample) % DISC;
-    draw->earth = (7 * first + 5 * sample + 3) % DISC;
-    shift_px[0] = shift_px[1] = 0;
-    draw->time = scene->times / 2;
-    if (samples == 1) return;
-    const double other = fraction(0.8191725134 * (double)column + 0.6710436067 * (double)row);
-    shift_px[0] = fraction((double)sample / samples + turn) - 0.5;
-    shift_px[1] = reversed(sample, 2) + 0.5 / samples - 0.5;
-    if (scene->times > 1) draw->time = (int)(fraction(reversed(sample, 3) + other) * scene->times);
-}
+/* One sample of each pixel of a block: its rays, and where they hit the target.
 
-/* One sample of each pixel of a block: its rays, and where they hit the target. */
+   The samples are a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated by
+   the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
 static void cast_block(const Scene *scene, const PixelRays *rays, const Choice *parts, int sample, int samples,
                        Block *block) {
     Rays *cast = &block->rays;
+    const double column = (double)sample / samples, row_px = reversed(sample, 2) + 0.5 / samples - 0.5;
+    const double when = reversed(sample, 3);
     for (int i = 0; i < cast->count; i++) {
         const int64_t at = block->pixel[i];
-        double shift_px[2], x = rays->x[at], y = rays->y[at];
-        draw_sample(scene, sample, samples, (uint32_t)at % (uint32_t)rays->width, (uint32_t)at / (uint32_t)rays->width,
-                    shift_px, block->draw + i);
+        const int first = (int)(block->turn[i] * DISC);
+        double x = rays->x[at], y = rays->y[at];
+        Draw *draw = block->draw + i;
+        *draw = (Draw){scene->times / 2, (first + sample) % DISC, (7 * first + 5 * sample + 3) % DISC};
         if (samples > 1) {
-            x += shift_px[0] * rays->per_px[0][0][at] + shift_px[1] * rays->per_px[1][0][at];
-            y += shift_px[0] * rays->per_px[0][1][at] + shift_px[1] * rays->per_px[1][1][at];
+            const double column_px = fraction(column + block->turn[i]) - 0.5;
+            x += column_px * rays->per_px[0][0][at] + row_px * rays->per_px[1][0][at];
+            y += column_px * rays->per_px[0][1][at] + row_px * rays->per_px[1][1][at];
+            if (scene->times > 1) draw->time = (int)(fraction(when + block->other[i]) * scene->times);
         }
-        const Stand *stand = scene->stand + block->draw[i].time;
+        const Stand *stand = scene->stand + draw->time;
         const Vector direction = rotated_back(stand->rotation, (Vector){x, y, 1});
         block->x[i] = x, block->y[i] = y;
         cast->ox[i] = stand->eye.x, cast->oy[i] = stand->eye.y, cast->oz[i] = stand->eye.z;
@@ -523,6 +515,11 @@ static void render_all(const Scene *scene, const PixelRays *rays, const int64_t 
     for (size_t next = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, block.pixel)) > 0;) {
         const int entries = block.rays.count;
         memset(block.sum, 0, sizeof block.sum);
+        for (int i = 0; i < entries; i++) {
+            const double column = (double)(block.pixel[i] % rays->width), row = (double)(block.pixel[i] / rays->width);
+            block.turn[i] = fraction(0.7548776662 * column + 0.5698402910 * row);
+            block.other[i] = fraction(0.8191725134 * column + 0.6710436067 * row);
+        }
         parts_near(scene, rays, block.pixel, entries, &parts);
         for (int sample = 0; sample < samples; sample++) {
             cast_block(scene, rays, &parts, sample, samples, &block);

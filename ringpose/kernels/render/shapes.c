@@ -227,7 +227,8 @@ VECTOR_LOOP static void find_passing(const Part *part, const Near *restrict near
         const double a = dx * dx + dy * dy, b = ox * dx + oy * dy, c = ox * ox + oy * oy;
         const double nearest = lesser(greater(-b / a, enter), leave), at_nearest = c + nearest * (2 * b + nearest * a);
         const double farthest = greater(c + enter * (2 * b + enter * a), c + leave * (2 * b + leave * a));
-        passes[i] = (leave > 0) & (at_nearest <= greatest2) & (farthest >= least2) & (enter < near->best[i]);
+        const double within = lesser(greatest2 - at_nearest, farthest - least2);
+        passes[i] = lesser(lesser(leave, near->best[i] - enter), within) >= 0; /* all of them */
     }
 }
 
