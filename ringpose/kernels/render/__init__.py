@@ -71,7 +71,7 @@ class PixelImage(NamedTuple):
     """What `render` fills for the chosen pixels."""
 
     radiance: Float32[Array, "source pixel"]
-    """W/(m2 sr): ambient light first, then each laser."""
+    """W/(m2 sr): ambient light first, then each laser; to be filled with zeros before."""
     code: Int32[Array, "pixel"]
     """Equal where two pixels show the same surface, sunlit or not."""
     stripe: UInt8[Array, "pixel"]
@@ -79,10 +79,6 @@ class PixelImage(NamedTuple):
 
 
 WIDE, THIN = 1, 2
-
-SKY_SHADOWS = 1 << 8 | 1 << 9
-"""Bits of the code for the shadows of sun and Earth."""
-
 
 def render(
     target: TargetTables,
@@ -96,17 +92,26 @@ def render(
     image: PixelImage,
     pixels: Int64[Array, "chosen"] | None = None,
     samples: int = 1,
+    step: int = 1,
 ) -> None:
     """Fill the image of the chosen pixels, or of all, with the mean over their samples.
 
     `poses` are camera_from_target (rotation in rows, translation) at equal steps of the exposure; a single sample has
     the middle one. `xy` are the rays (x, y, 1) of the pixels and `per_px` their derivatives. The code and the stripe of
-    several samples are those of the last one.
+    several samples are those of the last one. All samples are cast; of those of each surface in a pixel, one in `step`
+    is shaded for all.
     """
     _kernels.render(
-        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, samples,
+        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, step,
         image.radiance, image.code, image.stripe,
     )  # fmt: skip
+
+
+def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
+    """Where one of the eight neighbours shows another surface (2), or only the other side of a shadow in the sky (1)."""
+    edge = np.empty(code.shape, np.uint8)
+    _kernels.code_edges(code, edge)
+    return edge
 
 
 class Hits(NamedTuple):

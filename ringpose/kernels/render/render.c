@@ -25,6 +25,9 @@ enum { SUN_SHADOW = 1 << 8, EARTH_SHADOW = 1 << 9, SECOND = 1 << 10, SKY_EARTH =
 
 enum { WIDE = 1, THIN = 2 };
 
+/* Surfaces in a pixel whose light is averaged one by one; the others share the last entry. */
+enum { ENTRIES = 6 };
+
 /* Directions are unit vectors towards the light, in the camera frame. */
 typedef struct {
     double ambient; /* irradiance by a laboratory, W/m2 */
@@ -113,8 +116,14 @@ typedef struct {
     double depth[BLOCK], cx[BLOCK], cy[BLOCK], footprint[BLOCK]; /* of the hits; rays in the camera frame; per pixel */
     uint32_t code[BLOCK];
     uint8_t stripe[BLOCK];
-    double sum[BLOCK][1 + MAX_LASERS];
+    int32_t row[BLOCK], column[BLOCK], entry[BLOCK];                        /* entry: of the ray's surface */
+    int32_t surface[ENTRIES][BLOCK], count[ENTRIES][BLOCK], shaded[ENTRIES][BLOCK]; /* of each pixel */
+    double sum[ENTRIES][BLOCK][1 + MAX_LASERS];                             /* radiance of the shaded samples */
+    uint32_t sources;                                                       /* that some ray shows, as bits */
 } Block;
+
+/* The sums of the light of the surface that a ray shows. */
+static double *sum_of(Block *block, int ray) { return block->sum[block->entry[ray]][ray]; }
 
 /* Light that falls on the hits of a block from a point or a distant source. */
 typedef struct {
@@ -280,7 +289,7 @@ static void add_ambient(const Scene *scene, Block *block) {
             radiance[i] += (float)light->earth * reflected[i];
         }
     }
-    for (int i = 0; i < hits->count; i++) block->sum[hits->ray[i]][0] += radiance[i];
+    for (int i = 0; i < hits->count; i++) sum_of(block, hits->ray[i])[0] += radiance[i];
 }
 
 /* Distances of the hits from a sheet of light, and its thickness there, in the camera frame. */
@@ -327,7 +336,7 @@ static void add_laser(const Scene *scene, int number, Block *block) {
         const Vector from = minus((Vector){z * block->cx[i], z * block->cy[i], z}, laser->projector);
         if (fabs(atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from))) > light->fan / 2) continue;
         const double across = exp(-0.5 * off[i] * off[i] / (sigma[i] * sigma[i])) / (sqrt(2 * PI) * sigma[i]);
-        block->sum[hits->ray[i]][1 + number] += light->power / (light->fan * range[i]) * across * reflected[i];
+        sum_of(block, hits->ray[i])[1 + number] += light->power / (light->fan * range[i]) * across * reflected[i];
     }
 }
 
@@ -377,40 +386,76 @@ VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Bloc
     return lasers;
 }
 
-/* Adds the radiance of the rays, by source: ambient light first, then each laser. `size` is that of a sample in pixels. */
-static void shade(const Scene *scene, double size, Block *block) {
+/* Counts the samples of each surface in each pixel, and chooses those that are shaded: the first, and then one in
+   `step`. */
+static void choose_shaded(Block *block, int step, uint8_t chosen[BLOCK]) {
+    if (step == 1) { /* all of them, into one entry */
+        memset(chosen, 1, BLOCK);
+        memset(block->entry, 0, sizeof block->entry);
+        for (int i = 0; i < block->rays.count; i++) block->count[0][i] = 1;
+        return;
+    }
+    for (int i = 0; i < block->rays.count; i++) {
+        const int32_t surface = (int32_t)(block->code[i] >> 16);
+        int entry = 0;
+        while (entry < ENTRIES - 1 && block->count[entry][i] > 0 && block->surface[entry][i] != surface) entry++;
+        block->surface[entry][i] = surface;
+        chosen[i] = entry == ENTRIES - 1 || block->count[entry][i] % step == 0;
+        block->count[entry][i]++;
+        block->shaded[entry][i] += chosen[i];
+        block->entry[i] = entry;
+    }
+}
+
+/* What the shading of the hits needs from their rays. */
+VECTOR_LOOP static void find_views(double angle_per_px, double size, Block *restrict block, double *restrict width) {
+    const Hits *hits = &block->hits;
+    const int count = hits->count;
+    for (int i = 0; i < count; i++) {
+        const double dx = hits->dx[i], dy = hits->dy[i], dz = hits->dz[i], scale = -1 / sqrt(dx * dx + dy * dy + dz * dz);
+        const double ex = scale * dx, ey = scale * dy, ez = scale * dz, footprint = angle_per_px * hits->best[i];
+        const double oblique = greater(fabs(hits->fx[i] * ex + hits->fy[i] * ey + hits->fz[i] * ez), 0.05);
+        block->nx[i] = (float)hits->nx[i], block->ny[i] = (float)hits->ny[i], block->nz[i] = (float)hits->nz[i];
+        block->ex[i] = (float)ex, block->ey[i] = (float)ey, block->ez[i] = (float)ez;
+        block->footprint[i] = footprint;
+        width[i] = footprint * size / oblique;
+    }
+}
+
+/* Adds the radiance of the rays, by source: ambient light first, then each laser. `size` is that of a sample in pixels;
+   of the samples of a surface in a pixel, one in `step` is shaded. */
+static void shade(const Scene *scene, double size, int step, Block *block) {
     const Rays *rays = &block->rays;
     Hits *hits = &block->hits;
-    uint8_t wanted[BLOCK];
+    uint8_t near[BLOCK], wanted[BLOCK];
     double width[BLOCK];
-    const uint32_t lasers = find_stripes(scene, block, wanted);
+    const uint32_t lasers = find_stripes(scene, block, near);
     for (int i = 0; i < rays->count; i++) {
         block->stripe[i] = 0;
         block->code[i] = 0;
         if (rays->part[i] != EMPTY)
             block->code[i] = (uint32_t)((int)scene->target.part[rays->part[i]].first_surface + (int)rays->face[i] + 1) << 16;
-        else if (!scene->dark)
-            block->sum[i][0] += sky(scene, scene->stand + block->draw[i].time,
-                                    (Vector){rays->dx[i], rays->dy[i], rays->dz[i]}, block->code + i);
+    }
+    choose_shaded(block, step, wanted);
+    for (int i = 0; i < rays->count; i++) {
+        if (scene->dark) wanted[i] &= near[i];
+        if (rays->part[i] == EMPTY && wanted[i] && !scene->dark)
+            sum_of(block, i)[0] += sky(scene, scene->stand + block->draw[i].time,
+                                       (Vector){rays->dx[i], rays->dy[i], rays->dz[i]}, block->code + i);
     }
     if (scene->dark && !lasers) return;
-    complete_hits(&scene->target, rays, scene->dark ? wanted : NULL, hits);
-    for (int i = 0; i < hits->count; i++) {
-        const int k = hits->ray[i];
-        const double x = block->x[k], y = block->y[k], scale = -1 / sqrt(x * x + y * y + 1);
-        const double ex = scale * rays->dx[k], ey = scale * rays->dy[k], ez = scale * rays->dz[k];
-        const double oblique = greater(fabs(hits->fx[i] * ex + hits->fy[i] * ey + hits->fz[i] * ez), 0.05);
-        block->nx[i] = (float)hits->nx[i], block->ny[i] = (float)hits->ny[i], block->nz[i] = (float)hits->nz[i];
-        block->ex[i] = (float)ex, block->ey[i] = (float)ey, block->ez[i] = (float)ez;
-        block->cx[i] = x, block->cy[i] = y;
-        block->depth[i] = hits->parameter[i];
-        block->footprint[i] = scene->light.angle_per_px * rays->best[k];
-        width[i] = block->footprint[i] * size / oblique;
-    }
+    complete_hits(&scene->target, rays, wanted, hits);
+    find_views(scene->light.angle_per_px, size, block, width);
     find_coatings(&scene->target, width, hits);
     for (int i = 0; i < hits->count; i++)
         if (hits->second[i]) block->code[hits->ray[i]] |= SECOND;
     if (!scene->dark) add_ambient(scene, block);
+    if (!lasers) return;
+    block->sources |= lasers << 1;
+    for (int i = 0; i < hits->count; i++) {
+        block->cx[i] = block->x[hits->ray[i]], block->cy[i] = block->y[hits->ray[i]];
+        block->depth[i] = hits->parameter[i];
+    }
     for (int k = 0; k < scene->lasers; k++)
         if (lasers >> k & 1) add_laser(scene, k, block);
 }
@@ -458,6 +503,20 @@ static double reversed(int number, int base) {
     return sum;
 }
 
+/* Directions of rays of one time. */
+VECTOR_LOOP static void aim(const Stand *restrict stand, const Block *restrict block, Rays *restrict rays) {
+    const double *m = stand->rotation;
+    const Vector eye = stand->eye;
+    const int count = rays->count;
+    for (int i = 0; i < count; i++) {
+        const double x = block->x[i], y = block->y[i];
+        rays->ox[i] = eye.x, rays->oy[i] = eye.y, rays->oz[i] = eye.z;
+        rays->dx[i] = m[0] * x + m[3] * y + m[6];
+        rays->dy[i] = m[1] * x + m[4] * y + m[7];
+        rays->dz[i] = m[2] * x + m[5] * y + m[8];
+    }
+}
+
 /* One sample of each pixel of a block: its rays, and where they hit the target.
 
    The samples are a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated by
@@ -479,56 +538,77 @@ static void cast_block(const Scene *scene, const PixelRays *rays, const Choice *
             y += column_px * rays->per_px[0][1][at] + row_px * rays->per_px[1][1][at];
             if (scene->times > 1) draw->time = (int)(fraction(when + block->other[i]) * scene->times);
         }
-        const Stand *stand = scene->stand + draw->time;
-        const Vector direction = rotated_back(stand->rotation, (Vector){x, y, 1});
         block->x[i] = x, block->y[i] = y;
-        cast->ox[i] = stand->eye.x, cast->oy[i] = stand->eye.y, cast->oz[i] = stand->eye.z;
-        cast->dx[i] = direction.x, cast->dy[i] = direction.y, cast->dz[i] = direction.z;
         cast->least[i] = 0;
         cast->best[i] = INFINITY;
         cast->own[i] = EMPTY;
+        if (samples == 1 || scene->times == 1) continue;
+        const Stand *stand = scene->stand + draw->time;
+        const Vector direction = rotated_back(stand->rotation, (Vector){x, y, 1});
+        cast->ox[i] = stand->eye.x, cast->oy[i] = stand->eye.y, cast->oz[i] = stand->eye.z;
+        cast->dx[i] = direction.x, cast->dy[i] = direction.y, cast->dz[i] = direction.z;
     }
+    if (samples == 1 || scene->times == 1) aim(scene->stand + scene->times / 2, block, cast);
     intersect(&scene->target, parts, cast);
 }
 
-/* The next pixels of an image, or of those chosen: a tile of an image of several rows. */
-static int next_pixels(const PixelRays *rays, const int64_t *chosen, size_t count, size_t *next, int64_t pixel[BLOCK]) {
+/* The next pixels of an image, or of those chosen, as a block: a tile of an image of several rows. */
+static int next_pixels(const PixelRays *rays, const int64_t *chosen, size_t count, size_t *next, Block *block) {
     enum { ROWS = 4, COLUMNS = BLOCK / ROWS };
     const size_t width = (size_t)rays->width, height = count / width, across = (width + COLUMNS - 1) / COLUMNS;
     int entries = 0;
     if (chosen || height < ROWS || height * width < count) {
-        for (; *next < count && entries < BLOCK; ++*next) pixel[entries++] = chosen ? chosen[*next] : (int64_t)*next;
+        for (; *next < count && entries < BLOCK; ++*next, ++entries) {
+            const uint32_t at = chosen ? (uint32_t)chosen[*next] : (uint32_t)*next;
+            block->pixel[entries] = at;
+            block->row[entries] = (int32_t)(at / (uint32_t)width);
+            block->column[entries] = (int32_t)(at % (uint32_t)width);
+        }
         return entries;
     }
     const size_t top = *next / across * ROWS, left = *next % across * COLUMNS;
     for (size_t row = top; row < top + ROWS && row < height; row++)
-        for (size_t column = left; column < left + COLUMNS && column < width; column++)
-            pixel[entries++] = (int64_t)(row * width + column);
+        for (size_t column = left; column < left + COLUMNS && column < width; column++, entries++) {
+            block->pixel[entries] = (int64_t)(row * width + column);
+            block->row[entries] = (int32_t)row;
+            block->column[entries] = (int32_t)column;
+        }
     ++*next;
     return entries;
 }
 
 static void render_all(const Scene *scene, const PixelRays *rays, const int64_t *chosen, size_t count, int samples,
-                       float *radiance, uint32_t *code, uint8_t *stripe) {
+                       int step, float *radiance, uint32_t *code, uint8_t *stripe) {
     Block block;
     Choice parts;
-    for (size_t next = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, block.pixel)) > 0;) {
-        const int entries = block.rays.count;
-        memset(block.sum, 0, sizeof block.sum);
-        for (int i = 0; i < entries; i++) {
-            const double column = (double)(block.pixel[i] % rays->width), row = (double)(block.pixel[i] / rays->width);
-            block.turn[i] = fraction(0.7548776662 * column + 0.5698402910 * row);
-            block.other[i] = fraction(0.8191725134 * column + 0.6710436067 * row);
+    const int entries = step == 1 ? 1 : ENTRIES;
+    const double per_sample = 1.0 / samples;
+    for (size_t next = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, &block)) > 0;) {
+        for (int k = 0; k < entries; k++) {
+            memset(block.sum[k], 0, sizeof block.sum[k]);
+            memset(block.count[k], 0, sizeof block.count[k]);
+            memset(block.shaded[k], 0, sizeof block.shaded[k]);
         }
-        parts_near(scene, rays, block.pixel, entries, &parts);
+        for (int i = 0; i < block.rays.count; i++) {
+            block.turn[i] = fraction(0.7548776662 * block.column[i] + 0.5698402910 * block.row[i]);
+            block.other[i] = fraction(0.8191725134 * block.column[i] + 0.6710436067 * block.row[i]);
+        }
+        block.sources = 1;
+        parts_near(scene, rays, block.pixel, block.rays.count, &parts);
         for (int sample = 0; sample < samples; sample++) {
             cast_block(scene, rays, &parts, sample, samples, &block);
-            shade(scene, 1 / sqrt(samples), &block);
+            shade(scene, 1 / sqrt(samples), step, &block);
         }
-        for (int i = 0; i < entries; i++) {
+        for (int i = 0; i < block.rays.count; i++) {
             const size_t at = (size_t)block.pixel[i];
+            double sum[1 + MAX_LASERS] = {0};
+            for (int entry = 0; entry < entries && block.count[entry][i] > 0; entry++) {
+                const double share = step == 1 ? 1 : (double)block.count[entry][i] / block.shaded[entry][i];
+                for (int k = 0; k <= scene->lasers; k++)
+                    if (block.sources >> k & 1) sum[k] += share * block.sum[entry][i][k];
+            }
             for (int k = 0; k <= scene->lasers; k++)
-                radiance[(size_t)k * rays->pixels + at] = (float)(block.sum[i][k] / samples);
+                if (chosen || block.sources >> k & 1) radiance[(size_t)k * rays->pixels + at] = (float)(sum[k] * per_sample);
             if (code) code[at] = block.code[i];
             if (stripe) stripe[at] = block.stripe[i];
         }
@@ -568,7 +648,7 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         TARGET,
         {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}},
         {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, {"width", 'L', {1, 1 << 30}},
-        {"?pixels", 'q', {ANY}}, {"samples", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}}, {">?code", 'i', {N}},
+        {"?pixels", 'q', {ANY}}, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}}, {">?code", 'i', {N}},
         {">?stripe", 'B', {N}}};
     Arguments arguments;
     (void)module;
@@ -580,7 +660,7 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
     const size_t pixels = (size_t)view[4].shape[1];
     int fits = open_target(&arguments, &scene->target) &&
                require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS &&
-                           view[9].shape[0] == view[2].shape[0] + 1 && (view[5].obj || number[8][0] == 1),
+                           view[10].shape[0] == view[2].shape[0] + 1 && (view[5].obj || number[8][0] == 1),
                        "poses, lasers and radiance do not fit each other");
     const int64_t *chosen = view[7].obj ? view[7].buf : NULL;
     const size_t count = chosen ? (size_t)view[7].shape[0] : pixels;
@@ -606,8 +686,9 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
             const Vector moved = minus(scene->stand[scene->times - 1].projector[i], scene->stand[0].projector[i]);
             scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
         }
-        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], view[9].buf,
-                                          view[10].obj ? view[10].buf : NULL, view[11].obj ? view[11].buf : NULL);
+        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], (int)number[9][0],
+                                          view[10].buf, view[11].obj ? view[11].buf : NULL,
+                                          view[12].obj ? view[12].buf : NULL);
         Py_END_ALLOW_THREADS
     }
     free(scene);
@@ -711,5 +792,39 @@ PyObject *call_reflectances(PyObject *module, PyObject *tuple) {
         result[i] = brdf((float)coating[0], (float)coating[1], (float)coating[2], (float)normal[i], (float)normal[n + i],
                          (float)normal[2 * n + i], (float)light[i], (float)light[n + i], (float)light[2 * n + i],
                          (float)eye[i], (float)eye[n + i], (float)eye[2 * n + i]);
+    return close_arguments(&arguments, Py_NewRef(Py_None));
+}
+
+/* Bits by which a row of codes differs from those of the eight neighbours of each pixel, except in the first and the last
+   column. */
+VECTOR_LOOP static void find_changes(const int32_t *restrict above, const int32_t *restrict row,
+                                     const int32_t *restrict below, int width, int32_t shadows, uint8_t *restrict edge) {
+    for (int i = 1; i < width - 1; i++) {
+        const int32_t code = row[i];
+        const int32_t changes = (code ^ row[i - 1]) | (code ^ row[i + 1]) | (code ^ above[i - 1]) | (code ^ above[i]) |
+                                (code ^ above[i + 1]) | (code ^ below[i - 1]) | (code ^ below[i]) | (code ^ below[i + 1]);
+        edge[i] = (uint8_t)((changes != 0) + ((changes & ~shadows) != 0));
+    }
+}
+
+PyObject *call_code_edges(PyObject *module, PyObject *tuple) {
+    static const Parameter parameter[] = {{"code", 'i', {N, M}}, {">edge", 'B', {N, M}}};
+    Arguments arguments;
+    (void)module;
+    if (!OPEN(tuple, parameter, &arguments)) return NULL;
+    const Py_ssize_t height = arguments.view[0].shape[0], width = arguments.view[0].shape[1];
+    const int32_t *code = arguments.view[0].buf, shadows = SUN_SHADOW | EARTH_SHADOW;
+    uint8_t *edge = arguments.view[1].buf;
+    for (Py_ssize_t i = 0; i < height; i++) {
+        const int32_t *row = code + i * width, *above = i > 0 ? row - width : row;
+        const int32_t *below = i + 1 < height ? row + width : row;
+        find_changes(above, row, below, (int)width, shadows, edge + i * width);
+        for (Py_ssize_t side = 0; side < 2; side++) {
+            const Py_ssize_t at = side * (width - 1), beside = width > 1 ? (side ? at - 1 : at + 1) : at;
+            const int32_t own = row[at], changes = (own ^ row[beside]) | (own ^ above[at]) | (own ^ below[at]) |
+                                                   (own ^ above[beside]) | (own ^ below[beside]);
+            edge[i * width + at] = (uint8_t)((changes != 0) + ((changes & ~shadows) != 0));
+        }
+    }
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }

@@ -26,18 +26,18 @@ static int interval(const double *line, int count, double x) {
 
 static float mixed(double first, double second, double share) { return (float)(first + share * (second - first)); }
 
-void find_coatings(const Target *target, const double width[BLOCK], Hits *hits) {
-    for (int i = 0; i < hits->count; i++) {
-        const Material *material = target->material + target->material_of[hits->surface[i]];
+/* Coatings of one material with a pattern. */
+static void find_patterned(const Target *target, const Material *material, const double width[BLOCK], int first, int last,
+                           Hits *hits) {
+    for (int i = first; i < last; i++) {
         const Coating *coating = &material->coating;
         double share = 0;
-        hits->second[i] = 0;
         if (material->printed > 0) {
             const int column = interval(target->print_x, target->columns - 1, hits->u[i]);
             const int row = interval(target->print_y, target->rows - 1, hits->v[i]);
             hits->second[i] = target->print[row * target->columns + column];
             if (hits->second[i]) coating = &material->second;
-        } else if (material->cell_x > 0) {
+        } else {
             const double square = greater(width[i], 1e-9);
             const double along_u = line_share(hits->u[i], material->cell_x, material->line, square);
             share = 1 - (1 - along_u) * (1 - line_share(hits->v[i], material->cell_y, material->line, square));
@@ -45,5 +45,20 @@ void find_coatings(const Target *target, const double width[BLOCK], Hits *hits) 
         hits->diffuse[i] = mixed(coating->diffuse, material->second.diffuse, share);
         hits->specular[i] = mixed(coating->specular, material->second.specular, share);
         hits->roughness[i] = mixed(coating->roughness, material->second.roughness, share);
+    }
+}
+
+void find_coatings(const Target *target, const double width[BLOCK], Hits *hits) {
+    for (int first = 0, last; first < hits->count; first = last) {
+        const Material *material = target->material + target->material_of[hits->surface[first]];
+        const Coating *coating = &material->coating;
+        for (last = first + 1; last < hits->count && hits->surface[last] == hits->surface[first];) last++;
+        for (int i = first; i < last; i++) {
+            hits->second[i] = 0;
+            hits->diffuse[i] = (float)coating->diffuse;
+            hits->specular[i] = (float)coating->specular;
+            hits->roughness[i] = (float)coating->roughness;
+        }
+        if (material->printed > 0 || material->cell_x > 0) find_patterned(target, material, width, first, last, hits);
     }
 }

@@ -32,25 +32,30 @@ VECTOR_LOOP static void find_near(const Part *part, int number, const Rays *rest
     }
 }
 
+static inline void copy_ray(const Part *part, const Rays *restrict rays, int ray, Near *restrict near, int i) {
+    const double *m = part->rotation;
+    const double ox = rays->ox[ray] - part->origin.x, oy = rays->oy[ray] - part->origin.y;
+    const double oz = rays->oz[ray] - part->origin.z, dx = rays->dx[ray], dy = rays->dy[ray], dz = rays->dz[ray];
+    const double ax = m[0] * dx + m[1] * dy + m[2] * dz, ay = m[3] * dx + m[4] * dy + m[5] * dz;
+    const double az = m[6] * dx + m[7] * dy + m[8] * dz;
+    near->ox[i] = m[0] * ox + m[1] * oy + m[2] * oz;
+    near->oy[i] = m[3] * ox + m[4] * oy + m[5] * oz;
+    near->oz[i] = m[6] * ox + m[7] * oy + m[8] * oz;
+    near->dx[i] = ax == 0 ? TINY : ax;
+    near->dy[i] = ay == 0 ? TINY : ay;
+    near->dz[i] = az == 0 ? TINY : az;
+    near->least[i] = rays->least[ray];
+    near->best[i] = rays->best[ray];
+    near->face[i] = EMPTY;
+}
+
 VECTOR_LOOP static void copy_near(const Part *restrict part, const Rays *restrict rays, Near *restrict near) {
+    const Part moved = *part;
     const int count = near->count;
-    const double *m = part->rotation, x = part->origin.x, y = part->origin.y, z = part->origin.z;
-    for (int i = 0; i < count; i++) {
-        const int k = near->ray[i];
-        const double ox = rays->ox[k] - x, oy = rays->oy[k] - y, oz = rays->oz[k] - z;
-        const double dx = rays->dx[k], dy = rays->dy[k], dz = rays->dz[k];
-        near->ox[i] = m[0] * ox + m[1] * oy + m[2] * oz;
-        near->oy[i] = m[3] * ox + m[4] * oy + m[5] * oz;
-        near->oz[i] = m[6] * ox + m[7] * oy + m[8] * oz;
-        const double ax = m[0] * dx + m[1] * dy + m[2] * dz, ay = m[3] * dx + m[4] * dy + m[5] * dz;
-        const double az = m[6] * dx + m[7] * dy + m[8] * dz;
-        near->dx[i] = ax == 0 ? TINY : ax;
-        near->dy[i] = ay == 0 ? TINY : ay;
-        near->dz[i] = az == 0 ? TINY : az;
-        near->least[i] = rays->least[k];
-        near->best[i] = rays->best[k];
-        near->face[i] = EMPTY;
-    }
+    if (count == rays->count)
+        for (int i = 0; i < count; i++) copy_ray(&moved, rays, i, near, i);
+    else
+        for (int i = 0; i < count; i++) copy_ray(&moved, rays, near->ray[i], near, i);
 }
 
 /* Faces of a box: 0 z+, 1 x-, 2 x+, 3 y-, 4 y+, 5 z-. */
@@ -296,11 +301,6 @@ static Vector from_face(int face, Vector a) {
 
 static Vector in_target(const Part *part, Vector a) { return is_aligned(part) ? a : rotated_back(part->rotation, a); }
 
-/* Rays that have hit something, in the order of the hits. */
-typedef struct {
-    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK], best[BLOCK];
-} Sorted;
-
 typedef struct {
     Vector origin, u, v, w; /* of the face */
     double texel;
@@ -312,14 +312,13 @@ static inline int texel_index(int column, int row) {
 }
 
 /* Newton steps from the flat face to the relief's tangent planes; then its slopes, bilinear between texels. */
-VECTOR_LOOP static void complete_relief(const Face *restrict face, const Sorted *restrict rays, int first, int last,
-                                        Hits *restrict hits) {
+VECTOR_LOOP static void complete_relief(const Face *restrict face, int first, int last, Hits *restrict hits) {
     const double texel = face->texel, per_texel = 1 / texel;
     const float *restrict height = face->height, *restrict slope = face->slope;
     const Vector u = face->u, v = face->v, w = face->w, at = face->origin;
     for (int i = first; i < last; i++) {
-        const double rx = rays->ox[i] - at.x, ry = rays->oy[i] - at.y, rz = rays->oz[i] - at.z;
-        const double dx = rays->dx[i], dy = rays->dy[i], dz = rays->dz[i], flat = rays->best[i];
+        const double rx = hits->ox[i] - at.x, ry = hits->oy[i] - at.y, rz = hits->oz[i] - at.z;
+        const double dx = hits->dx[i], dy = hits->dy[i], dz = hits->dz[i], flat = hits->best[i];
         const double o_u = rx * u.x + ry * u.y + rz * u.z, d_u = dx * u.x + dy * u.y + dz * u.z;
         const double o_v = rx * v.x + ry * v.y + rz * v.z, d_v = dx * v.x + dy * v.y + dz * v.z;
         const double o_w = rx * w.x + ry * w.y + rz * w.z, d_w = dx * w.x + dy * w.y + dz * w.z;
@@ -353,12 +352,11 @@ VECTOR_LOOP static void complete_relief(const Face *restrict face, const Sorted 
     }
 }
 
-VECTOR_LOOP static void complete_flat(const Face *restrict face, const Sorted *restrict rays, int first, int last,
-                                        Hits *restrict hits) {
+VECTOR_LOOP static void complete_flat(const Face *restrict face, int first, int last, Hits *restrict hits) {
     const Vector u = face->u, v = face->v, w = face->w, at = face->origin;
     for (int i = first; i < last; i++) {
-        const double t = rays->best[i], x = rays->ox[i] + t * rays->dx[i] - at.x;
-        const double y = rays->oy[i] + t * rays->dy[i] - at.y, z = rays->oz[i] + t * rays->dz[i] - at.z;
+        const double t = hits->best[i], x = hits->ox[i] + t * hits->dx[i] - at.x;
+        const double y = hits->oy[i] + t * hits->dy[i] - at.y, z = hits->oz[i] + t * hits->dz[i] - at.z;
         hits->u[i] = x * u.x + y * u.y + z * u.z;
         hits->v[i] = x * v.x + y * v.y + z * v.z;
         hits->parameter[i] = t;
@@ -367,8 +365,7 @@ VECTOR_LOOP static void complete_flat(const Face *restrict face, const Sorted *r
     }
 }
 
-static void complete_box(const Target *target, const Part *part, int number, const Sorted *rays, int first, int last,
-                         Hits *hits) {
+static void complete_box(const Target *target, const Part *part, int number, int first, int last, Hits *hits) {
     Face face = {.u = in_target(part, from_face(number, (Vector){1, 0, 0})),
                  .v = in_target(part, from_face(number, (Vector){0, 1, 0})),
                  .w = in_target(part, from_face(number, (Vector){0, 0, 1}))};
@@ -385,9 +382,9 @@ static void complete_box(const Target *target, const Part *part, int number, con
         face.texel = target->texel[(int)part->relief];
         face.height = target->height + texels;
         face.slope = target->slope + 2 * texels;
-        complete_relief(&face, rays, first, last, hits);
+        complete_relief(&face, first, last, hits);
     } else {
-        complete_flat(&face, rays, first, last, hits);
+        complete_flat(&face, first, last, hits);
     }
     for (int i = first; i < last; i++) hits->fx[i] = face.w.x, hits->fy[i] = face.w.y, hits->fz[i] = face.w.z;
 }
@@ -407,8 +404,7 @@ static Vector gap_normal(const Target *target, const Part *part, Vector p) {
     return wall < fabs(p.z - in->floor) ? (Vector){-in->sine, in->cosine, 0} : (Vector){0, 0, 1};
 }
 
-static void complete_revolution(const Target *target, const Part *part, int piece, const Sorted *rays, int first, int last,
-                                Hits *hits) {
+static void complete_revolution(const Target *target, const Part *part, int piece, int first, int last, Hits *hits) {
     const double(*point)[2] = target->point + (int)part->first_point;
     const int is_gap = piece == (int)part->points - 1;
     double outward = 0, upward = 0;
@@ -418,10 +414,10 @@ static void complete_revolution(const Target *target, const Part *part, int piec
         outward = up / length, upward = -along / length;
     }
     for (int i = first; i < last; i++) {
-        const double t = rays->best[i];
-        const Vector d = {rays->dx[i], rays->dy[i], rays->dz[i]};
-        Vector p = {rays->ox[i] + t * d.x - part->origin.x, rays->oy[i] + t * d.y - part->origin.y,
-                    rays->oz[i] + t * d.z - part->origin.z};
+        const double t = hits->best[i];
+        const Vector d = {hits->dx[i], hits->dy[i], hits->dz[i]};
+        Vector p = {hits->ox[i] + t * d.x - part->origin.x, hits->oy[i] + t * d.y - part->origin.y,
+                    hits->oz[i] + t * d.z - part->origin.z};
         if (!is_aligned(part)) p = rotated(part->rotation, p);
         const double scale = outward / greater(sqrt(p.x * p.x + p.y * p.y), 1e-300);
         Vector normal = is_gap ? gap_normal(target, part, p) : (Vector){scale * p.x, scale * p.y, upward};
@@ -435,7 +431,6 @@ static void complete_revolution(const Target *target, const Part *part, int piec
 
 void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted, Hits *hits) {
     uint8_t rest[BLOCK];
-    Sorted sorted;
     hits->count = 0;
     for (int i = 0; i < rays->count; i++) rest[i] = rays->part[i] != EMPTY && (!wanted || wanted[i]);
     for (int i = 0; i < rays->count; i++) {
@@ -450,18 +445,18 @@ void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted
             hits->part[at] = number;
             hits->surface[at] = surface;
             hits->ray[at] = k;
-            sorted.ox[at] = rays->ox[k], sorted.oy[at] = rays->oy[k], sorted.oz[at] = rays->oz[k];
-            sorted.dx[at] = rays->dx[k], sorted.dy[at] = rays->dy[k], sorted.dz[at] = rays->dz[k];
-            sorted.best[at] = rays->best[k];
+            hits->ox[at] = rays->ox[k], hits->oy[at] = rays->oy[k], hits->oz[at] = rays->oz[k];
+            hits->dx[at] = rays->dx[k], hits->dy[at] = rays->dy[k], hits->dz[at] = rays->dz[k];
+            hits->best[at] = rays->best[k];
         }
         if (part->kind == BOX)
-            complete_box(target, part, face, &sorted, first, hits->count, hits);
+            complete_box(target, part, face, first, hits->count, hits);
         else
-            complete_revolution(target, part, face, &sorted, first, hits->count, hits);
+            complete_revolution(target, part, face, first, hits->count, hits);
     }
     for (int i = 0; i < hits->count; i++) {
-        hits->x[i] = sorted.ox[i] + hits->parameter[i] * sorted.dx[i];
-        hits->y[i] = sorted.oy[i] + hits->parameter[i] * sorted.dy[i];
-        hits->z[i] = sorted.oz[i] + hits->parameter[i] * sorted.dz[i];
+        hits->x[i] = hits->ox[i] + hits->parameter[i] * hits->dx[i];
+        hits->y[i] = hits->oy[i] + hits->parameter[i] * hits->dy[i];
+        hits->z[i] = hits->oz[i] + hits->parameter[i] * hits->dz[i];
     }
 }

@@ -94,6 +94,8 @@ typedef struct {
 typedef struct {
     int count;
     int32_t ray[BLOCK]; /* its number in the rays */
+    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK]; /* the ray */
+    double best[BLOCK];                                                      /* where it meets the flat surface */
     int32_t part[BLOCK], surface[BLOCK], second[BLOCK]; /* second: where the print has the second coating */
     double parameter[BLOCK];                            /* on the relief */
     double x[BLOCK], y[BLOCK], z[BLOCK], u[BLOCK], v[BLOCK]; /* point, and its place on the face of a box */
