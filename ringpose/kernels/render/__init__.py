@@ -37,7 +37,8 @@ class TargetTables(NamedTuple):
     print_y: Float64[Array, "line_y"]
     print_cells: UInt8[Array, "cell_y cell_x"]
     """1 where the print has the material's second coating."""
-    texels_m: Float64[Array, "relief"]
+    texels_m: Float64[Array, "relief 2"]
+    """Side of a texel, and the largest height."""
     heights_m: Float32[Array, "relief texel_y texel_x"]
     slopes: Float32[Array, "relief texel_y texel_x uv=2"]
 
@@ -80,6 +81,7 @@ class PixelImage(NamedTuple):
 
 WIDE, THIN = 1, 2
 
+
 def render(
     target: TargetTables,
     poses: Float64[Array, "time column=12"],
@@ -108,7 +110,7 @@ def render(
 
 
 def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
-    """Where one of the eight neighbours shows another surface (2), or only the other side of a shadow in the sky (1)."""
+    """Where a neighbour of the eight shows another surface (2), or another side of the shadow of sun or Earth (1)."""
     edge = np.empty(code.shape, np.uint8)
     _kernels.code_edges(code, edge)
     return edge

@@ -620,7 +620,7 @@ static void render_all(const Scene *scene, const PixelRays *rays, const int64_t 
     {"parts", 'd', {ANY, NUMBERS(Part)}}, {"points", 'd', {ANY, 2}}, {"gaps", 'd', {ANY, NUMBERS(Gap)}}, \
         {"forms", 'd', {ANY, NUMBERS(Form)}}, {"material_of", 'i', {ANY}}, \
         {"materials", 'd', {ANY, NUMBERS(Material)}}, {"print_x", 'd', {ANY}}, {"print_y", 'd', {ANY}}, \
-        {"print", 'B', {ANY, ANY}}, {"texels", 'd', {K}}, {"heights", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS}}, \
+        {"print", 'B', {ANY, ANY}}, {"texels", 'd', {K, 2}}, {"heights", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS}}, \
         {"slopes", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS, 2}}
 enum { AFTER_TARGET = 12 };
 
@@ -674,8 +674,8 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
         scene->times = (int)view[0].shape[0];
         scene->lasers = (int)view[2].shape[0];
-        for (Py_ssize_t i = 0; i < arguments.view[9].shape[0] * RELIEF_TEXELS * RELIEF_TEXELS; i++)
-            scene->relief = greater(scene->relief, 2 * fabs(scene->target.height[i]));
+        for (Py_ssize_t i = 0; i < arguments.view[9].shape[0]; i++)
+            scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
         memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
         for (int i = 0; i < scene->lasers; i++)
             scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
@@ -686,7 +686,8 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
             const Vector moved = minus(scene->stand[scene->times - 1].projector[i], scene->stand[0].projector[i]);
             scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
         }
-        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], (int)number[9][0],
+        const int step = scene->target.columns * scene->target.rows > 1 ? 1 : (int)number[9][0]; /* 1: edges of a print */
+        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], step,
                                           view[10].buf, view[11].obj ? view[11].buf : NULL,
                                           view[12].obj ? view[12].buf : NULL);
         Py_END_ALLOW_THREADS

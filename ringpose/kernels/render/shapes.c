@@ -379,7 +379,7 @@ static void complete_box(const Target *target, const Part *part, int number, int
     face.origin = plus(part->origin, times(level, face.w));
     if (part->relief >= 0) {
         const size_t texels = (size_t)RELIEF_TEXELS * RELIEF_TEXELS * (size_t)part->relief;
-        face.texel = target->texel[(int)part->relief];
+        face.texel = target->texel[(int)part->relief][0];
         face.height = target->height + texels;
         face.slope = target->slope + 2 * texels;
         complete_relief(&face, first, last, hits);

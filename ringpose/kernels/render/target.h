@@ -69,7 +69,7 @@ typedef struct {
     const double *print_x, *print_y; /* lines at which the print changes */
     int columns, rows;
     const uint8_t *print; /* 1 where the second coating is */
-    const double *texel;
+    const double (*texel)[2]; /* of the reliefs: side of a texel, and the largest height */
     const float *height; /* of the reliefs, row by row */
     const float *slope;  /* pairs (along u, along v) */
 } Target;
