@@ -7,7 +7,7 @@
 
 #include "kernels.h"
 
-enum { MAX_ARGUMENTS = 24, MAX_AXES = 4, MAX_NUMBERS = 20 };
+enum { MAX_ARGUMENTS = 26, MAX_AXES = 4, MAX_NUMBERS = 20 };
 
 /* Extents of an array that are not numbers: any, or whatever it is, the same wherever the letter stands in a call. */
 enum { ANY = -1, N = -2, M = -3, K = -4 };
@@ -63,5 +63,6 @@ PyObject *call_render(PyObject *module, PyObject *tuple);
 PyObject *call_hits(PyObject *module, PyObject *tuple);
 PyObject *call_blocked(PyObject *module, PyObject *tuple);
 PyObject *call_reflectances(PyObject *module, PyObject *tuple);
+PyObject *call_code_edges(PyObject *module, PyObject *tuple);
 
 #endif

@@ -120,9 +120,15 @@ def _visible_and_lit(
         to_projector = light.projector_m[laser][:, None] - at
         clear = ~blocked(illuminated.target, at, to_eye) & ~blocked(illuminated.target, at, to_projector)
         clear &= (to_eye[2] > 0) & (to_projector[2] > 0) & in_fan(light, laser, at)
-        for gap in ring.gaps:
-            across = np.array([-np.sin(gap.angle_rad), np.cos(gap.angle_rad)]) @ at[:2]
-            along = np.array([np.cos(gap.angle_rad), np.sin(gap.angle_rad)]) @ at[:2]
-            clear &= (np.abs(across) > gap.width_m / 2) | (along < 0)
-        shown[laser, found] = clear
+        shown[laser, found] = clear & ~in_gap(ring, at.T)
     return shown
+
+
+def in_gap(ring: RingShape, point_m: Float64[Array, "*shape xyz=3"]) -> Bool[Array, "*shape"]:
+    """Which points on the face, in the ring's own axes, are missing because a gap interrupts the ring there."""
+    x, y = point_m[..., 0], point_m[..., 1]
+    inside = np.zeros(x.shape, dtype=np.bool_)
+    for gap in ring.gaps:
+        cosine, sine = np.cos(gap.angle_rad), np.sin(gap.angle_rad)
+        inside |= (np.abs(y * cosine - x * sine) <= gap.width_m / 2) & (x * cosine + y * sine >= 0)
+    return inside

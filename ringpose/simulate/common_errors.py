@@ -73,6 +73,10 @@ def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
     )
 
 
+FORM_STEPS = 3
+"""Newton steps to the break points of a deviating ring; the last one is shorter than 1e-9 m."""
+
+
 def form_displacement(
     form: RingForm,
     point_m: Float64[Array, "edge=2 xyz=3"],
@@ -80,22 +84,29 @@ def form_displacement(
     axes: Float64[Array, "3 3"],
     light_normal: Float64[Array, "xyz=3"],
 ) -> Float64[Array, "edge=2 xyz=3"]:
-    """Displacement of a stripe's break points on the inner and the outer edge by the ring's form, to first order.
+    """Displacement of a stripe's break points on the inner and the outer edge by the ring's form, by Newton's method.
 
     The points stay on the light plane. The columns of `axes` are the x, y and z axes of the ring.
     """
-    outward = point_m - arcs.center
-    radial_m, axial_m = form_deviations(form, outward @ axes, np.array([0, 1]))
-    rows = np.stack(
-        [
-            np.broadcast_to(light_normal, (2, 3)),
-            np.broadcast_to(arcs.normal, (2, 3)),
-            outward / np.linalg.norm(outward, axis=1, keepdims=True),
-        ],
-        axis=1,
-    )
-    values = np.stack([np.zeros(2), axial_m, radial_m], axis=1)
-    displacement: Float64[Array, "edge=2 xyz=3"] = np.linalg.solve(rows, values[..., None])[..., 0]
+    in_plane = point_m - arcs.center
+    radius_m = np.linalg.norm(in_plane, axis=1)
+    displacement = np.zeros((2, 3))
+    for _ in range(FORM_STEPS):
+        place_m = in_plane + displacement
+        height_m = place_m @ arcs.normal
+        outward = place_m - height_m[:, None] * arcs.normal
+        distance_m = np.linalg.norm(outward, axis=1)
+        radial_m, axial_m = form_deviations(form, place_m @ axes, np.array([0, 1]))
+        rows = np.stack(
+            [
+                np.broadcast_to(light_normal, (2, 3)),
+                np.broadcast_to(arcs.normal, (2, 3)),
+                outward / distance_m[:, None],
+            ],
+            axis=1,
+        )
+        values = np.stack([np.zeros(2), axial_m - height_m, radius_m + radial_m - distance_m], axis=1)
+        displacement = displacement + np.linalg.solve(rows, values[..., None])[..., 0]
     return displacement
 
 

@@ -1,8 +1,9 @@
 """Detections drawn from the ring's model instead of from images: a few hundred a second, for Monte-Carlo studies.
 
-Stripes, break points and visible edges are predicted by `ringpose.geometry.ring` at the time of their frame. Their
-errors are those that `ringpose.simulate.feature_errors` expects in images of the scene. The truth may deviate from the
-assumptions of an estimator in known ways (`Deviations`): motion, rig, form of the ring, and outliers.
+Stripes, break points and visible edges are predicted by `ringpose.geometry.ring` at the time of their frame, on a ring
+with the motion, the form and the gaps of the scene. Their errors are those that `ringpose.simulate.feature_errors`
+expects in images of the scene. The truth may deviate from the assumptions of an estimator in known ways (`Deviations`):
+motion, rig, form of the ring, and outliers.
 """
 
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_pixels
-from ringpose.geometry.ring import EDGE_SIGN, LIFT, STEP, edge_points, predicted_break_points, rotation_by
+from ringpose.geometry.ring import EDGE_SIGN, LIFT, STEP, RingArcs, edge_points, predicted_break_points, rotation_by
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.simulate.appearance import (
     EDGE_MARGIN_PX,
@@ -23,10 +24,17 @@ from ringpose.simulate.appearance import (
     inside_image,
     laser_frames,
 )
-from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors, form_deviations, form_displacement
+from ringpose.simulate.break_points import in_gap
+from ringpose.simulate.common_errors import (
+    CommonErrors,
+    RingForm,
+    drawn_common_errors,
+    form_deviations,
+    form_displacement,
+)
 from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
 from ringpose.simulate.motion import velocities
-from ringpose.simulate.placement import READOUT_S, ring_views
+from ringpose.simulate.placement import READOUT_S, ring_views, target_placement
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.camera import Camera
@@ -39,6 +47,7 @@ from ringpose.types.detection import (
     joined_edge_points,
 )
 from ringpose.types.scene import RingView, Scene
+from ringpose.types.target import RingShape
 from ringpose.types.truth import Truth
 
 _FEATURES, _COMMON = 2, 3
@@ -89,16 +98,37 @@ def drawn_features(
 ) -> Iterator[DrawnShot]:
     """The first `count` views of a scene, or all, as one run: rig and form of the ring are drawn once."""
     common = common_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
+    shown: RingView | None = None
     for number, view in enumerate(ring_views(scene)[:count]):
         rng = np.random.default_rng([_FEATURES, scene.seed, number])
-        yield draw_detection(scene, view, rng, deviations, common, scene.start_s + number * scene.period_s)
+        if shown is None or not _looks_like(view, shown):
+            shown = view
+        stamp_s = scene.start_s + number * scene.period_s
+        yield draw_detection(scene, view, rng, deviations, common, stamp_s, expected_appearance(scene, shown))
+
+
+MAX_CHANGE = 0.01
+"""Motion of the ring over its distance, and change of its normal, up to which it looks the same."""
+
+
+def _looks_like(view: RingView, shown: RingView) -> bool:
+    """Whether the errors of a moving ring's features are those of an earlier view."""
+    if view.path is None or (view.path, view.light) != (shown.path, shown.light):
+        return False
+    moved_m = np.linalg.norm(view.center_m - shown.center_m)
+    turned = np.linalg.norm(view.normal - shown.normal)
+    return bool(moved_m < MAX_CHANGE * np.linalg.norm(view.center_m) and turned < MAX_CHANGE)
 
 
 def common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations) -> CommonErrors:
-    """True rig and form of the ring of one run."""
-    return drawn_common_errors(
+    """True rig and form of the ring of one run: the scene's form, and what is drawn."""
+    drawn = drawn_common_errors(
         scene.rig, rng, ring_tolerance_m=deviations.ring_tolerance_m, with_rig_errors=deviations.rig_errors
     )
+    if scene.ring.form is None:
+        return drawn
+    form = RingForm(drawn.form.radial_m + scene.ring.form.radial_m, drawn.form.axial_m + scene.ring.form.axial_m)
+    return drawn._replace(form=form)
 
 
 # One shot
@@ -111,55 +141,54 @@ def draw_detection(
     deviations: Deviations = Deviations(),
     common: CommonErrors | None = None,
     stamp_s: float = 0.0,
+    appearance: Appearance | None = None,
 ) -> DrawnShot:
     """The detection in a shot of one view that begins at `stamp_s`, with its truth.
 
-    The truth of a target on a path holds at the beginning of the shot, and its velocities during all of it; otherwise
-    the truth holds at the first frame with a laser. Without `common` errors they are drawn for this shot alone. Edges
-    are named as they are: a detector may exchange inner and outer edge where the stripes hardly show the curvature.
+    Without `common` errors they are drawn for this shot alone; `appearance` is that of this view or of one nearby.
+    Edges are named as they are: a detector may exchange inner and outer edge where the stripes hardly show the ring's
+    curvature.
     """
     if common is None:
         common = common_errors(scene, rng, deviations)
     lasers = len(scene.rig.lasers.names)
-    frames, appearance = laser_frames(scene.sequence, lasers), expected_appearance(scene, view)
+    frames, appearance = laser_frames(scene.sequence, lasers), appearance or expected_appearance(scene, view)
     exposure_s = appearance.exposure_s
-    middle_s = stamp_s + exposure_s / 2 + np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)
+    middle_s = exposure_s / 2 + np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)  # since the shot's beginning
     shown_s = np.where(frames.number >= 0, middle_s[frames.number], np.nan)
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
-    motion, reference_s = _motion(view.normal, deviations.motion, unit[:5]), first_s
-    if view.path is not None:
-        face_m = np.array([0.0, 0.0, scene.ring.height_m])
-        motion, reference_s = _Motion(*velocities(view.path, view.begin_s, face_m)), stamp_s
+    course = _course(scene, view, appearance, _motion(view.normal, deviations.motion, unit[:5]), first_s)
+    moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
     found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
-        time_s = np.nan_to_num(shown_s - reference_s)
-        stripes = _stripes(appearance, common, motion, time_s, outliers.behind_m)
+        when_s = np.where(np.isfinite(shown_s), shown_s, first_s)
+        stripes = _stripes(scene.ring, appearance, common, course, when_s, outliers.behind_m)
         position_px = stripes.true_px
         if outliers.behind_m.any():
-            position_px = _stripes(appearance, common, motion, time_s, np.zeros(lasers)).true_px
+            position_px = _stripes(scene.ring, appearance, common, course, when_s, np.zeros(lasers)).true_px
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
             points = _drawn_points(stripes, appearance, noise, outliers, seen)
-            stamp = np.where(seen, shown_s, np.nan)
+            stamp = np.where(seen, stamp_s + shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _edges_of_frames(scene, appearance, common, motion, middle_s, reference_s, unit)
+            edges = _edges_of_frames(scene, appearance, common, course, middle_s, stamp_s, unit, moving=moving)
     detection = Detection(
         shot=view.name,
-        stamp_s=first_s,
+        stamp_s=stamp_s + first_s,
         break_points=found,
         ring_edges=edges,
         lasers_on=frames.number >= 0,
-        still=deviations.motion is None and view.path is None,
+        still=not moving,
     )
     return DrawnShot(
         detection=detection,
-        truth=_truth(scene, view, position_px, reference_s, None if detection.still else motion, outliers),
+        truth=_truth(scene, view, position_px, first_s, stamp_s, course, outliers, moving=moving),
         common=common,
         displaced=outliers.displaced,
         background=outliers.behind_m > 0,
@@ -177,6 +206,43 @@ def _motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float6
     if prior is None:
         return _Motion(np.zeros(3), np.zeros(3))
     return _Motion(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
+
+
+class _Course(NamedTuple):
+    """Where the ring is during a shot: its motion from the pose in which its arcs are given."""
+
+    scene: Scene
+    view: RingView
+    arcs: RingArcs
+    axes: Float64[Array, "3 3"]
+    drawn: _Motion
+    """Constant velocities of a view without a path."""
+    start_s: float
+    """When the arcs hold: of a view with a path at the beginning of the shot (0), else at the time of its pose."""
+
+    def at(self, time_s: float) -> tuple[RingArcs, Float64[Array, "3 3"]]:
+        """The ring's arcs, and its x, y and z axes as columns, at a time since the beginning of the shot."""
+        if self.view.path is None:
+            since_s, (velocity_m_s, rate_rad_s) = time_s - self.start_s, self.drawn
+            return self.arcs.after(since_s, velocity_m_s, rate_rad_s), rotation_by(rate_rad_s * since_s) @ self.axes
+        placement = target_placement(self.scene, self.view, time_s)
+        center_m = placement.points_camera(np.array([0.0, 0.0, self.scene.ring.height_m]))
+        turn = np.cross(self.arcs.normal, placement.rotation[:, 2])
+        length = float(np.linalg.norm(turn))
+        turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
+        return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
+
+    def motion(self, time_s: float) -> _Motion:
+        """Velocity of the ring's centre, and rates, at a time."""
+        if self.view.path is None:
+            return self.drawn
+        face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
+        return _Motion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
+
+
+def _course(scene: Scene, view: RingView, appearance: Appearance, drawn: _Motion, first_s: float) -> _Course:
+    start_s = first_s if view.path is None else 0.0
+    return _Course(scene, view, appearance.arcs, appearance.axes, drawn, start_s)
 
 
 class _Outliers(NamedTuple):
@@ -228,43 +294,49 @@ _SAMPLES = 257
 
 
 def _stripes(
+    ring: RingShape,
     appearance: Appearance,
     common: CommonErrors,
-    motion: _Motion,
+    course: _Course,
     time_s: Float64[Array, "laser"],
     behind_m: Float64[Array, "laser"],
 ) -> _Stripes:
     """The stripes of all lasers, each at the time of its frame."""
     camera, lasers = common.rig.camera, common.rig.lasers
     point_m = np.full((len(time_s), 2, 3), np.nan)
+    own_m = point_m.copy()  # the same in the ring's axes
     for laser in np.flatnonzero(appearance.lit):
-        moved = appearance.arcs.after(float(time_s[laser]), *motion)
+        moved, axes = course.at(float(time_s[laser]))
         if behind_m[laser]:
             moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
         plane = lasers.normal[[laser]], lasers.distance_m[[laser]]
         point_m[laser] = predicted_break_points(moved, *plane)[0]
         if common.form.any():
-            turned = rotation_by(motion.rate_rad_s * time_s[laser]) @ appearance.axes
-            point_m[laser] += form_displacement(common.form, point_m[laser], moved, turned, plane[0][0])
+            point_m[laser] += form_displacement(common.form, point_m[laser], moved, axes, plane[0][0])
+        own_m[laser] = (point_m[laser] - moved.center) @ axes
+        if behind_m[laser]:
+            own_m[laser] = np.nan  # the surface behind the ring has no gaps
     position_px = project(point_m, camera)
-    inside = inside_image(position_px, BORDER_PX, camera)
-    start_px, end_px, edge_at_start = _clipped(point_m, position_px, inside, camera)
-
+    inside = inside_image(position_px, BORDER_PX, camera) & ~in_gap(ring, own_m)
+    start_px, end_px, edge_at_start = _clipped(ring, point_m, own_m, position_px, inside, camera)
     return _Stripes(np.where(inside[..., None], position_px, np.nan), start_px, end_px, edge_at_start)
 
 
 def _clipped(
+    ring: RingShape,
     point_m: Float64[Array, "laser edge=2 xyz=3"],
+    own_m: Float64[Array, "laser edge=2 xyz=3"],
     position_px: Float64[Array, "laser edge=2 xy=2"],
     inside: Bool[Array, "laser edge=2"],
     camera: Camera,
 ) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Int64[Array, "laser"]]:
-    """Left and right ends of the stripes in the image, and the edge of the left one; NaN for those not in view."""
+    """Left and right ends of the stripes on the face in the image, and the edge of the left one; NaN if not in view."""
     ends_px = position_px.copy()
     for laser in np.flatnonzero(~inside.all(axis=1) & np.isfinite(position_px).all(axis=(1, 2))):
         share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
         shown_px = project(point_m[laser, 0] + share * (point_m[laser, 1] - point_m[laser, 0]), camera)
-        visible = np.flatnonzero(inside_image(shown_px, BORDER_PX, camera))
+        missing = in_gap(ring, own_m[laser, 0] + share * (own_m[laser, 1] - own_m[laser, 0]))
+        visible = np.flatnonzero(inside_image(shown_px, BORDER_PX, camera) & ~missing)
         ends_px[laser] = shown_px[visible[[0, -1]]] if len(visible) else np.nan
     ends_px[~(np.abs(ends_px[:, 1, 0] - ends_px[:, 0, 0]) >= MIN_COLUMNS)] = np.nan
     left = (ends_px[:, 1, 0] < ends_px[:, 0, 0]).astype(np.int64)
@@ -330,10 +402,12 @@ def _edges_of_frames(
     scene: Scene,
     appearance: Appearance,
     common: CommonErrors,
-    motion: _Motion,
+    course: _Course,
     middle_s: Float64[Array, "frame"],
-    reference_s: float,
+    stamp_s: float,
     unit: Float64[Array, "place"],
+    *,
+    moving: bool,
 ) -> RingEdgePoints | None:
     """Points of the visible edges in the frames that the detector searches: of a moving ring two, else one.
 
@@ -342,34 +416,35 @@ def _edges_of_frames(
     """
     numbers = [appearance.edges.frame]
     dark = [number for number, mask in enumerate(scene.sequence) if not mask]
-    if dark and (np.any(motion.velocity_m_s) or np.any(motion.rate_rad_s)):
+    if dark and moving:
         numbers = sorted({dark[0], dark[-1]})
-    parts = [_drawn_edges(appearance, common, motion, float(middle_s[number]), reference_s, unit) for number in numbers]
+    parts = [
+        _drawn_edges(scene.ring, appearance, common, course, float(middle_s[number]), stamp_s, unit)
+        for number in numbers
+    ]
     found = [replace(part, sigma_px=sqrt(len(parts)) * part.sigma_px) for part in parts if part is not None]
     return joined_edge_points(found) if found else None
 
 
 def _drawn_edges(
+    ring: RingShape,
     appearance: Appearance,
     common: CommonErrors,
-    motion: _Motion,
+    course: _Course,
+    time_s: float,
     stamp_s: float,
-    reference_s: float,
     unit: Float64[Array, "place"],
 ) -> RingEdgePoints | None:
-    """Points of the visible edges in a frame at `stamp_s`, with errors by standard normal numbers; None without any.
-
-    The pose holds at `reference_s`.
-    """
-    visible, camera, time_s = appearance.edges, common.rig.camera, stamp_s - reference_s
-    arcs = appearance.arcs.after(time_s, *motion)
+    """Points of the visible edges in a frame, with errors by standard normal numbers; None without any."""
+    visible, camera = appearance.edges, common.rig.camera
+    arcs, axes = course.at(time_s)
     place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
+    own_m = (place_m - arcs.center) @ axes
     if common.form.any():
-        turned = rotation_by(motion.rate_rad_s * time_s) @ appearance.axes
-        radial_m, axial_m = form_deviations(common.form, (place_m - arcs.center) @ turned, visible.edge)
+        radial_m, axial_m = form_deviations(common.form, own_m, visible.edge)
         place_m = place_m + radial_m[:, None] * outward + axial_m[:, None] * arcs.normal
     position_px = project(place_m, camera)
-    shown = inside_image(position_px, EDGE_MARGIN_PX, camera)
+    shown = inside_image(position_px, EDGE_MARGIN_PX, camera) & ~in_gap(ring, own_m)
     if not shown.any():
         return None
     off_face = np.array(EDGE_SIGN)[visible.edge[shown], None] * outward[shown]
@@ -379,7 +454,7 @@ def _drawn_edges(
         normal=normal,
         sigma_px=visible.sigma_px[shown],
         edge=visible.edge[shown],
-        stamp_s=np.full(int(shown.sum()), stamp_s),
+        stamp_s=np.full(int(shown.sum()), stamp_s + time_s),
     )
 
 
@@ -401,9 +476,12 @@ def _truth(
     scene: Scene,
     view: RingView,
     position_px: Float64[Array, "laser edge=2 xy=2"],
+    time_s: float,
     stamp_s: float,
-    motion: _Motion | None,
+    course: _Course,
     outliers: _Outliers,
+    *,
+    moving: bool,
 ) -> Truth:
     """The truth of a drawn shot; the groups name its outliers."""
     names = scene.rig.lasers.names
@@ -423,15 +501,20 @@ def _truth(
         "background": ",".join(names[laser] for laser in np.flatnonzero(outliers.behind_m)),
         "missing": ",".join(names[laser] for laser in np.flatnonzero(outliers.missing)),
     }
+    center_m, normal = view.center_m, view.normal
+    if view.path is not None:
+        arcs, _ = course.at(time_s)
+        center_m, normal = arcs.center, arcs.normal
+    motion = course.motion(time_s) if moving else None
     return Truth(
         shot=view.name,
         expect="pose" if usable == position_px[..., 0].size else "partial",
-        center_m=view.center_m,
-        normal=view.normal,
+        center_m=center_m,
+        normal=normal,
         radius_inner_m=scene.ring.radius_inner_m,
         radius_outer_m=scene.ring.radius_outer_m,
         break_points_px=position_px,
-        stamp_s=stamp_s if motion else None,
+        stamp_s=stamp_s + time_s if motion else None,
         velocity_m_s=motion.velocity_m_s if motion else None,
         angular_velocity_rad_s=motion.rate_rad_s if motion else None,
         groups={"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, **{k: v for k, v in wrong.items() if v}},

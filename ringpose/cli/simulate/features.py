@@ -80,14 +80,19 @@ def deviations_of(
     displaced: str | None,
     background: str | None,
     missing: float | None,
+    *,
+    moves: bool,
 ) -> "Deviations":
-    """The deviations that the options ask for."""
+    """The deviations that the options ask for; velocities are not drawn for a scene whose target `moves`."""
     from ringpose.simulate.features import Deviations
     from ringpose.types.assumptions import motion_prior
 
     standard = Deviations()
     displaced_share, displaced_px = _share_and_range("--displaced", displaced, standard.displaced_px)
     background_share, background_m = _share_and_range("--background", background, standard.background_m)
+    if moves and (max_speed or max_rate):
+        option = "--max-speed" if max_speed else "--max-rate"
+        raise UsageError(option, "draws velocities, but the scene has a motion", "remove one of them")
     motion = motion_prior(max_speed or 0.0, max_rate or 0.0)
     return Deviations(
         rig_errors=rig_errors,

@@ -1,7 +1,7 @@
 """`ringpose simulate`: render shots with ground truth, and calibration views, from a scene."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,9 +19,6 @@ from ringpose.cli.simulate.features import (
     RingTolerance,
 )
 from ringpose.cli.simulate.serve import serve
-
-if TYPE_CHECKING:
-    from ringpose.types.scene import Scene
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
@@ -86,8 +83,7 @@ def simulate(
     read = read_scene(scene)
     seeded = read if seed is None else replace(read, seed=seed)
     if features or output is None:
-        _check_still(read, scene)
-        deviations = deviations_of(*drawn)
+        deviations = deviations_of(*drawn, moves=read.motion is not None)
         write_features(seeded, scene, deviations, count, output, force=force)
         return
     processes = jobs or len(os.sched_getaffinity(0))
@@ -102,18 +98,6 @@ def simulate(
         if boards is not None:
             views = with_progress(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
             folder.add_boards(name, boards.board, views)
-
-
-def _check_still(scene: "Scene", path: Path) -> None:
-    """Features are drawn with velocities and a form of the ring of their own, and of a ring without gaps."""
-    from ringpose.errors import UsageError
-
-    if scene.motion is not None:
-        remedy = "remove it, and draw velocities with --max-speed and --max-rate"
-        raise UsageError(f"{path}: motion", "moves the target in rendered shots only", remedy)
-    if scene.ring.form is not None or scene.ring.gaps:
-        remedy = "remove them, and draw the form with --ring-tolerance"
-        raise UsageError(f"{path}: ring", "has a form or gaps, which rendered shots only have", remedy)
 
 
 app.command("simulate serve")(serve)

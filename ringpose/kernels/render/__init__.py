@@ -37,7 +37,8 @@ class TargetTables(NamedTuple):
     print_y: Float64[Array, "line_y"]
     print_cells: UInt8[Array, "cell_y cell_x"]
     """1 where the print has the material's second coating."""
-    texels_m: Float64[Array, "relief"]
+    texels_m: Float64[Array, "relief 2"]
+    """Side of a texel, and the largest height."""
     heights_m: Float32[Array, "relief texel_y texel_x"]
     slopes: Float32[Array, "relief texel_y texel_x uv=2"]
 
@@ -71,7 +72,7 @@ class PixelImage(NamedTuple):
     """What `render` fills for the chosen pixels."""
 
     radiance: Float32[Array, "source pixel"]
-    """W/(m2 sr): ambient light first, then each laser."""
+    """W/(m2 sr): ambient light first, then each laser; to be filled with zeros before."""
     code: Int32[Array, "pixel"]
     """Equal where two pixels show the same surface, sunlit or not."""
     stripe: UInt8[Array, "pixel"]
@@ -79,9 +80,6 @@ class PixelImage(NamedTuple):
 
 
 WIDE, THIN = 1, 2
-
-SKY_SHADOWS = 1 << 8 | 1 << 9
-"""Bits of the code for the shadows of sun and Earth."""
 
 
 def render(
@@ -96,17 +94,26 @@ def render(
     image: PixelImage,
     pixels: Int64[Array, "chosen"] | None = None,
     samples: int = 1,
+    step: int = 1,
 ) -> None:
     """Fill the image of the chosen pixels, or of all, with the mean over their samples.
 
     `poses` are camera_from_target (rotation in rows, translation) at equal steps of the exposure; a single sample has
     the middle one. `xy` are the rays (x, y, 1) of the pixels and `per_px` their derivatives. The code and the stripe of
-    several samples are those of the last one.
+    several samples are those of the last one. All samples are cast; of those of each surface in a pixel, one in `step`
+    is shaded for all.
     """
     _kernels.render(
-        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, samples,
+        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, step,
         image.radiance, image.code, image.stripe,
     )  # fmt: skip
+
+
+def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
+    """Where a neighbour of the eight shows another surface (2), or another side of the shadow of sun or Earth (1)."""
+    edge = np.empty(code.shape, np.uint8)
+    _kernels.code_edges(code, edge)
+    return edge
 
 
 class Hits(NamedTuple):

@@ -6,7 +6,7 @@
 
 #define PI 3.14159265358979323846
 
-enum { LAMPS = 4, MAX_TIMES = 64, BLOCK = 64, DISC = 64 };
+enum { LAMPS = 4, MAX_TIMES = 64, DISC = 64 };
 
 /* Distance from a sheet, in sigmas of its thickness, beyond which its light is neglected: 4e-5 of the peak. */
 static const double MAX_SIGMAS = 4.5;
@@ -17,10 +17,16 @@ static const double MAX_PIXEL_SIGMAS = 1.25;
 /* Objects farther than this cast no shadow; origins of shadow rays are lifted off their surface. */
 static const double FAR_M = 100, LIFT_M = 1e-7;
 
+/* Shortest way to an intersection that shadows. */
+static const double NEAREST_M = 1e-9;
+
 /* Code of a pixel: surface + 1 in the upper half, then what else changes at edges; laser k has bit k. */
 enum { SUN_SHADOW = 1 << 8, EARTH_SHADOW = 1 << 9, SECOND = 1 << 10, SKY_EARTH = 1 << 11, SKY_SUN = 1 << 12 };
 
 enum { WIDE = 1, THIN = 2 };
+
+/* Surfaces in a pixel whose light is averaged one by one; the others share the last entry. */
+enum { ENTRIES = 6 };
 
 /* Directions are unit vectors towards the light, in the camera frame. */
 typedef struct {
@@ -50,29 +56,20 @@ typedef struct {
     double rotation[9]; /* camera_from_target */
     Vector eye, sun, earth, lit, lamp[LAMPS];
     Vector on_sun[DISC], on_earth[DISC]; /* directions all over the discs; any neighbours in the list are far apart */
-    Laser laser[MAX_LASERS];
+    Vector projector[MAX_LASERS];
 } Stand;
-
-/* Some of the parts. */
-typedef struct {
-    int count, part[MAX_PARTS];
-} Choice;
 
 typedef struct {
     Target target;
     Light light;
     Lamp lamp[LAMPS];
+    Laser laser[MAX_LASERS]; /* in the camera frame */
     Stand stand[MAX_TIMES];
-    Choice all;
     int times, lasers, dark;
+    double moved;    /* largest motion of a projector in the target frame */
     double baseline; /* largest distance of a projector from the camera */
     double relief;   /* largest displacement of a hit by a relief, for rays up to 60 degrees from the normal */
 } Scene;
-
-/* What varies from sample to sample: the time, and the places on the discs of sun and Earth. */
-typedef struct {
-    int time, sun, earth;
-} Draw;
 
 static double fraction(double value) { return value - (double)whole(value); }
 
@@ -86,7 +83,7 @@ static void fill_disc(Vector middle, double radius, Vector place[DISC]) {
     }
 }
 
-static void place(Scene *scene, Stand *stand, const double pose[12], const Laser *laser) {
+static void place(const Scene *scene, Stand *stand, const double pose[12]) {
     const Light *light = &scene->light;
     const Vector translation = {pose[9], pose[10], pose[11]};
     memcpy(stand->rotation, pose, sizeof stand->rotation);
@@ -97,96 +94,250 @@ static void place(Scene *scene, Stand *stand, const double pose[12], const Laser
     if (light->sun > 0) fill_disc(stand->sun, light->sun_radius, stand->on_sun);
     if (light->earth > 0) fill_disc(stand->earth, light->earth_radius, stand->on_earth);
     for (int i = 0; i < LAMPS; i++) stand->lamp[i] = rotated_back(pose, scene->lamp[i].direction);
-    for (int i = 0; i < scene->lasers; i++) {
-        stand->laser[i].normal = rotated_back(pose, laser[i].normal);
-        stand->laser[i].axis = rotated_back(pose, laser[i].axis);
-        stand->laser[i].projector = rotated_back(pose, minus(laser[i].projector, translation));
-        stand->laser[i].distance = laser[i].distance - dot(laser[i].normal, translation);
-        stand->laser[i].on = laser[i].on;
-        scene->baseline = greater(scene->baseline, sqrt(dot(laser[i].projector, laser[i].projector)));
-    }
+    for (int i = 0; i < scene->lasers; i++)
+        stand->projector[i] = rotated_back(pose, minus(scene->laser[i].projector, translation));
 }
 
-/* Whether one of the parts shadows the point of a hit from a light in this direction, at the distance `reach`. */
-static int shadowed(const Scene *scene, const Choice *parts, const Hit *hit, Vector towards, double reach) {
-    const double below = greater(0, dot(minus(hit->flat, hit->point), hit->flat_normal));
-    const Vector start = plus(hit->point, times(below + LIFT_M, hit->flat_normal));
-    const int own = scene->target.part[hit->part].kind == BOX ? hit->part : EMPTY;
-    return blocked(&scene->target, parts->part, parts->count, own, start, times(reach, towards));
-}
-
-static double lit_by(Coating coating, const Hit *hit, Vector to_light, Vector to_eye) {
-    return dot(hit->normal, to_light) * reflectance(coating, hit->normal, to_light, to_eye);
-}
-
-/* Lamps are lobes exp(k (cos - 1)) of light, which the roughness widens in reflection; the walls are uniformly grey. */
-static double laboratory(const Scene *scene, const Stand *stand, Coating coating, Vector normal, Vector to_eye) {
-    const double cosine = dot(normal, to_eye), n_eye = lesser(greater(cosine, 0), 1);
-    const Vector mirrored = minus(times(2 * cosine, normal), to_eye);
-    double matt = 1, glossy = 1;
-    for (int i = 0; i < LAMPS; i++) {
-        const double share = scene->lamp[i].share;
-        matt += share * (greater(dot(stand->lamp[i], normal), 0) - 1);
-        glossy -= share;
-    }
-    if (coating.specular <= 0) return coating.diffuse * matt / PI;
-    for (int i = 0; i < LAMPS; i++) {
-        const double k = 1 / (1 / scene->lamp[i].sharpness + coating.roughness * coating.roughness);
-        glossy += scene->lamp[i].share * k / 2 * exp(k * (lesser(greater(dot(stand->lamp[i], mirrored), -1), 1) - 1));
-    }
-    const double rest = 1 - n_eye, rest2 = rest * rest;
-    return (coating.diffuse * matt + (coating.specular + (1 - coating.specular) * rest2 * rest2 * rest) * glossy) / PI;
-}
-
-/* Parts that may shadow the hits of a block from sun and Earth. */
+/* What varies from sample to sample: the time, and the places on the discs of sun and Earth. */
 typedef struct {
-    Choice sun, earth;
-} Shades;
+    int time, sun, earth;
+} Draw;
 
-static double ambient_light(const Scene *scene, const Stand *stand, const Shades *shades, Coating coating,
-                            const Hit *hit, Vector to_eye, const Draw *draw, uint32_t *code) {
-    const Light *light = &scene->light;
-    double sum = 0;
-    int sunlit = 0;
-    if (light->ambient > 0) sum += light->ambient * laboratory(scene, stand, coating, hit->normal, to_eye);
-    if (light->sun > 0 && dot(hit->flat_normal, stand->sun) > 0) {
-        const int behind = shadowed(scene, &shades->sun, hit, stand->on_sun[draw->sun], FAR_M);
-        sunlit = !behind;
-        if (behind) *code |= SUN_SHADOW;
-        if (sunlit && dot(hit->normal, stand->sun) > 0) sum += light->sun * lit_by(coating, hit, stand->sun, to_eye);
+/* The rays of a block of neighbouring pixels, one sample of each. */
+typedef struct {
+    int64_t pixel[BLOCK];
+    double x[BLOCK], y[BLOCK]; /* ray (x, y, 1) in the camera frame */
+    double turn[BLOCK], other[BLOCK]; /* shifts of the samples of each pixel */
+    Draw draw[BLOCK];
+    Rays rays;
+    Hits hits;
+    float nx[BLOCK], ny[BLOCK], nz[BLOCK]; /* normals of the hits, rounded */
+    float ex[BLOCK], ey[BLOCK], ez[BLOCK]; /* unit vectors to the eye */
+    double depth[BLOCK], cx[BLOCK], cy[BLOCK], footprint[BLOCK]; /* of the hits; rays in the camera frame; per pixel */
+    uint32_t code[BLOCK];
+    uint8_t stripe[BLOCK];
+    int32_t row[BLOCK], column[BLOCK], entry[BLOCK];                        /* entry: of the ray's surface */
+    int32_t surface[ENTRIES][BLOCK], count[ENTRIES][BLOCK], shaded[ENTRIES][BLOCK]; /* of each pixel */
+    double sum[ENTRIES][BLOCK][1 + MAX_LASERS];                             /* radiance of the shaded samples */
+    uint32_t sources;                                                       /* that some ray shows, as bits */
+} Block;
+
+/* The sums of the light of the surface that a ray shows. */
+static double *sum_of(Block *block, int ray) { return block->sum[block->entry[ray]][ray]; }
+
+/* Light that falls on the hits of a block from a point or a distant source. */
+typedef struct {
+    uint8_t on[BLOCK], shadowed[BLOCK]; /* on: hits that are within the light */
+    double x[BLOCK], y[BLOCK], z[BLOCK]; /* unit vectors towards the light */
+    double reach[BLOCK];                 /* and its distance */
+} Beam;
+
+/* Parts of which light may cast a shadow on these hits: those near the bundle from their bounding sphere towards the
+   light. `spread` is the change of radius of the bundle with the distance. */
+static void may_shade(const Scene *scene, const Hits *hits, const Beam *beam, double spread, Choice *choice) {
+    Vector low = {INFINITY, INFINITY, INFINITY}, high = times(-1, low), towards = {0, 0, 0};
+    double reach = 0;
+    choice->count = 0;
+    for (int i = 0; i < hits->count; i++) {
+        if (!beam->on[i]) continue;
+        low = (Vector){lesser(low.x, hits->x[i]), lesser(low.y, hits->y[i]), lesser(low.z, hits->z[i])};
+        high = (Vector){greater(high.x, hits->x[i]), greater(high.y, hits->y[i]), greater(high.z, hits->z[i])};
+        towards = plus(towards, (Vector){beam->x[i], beam->y[i], beam->z[i]});
+        reach = greater(reach, beam->reach[i]);
     }
-    if (light->earth > 0 && dot(hit->flat_normal, stand->lit) > 0 && dot(hit->normal, stand->lit) > 0) {
-        if (shadowed(scene, &shades->earth, hit, stand->on_earth[draw->earth], FAR_M)) {
-            if (!sunlit) *code |= EARTH_SHADOW;
-            return sum;
-        }
-        Coating wide = coating; /* the Earth's disc widens reflections by its own width */
-        wide.roughness = sqrt(coating.roughness * coating.roughness + light->earth_radius * light->earth_radius / 4);
-        sum += light->earth * lit_by(wide, hit, stand->lit, to_eye);
+    if (reach == 0) return;
+    const Vector middle = times(0.5, plus(low, high)), across = minus(high, low), axis = unit(towards);
+    const double radius = sqrt(dot(across, across)) / 2 + scene->relief + scene->moved + LIFT_M;
+    for (int i = 0; i < scene->target.parts; i++) {
+        const Part *part = scene->target.part + i;
+        const Vector to = minus(part->center, middle);
+        const double along = dot(to, axis), aside2 = dot(to, to) - along * along, both = part->radius + radius;
+        const double within = both + greater(along + both, 0) * spread;
+        if (along > -both && along < reach + both && aside2 < within * within) choice->part[choice->count++] = i;
     }
-    return sum;
 }
 
-static double laser_light(const Scene *scene, const Laser *laser, Coating coating, const Hit *hit, Vector to_eye,
-                          double footprint, uint32_t bit, uint32_t *code, uint8_t *stripe) {
-    const Light *light = &scene->light;
-    const double off = dot(laser->normal, hit->point) - laser->distance;
-    const Vector to_projector = minus(laser->projector, hit->point);
-    const double range = sqrt(dot(to_projector, to_projector)), spread = light->divergence * range;
-    const double sigma = sqrt(light->sigma * light->sigma + spread * spread);
-    if (fabs(off) >= MAX_SIGMAS * sigma + footprint) return 0;
-    *stripe |= footprint > MAX_PIXEL_SIGMAS * sigma ? THIN : WIDE;
-    if (fabs(off) >= MAX_SIGMAS * sigma) return 0;
-    const Vector direction = times(1 / range, to_projector);
-    if (shadowed(scene, &scene->all, hit, direction, range)) {
-        *code |= bit;
-        return 0;
+/* Finds which hits within a beam are in the shadow of a part. */
+static void find_shadows(const Scene *scene, const Hits *hits, double spread, Beam *beam) {
+    Rays rays;
+    Choice choice;
+    int32_t hit[BLOCK];
+    memset(beam->shadowed, 0, sizeof beam->shadowed);
+    may_shade(scene, hits, beam, spread, &choice);
+    if (choice.count == 0) return;
+    rays.count = 0;
+    for (int i = 0; i < hits->count; i++) {
+        if (!beam->on[i]) continue;
+        const double lift = hits->below[i] + LIFT_M, reach = beam->reach[i];
+        const int at = rays.count++;
+        hit[at] = i;
+        rays.ox[at] = hits->x[i] + lift * hits->fx[i];
+        rays.oy[at] = hits->y[i] + lift * hits->fy[i];
+        rays.oz[at] = hits->z[i] + lift * hits->fz[i];
+        rays.dx[at] = reach * beam->x[i], rays.dy[at] = reach * beam->y[i], rays.dz[at] = reach * beam->z[i];
+        rays.least[at] = NEAREST_M / reach;
+        rays.best[at] = 1;
+        rays.own[at] = scene->target.part[hits->part[i]].kind == BOX ? hits->part[i] : EMPTY;
     }
-    const double along = -dot(laser->axis, to_projector), aside = -dot(cross(laser->normal, laser->axis), to_projector);
-    if (dot(hit->normal, direction) <= 0 || dot(hit->flat_normal, direction) <= 0) return 0;
-    if (fabs(atan2(aside, along)) > light->fan / 2) return 0;
-    const double across = exp(-0.5 * off * off / (sigma * sigma)) / (sqrt(2 * PI) * sigma);
-    return light->power / (light->fan * range) * across * lit_by(coating, hit, direction, to_eye);
+    intersect(&scene->target, &choice, &rays);
+    for (int i = 0; i < rays.count; i++) beam->shadowed[hit[i]] = rays.part[i] != EMPTY;
+}
+
+/* exp(x) for x from -87 to 0, relative error 2e-7: 2^n times a polynomial of the rest. */
+static inline float exponential(float x) {
+    const float scaled = x * 1.44269504f;
+    const int32_t whole_part = (int32_t)(scaled - 0.5f), bits = (whole_part + 127) << 23;
+    const float r = (scaled - (float)whole_part) * 0.69314718f;
+    float power;
+    memcpy(&power, &bits, sizeof power);
+    return power * (1 + r * (1 + r * (0.5f + r * (0.166666667f + r * (0.0416666667f + r * (8.3333e-3f + r * 1.3889e-3f))))));
+}
+
+/* Light of a laboratory. Lamps are lobes exp(k (cos - 1)) of light, which the roughness widens in reflection; the walls
+   are uniformly grey. The lamps stand as in the middle of the exposure: they are wide. */
+VECTOR_LOOP static void add_laboratory(const Scene *restrict scene, const Block *restrict block,
+                                       float *restrict radiance) {
+    const int count = block->hits.count;
+    const Hits *hits = &block->hits;
+    const Stand *stand = scene->stand + scene->times / 2;
+    const float irradiance = (float)(scene->light.ambient / PI);
+    float mx[BLOCK], my[BLOCK], mz[BLOCK], matt[BLOCK], glossy[BLOCK], walls = 1;
+    for (int k = 0; k < LAMPS; k++) walls -= (float)scene->lamp[k].share;
+    for (int i = 0; i < count; i++) { /* the directions that the eye sees mirrored */
+        const float nx = block->nx[i], ny = block->ny[i], nz = block->nz[i];
+        const float ex = block->ex[i], ey = block->ey[i], ez = block->ez[i], twice = 2 * (nx * ex + ny * ey + nz * ez);
+        mx[i] = twice * nx - ex, my[i] = twice * ny - ey, mz[i] = twice * nz - ez;
+        matt[i] = glossy[i] = walls;
+    }
+    for (int k = 0; k < LAMPS; k++) {
+        const float x = (float)stand->lamp[k].x, y = (float)stand->lamp[k].y, z = (float)stand->lamp[k].z;
+        const float share = (float)scene->lamp[k].share, width = (float)(1 / scene->lamp[k].sharpness);
+        for (int i = 0; i < count; i++) {
+            const float facing = x * block->nx[i] + y * block->ny[i] + z * block->nz[i];
+            const float sharpness = 1 / (width + hits->roughness[i] * hits->roughness[i]);
+            const float off = x * mx[i] + y * my[i] + z * mz[i] - 1;
+            matt[i] += share / 2 * (facing + fabsf(facing)); /* of the facing side alone */
+            glossy[i] += share * sharpness / 2 * exponential(sharpness / 2 * (off - fabsf(off)));
+        }
+    }
+    for (int i = 0; i < count; i++) {
+        const float cosine = block->nx[i] * block->ex[i] + block->ny[i] * block->ey[i] + block->nz[i] * block->ez[i];
+        const float rest = 1 - (cosine < 0 ? 0 : cosine < 1 ? cosine : 1), rest2 = rest * rest;
+        const float specular = hits->specular[i], fresnel = specular + (1 - specular) * rest2 * rest2 * rest;
+        radiance[i] = irradiance * (hits->diffuse[i] * matt[i] + fresnel * glossy[i] * (float)(specular > 0));
+    }
+}
+
+/* The BRDF times the cosine for each hit in the light of a beam; `widening` is added to the roughness in quadrature. */
+VECTOR_LOOP static void reflect(const Block *restrict block, const Beam *restrict beam, float widening,
+                                float *restrict reflected) {
+    const Hits *hits = &block->hits;
+    const int count = hits->count;
+    for (int i = 0; i < count; i++) {
+        const float nx = block->nx[i], ny = block->ny[i], nz = block->nz[i];
+        const float lx = (float)beam->x[i], ly = (float)beam->y[i], lz = (float)beam->z[i];
+        const float roughness = sqrtf(hits->roughness[i] * hits->roughness[i] + widening * widening);
+        const float cosine = nx * lx + ny * ly + nz * lz;
+        const float value = brdf(hits->diffuse[i], hits->specular[i], roughness, nx, ny, nz, lx, ly, lz, block->ex[i],
+                                 block->ey[i], block->ez[i]);
+        const float lit = (float)(beam->on[i] & (beam->shadowed[i] ^ 1));
+        reflected[i] = lit * (cosine > 0 ? cosine : 0) * value;
+    }
+}
+
+/* Light from a disc in the sky, whose direction may change with the time, on the hits whose flat surface faces it; it
+   is shadowed if a part hides the place on the disc that was drawn. */
+static void find_disc(const Scene *scene, const Block *block, int is_sun, double radius, Beam *beam) {
+    const Hits *hits = &block->hits;
+    const Vector turned = minus(scene->stand[scene->times - 1].sun, scene->stand[0].sun);
+    Beam drawn;
+    for (int i = 0; i < hits->count; i++) {
+        const Draw *draw = block->draw + hits->ray[i];
+        const Stand *stand = scene->stand + draw->time;
+        const Vector light = is_sun ? stand->sun : stand->lit;
+        const Vector place = is_sun ? stand->on_sun[draw->sun] : stand->on_earth[draw->earth];
+        beam->x[i] = light.x, beam->y[i] = light.y, beam->z[i] = light.z;
+        drawn.x[i] = place.x, drawn.y[i] = place.y, drawn.z[i] = place.z;
+        drawn.reach[i] = FAR_M;
+        beam->on[i] = drawn.on[i] = hits->fx[i] * light.x + hits->fy[i] * light.y + hits->fz[i] * light.z > 0;
+    }
+    find_shadows(scene, hits, 2.2 * tan(radius) + sqrt(dot(turned, turned)), &drawn);
+    memcpy(beam->shadowed, drawn.shadowed, sizeof beam->shadowed);
+}
+
+static void add_ambient(const Scene *scene, Block *block) {
+    const Light *light = &scene->light;
+    const Hits *hits = &block->hits;
+    float radiance[BLOCK] = {0}, reflected[BLOCK];
+    uint8_t sunlit[BLOCK] = {0};
+    Beam beam;
+    if (light->ambient > 0) add_laboratory(scene, block, radiance);
+    if (light->sun > 0) {
+        find_disc(scene, block, 1, light->sun_radius, &beam);
+        reflect(block, &beam, 0, reflected);
+        for (int i = 0; i < hits->count; i++) {
+            sunlit[i] = beam.on[i] && !beam.shadowed[i];
+            if (beam.shadowed[i]) block->code[hits->ray[i]] |= SUN_SHADOW;
+            radiance[i] += (float)light->sun * reflected[i];
+        }
+    }
+    if (light->earth > 0) { /* its disc widens reflections by its own width */
+        find_disc(scene, block, 0, light->earth_radius, &beam);
+        reflect(block, &beam, (float)light->earth_radius / 2, reflected);
+        for (int i = 0; i < hits->count; i++) {
+            if (beam.shadowed[i] && !sunlit[i]) block->code[hits->ray[i]] |= EARTH_SHADOW;
+            radiance[i] += (float)light->earth * reflected[i];
+        }
+    }
+    for (int i = 0; i < hits->count; i++) sum_of(block, hits->ray[i])[0] += radiance[i];
+}
+
+/* Distances of the hits from a sheet of light, and its thickness there, in the camera frame. */
+VECTOR_LOOP static void find_sheet(const Scene *scene, const Laser *laser, const Block *block, double off[BLOCK],
+                                   double sigma[BLOCK], double range[BLOCK]) {
+    const double least2 = scene->light.sigma * scene->light.sigma, divergence = scene->light.divergence;
+    const Vector normal = laser->normal, projector = laser->projector;
+    for (int i = 0; i < block->hits.count; i++) {
+        const double z = block->depth[i], x = z * block->cx[i], y = z * block->cy[i];
+        const double px = projector.x - x, py = projector.y - y, pz = projector.z - z;
+        range[i] = sqrt(px * px + py * py + pz * pz);
+        sigma[i] = sqrt(least2 + divergence * range[i] * divergence * range[i]);
+        off[i] = normal.x * x + normal.y * y + normal.z * z - laser->distance;
+    }
+}
+
+static void add_laser(const Scene *scene, int number, Block *block) {
+    const Light *light = &scene->light;
+    const Laser *laser = scene->laser + number;
+    const Hits *hits = &block->hits;
+    double off[BLOCK], sigma[BLOCK], range[BLOCK];
+    float reflected[BLOCK];
+    int any = 0;
+    Beam beam;
+    find_sheet(scene, laser, block, off, sigma, range);
+    for (int i = 0; i < hits->count; i++) {
+        const Vector projector = scene->stand[block->draw[hits->ray[i]].time].projector[number];
+        beam.on[i] = fabs(off[i]) < MAX_SIGMAS * sigma[i];
+        beam.x[i] = (projector.x - hits->x[i]) / range[i];
+        beam.y[i] = (projector.y - hits->y[i]) / range[i];
+        beam.z[i] = (projector.z - hits->z[i]) / range[i];
+        beam.reach[i] = range[i];
+        any |= beam.on[i];
+        if (fabs(off[i]) < MAX_SIGMAS * sigma[i] + block->footprint[i])
+            block->stripe[hits->ray[i]] |= block->footprint[i] > MAX_PIXEL_SIGMAS * sigma[i] ? THIN : WIDE;
+    }
+    if (!any) return;
+    find_shadows(scene, hits, 0, &beam);
+    reflect(block, &beam, 0, reflected);
+    for (int i = 0; i < hits->count; i++) {
+        if (beam.shadowed[i]) block->code[hits->ray[i]] |= 1u << number;
+        if (reflected[i] <= 0 || hits->fx[i] * beam.x[i] + hits->fy[i] * beam.y[i] + hits->fz[i] * beam.z[i] <= 0) continue;
+        const double z = block->depth[i];
+        const Vector from = minus((Vector){z * block->cx[i], z * block->cy[i], z}, laser->projector);
+        if (fabs(atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from))) > light->fan / 2) continue;
+        const double across = exp(-0.5 * off[i] * off[i] / (sigma[i] * sigma[i])) / (sqrt(2 * PI) * sigma[i]);
+        sum_of(block, hits->ray[i])[1 + number] += light->power / (light->fan * range[i]) * across * reflected[i];
+    }
 }
 
 /* Black sky, with the discs of Earth and sun. */
@@ -209,75 +360,104 @@ static double sky(const Scene *scene, const Stand *stand, Vector direction, uint
     return 0;
 }
 
-typedef struct {
-    Vector direction;
-    Hit hit;
-    Draw draw;
-} Ray;
+/* Lasers that are on and whose sheets pass near some ray's hit, as bits; `wanted`: which rays' hits are near one. */
+VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Block *restrict block,
+                                         uint8_t *restrict wanted) {
+    const Rays *rays = &block->rays;
+    const int count = rays->count;
+    uint32_t lasers = 0;
+    memset(wanted, 0, BLOCK);
+    for (int k = 0; k < scene->lasers; k++) {
+        const Laser *laser = scene->laser + k;
+        const double nx = laser->normal.x, ny = laser->normal.y, nz = laser->normal.z, distance = laser->distance;
+        const double least = MAX_SIGMAS * (scene->light.sigma + scene->light.divergence * scene->baseline) + scene->relief;
+        const double slope = MAX_SIGMAS * scene->light.divergence, per_px = scene->light.angle_per_px;
+        int any = 0;
+        if (laser->on <= 0) continue;
+        for (int i = 0; i < count; i++) {
+            const double x = block->x[i], y = block->y[i], depth = rays->best[i];
+            const double limit = least + depth * (slope * sqrt(x * x + y * y + 1) + per_px);
+            const int near = (rays->part[i] != EMPTY) & (fabs(depth * (nx * x + ny * y + nz) - distance) < limit);
+            wanted[i] |= (uint8_t)near;
+            any |= near;
+        }
+        lasers |= (uint32_t)any << k;
+    }
+    return lasers;
+}
 
-/* Adds the radiance of one ray, by source: ambient light first, then each laser. `size` is that of a sample in pixels. */
-static void shade(const Scene *scene, const Shades *shades, const Ray *ray, double size, double *sum, uint32_t *code,
-                  uint8_t *stripe) {
-    const Stand *stand = scene->stand + ray->draw.time;
-    const Vector direction = ray->direction;
-    Hit hit = ray->hit;
-    int second;
-    *code = 0;
-    *stripe = 0;
-    if (hit.part == EMPTY) {
-        if (!scene->dark) sum[0] += sky(scene, stand, direction, code);
+/* Counts the samples of each surface in each pixel, and chooses those that are shaded: the first, and then one in
+   `step`. */
+static void choose_shaded(Block *block, int step, uint8_t chosen[BLOCK]) {
+    if (step == 1) { /* all of them, into one entry */
+        memset(chosen, 1, BLOCK);
+        memset(block->entry, 0, sizeof block->entry);
+        for (int i = 0; i < block->rays.count; i++) block->count[0][i] = 1;
         return;
     }
-    *code = (uint32_t)(hit.surface + 1) << 16;
-    const double footprint = scene->light.angle_per_px * hit.parameter, length = sqrt(dot(direction, direction));
-    const double range = hit.parameter * length + scene->baseline;
-    const double limit = MAX_SIGMAS * (scene->light.sigma + scene->light.divergence * range) + footprint + scene->relief;
-    const Vector flat = plus(stand->eye, times(hit.parameter, direction));
-    uint32_t near = 0;
-    for (int i = 0; i < scene->lasers; i++)
-        if (stand->laser[i].on > 0 && fabs(dot(stand->laser[i].normal, flat) - stand->laser[i].distance) < limit)
-            near |= 1u << i;
-    if (scene->dark && !near) return;
-    complete_hit(&scene->target, stand->eye, direction, &hit);
-    const Vector to_eye = times(-1 / length, direction);
-    const double oblique = greater(fabs(dot(hit.flat_normal, to_eye)), 0.05);
-    const Coating coating = coating_at(&scene->target, &hit, footprint * size / oblique, &second);
-    if (second) *code |= SECOND;
-    if (!scene->dark) sum[0] += ambient_light(scene, stand, shades, coating, &hit, to_eye, &ray->draw, code);
-    for (int i = 0; i < scene->lasers; i++)
-        if (near >> i & 1)
-            sum[1 + i] += laser_light(scene, stand->laser + i, coating, &hit, to_eye, footprint, 1u << i, code, stripe);
-}
-
-/* Parts of which a light at infinity may cast a shadow on a sphere; the light's disc and its motion have this radius. */
-static void may_shade(const Scene *scene, Vector middle, double radius, Vector to_light, double light_radius,
-                      Choice *choice) {
-    choice->count = 0;
-    for (int i = 0; i < scene->target.parts; i++) {
-        const Part *part = scene->target.part + i;
-        const Vector to = minus(part->center, middle);
-        const double along = dot(to, to_light), aside2 = dot(to, to) - along * along, both = part->radius + radius;
-        const double reach = both + greater(along + both, 0) * light_radius;
-        if (along > -both && aside2 < reach * reach) choice->part[choice->count++] = i;
+    for (int i = 0; i < block->rays.count; i++) {
+        const int32_t surface = (int32_t)(block->code[i] >> 16);
+        int entry = 0;
+        while (entry < ENTRIES - 1 && block->count[entry][i] > 0 && block->surface[entry][i] != surface) entry++;
+        block->surface[entry][i] = surface;
+        chosen[i] = entry == ENTRIES - 1 || block->count[entry][i] % step == 0;
+        block->count[entry][i]++;
+        block->shaded[entry][i] += chosen[i];
+        block->entry[i] = entry;
     }
 }
 
-static void find_shades(const Scene *scene, const Ray *ray, int count, Shades *shades) {
-    Vector low = {INFINITY, INFINITY, INFINITY}, high = times(-1, low);
+/* What the shading of the hits needs from their rays. */
+VECTOR_LOOP static void find_views(double angle_per_px, double size, Block *restrict block, double *restrict width) {
+    const Hits *hits = &block->hits;
+    const int count = hits->count;
     for (int i = 0; i < count; i++) {
-        if (ray[i].hit.part == EMPTY) continue;
-        const Vector at = plus(scene->stand[ray[i].draw.time].eye, times(ray[i].hit.parameter, ray[i].direction));
-        low = (Vector){lesser(low.x, at.x), lesser(low.y, at.y), lesser(low.z, at.z)};
-        high = (Vector){greater(high.x, at.x), greater(high.y, at.y), greater(high.z, at.z)};
+        const double dx = hits->dx[i], dy = hits->dy[i], dz = hits->dz[i], scale = -1 / sqrt(dx * dx + dy * dy + dz * dz);
+        const double ex = scale * dx, ey = scale * dy, ez = scale * dz, footprint = angle_per_px * hits->best[i];
+        const double oblique = greater(fabs(hits->fx[i] * ex + hits->fy[i] * ey + hits->fz[i] * ez), 0.05);
+        block->nx[i] = (float)hits->nx[i], block->ny[i] = (float)hits->ny[i], block->nz[i] = (float)hits->nz[i];
+        block->ex[i] = (float)ex, block->ey[i] = (float)ey, block->ez[i] = (float)ez;
+        block->footprint[i] = footprint;
+        width[i] = footprint * size / oblique;
     }
-    if (low.x > high.x) return;
-    const Stand *first = scene->stand, *last = scene->stand + scene->times - 1, *stand = scene->stand + scene->times / 2;
-    const Vector middle = times(0.5, plus(low, high)), across = minus(high, low), turned = minus(last->sun, first->sun);
-    const double radius = sqrt(dot(across, across)) / 2 + scene->relief + LIFT_M, moved = sqrt(dot(turned, turned));
-    if (scene->light.sun > 0)
-        may_shade(scene, middle, radius, stand->sun, 1.1 * tan(scene->light.sun_radius) + moved, &shades->sun);
-    if (scene->light.earth > 0)
-        may_shade(scene, middle, radius, stand->earth, 1.1 * tan(scene->light.earth_radius) + moved, &shades->earth);
+}
+
+/* Adds the radiance of the rays, by source: ambient light first, then each laser. `size` is that of a sample in pixels;
+   of the samples of a surface in a pixel, one in `step` is shaded. */
+static void shade(const Scene *scene, double size, int step, Block *block) {
+    const Rays *rays = &block->rays;
+    Hits *hits = &block->hits;
+    uint8_t near[BLOCK], wanted[BLOCK];
+    double width[BLOCK];
+    const uint32_t lasers = find_stripes(scene, block, near);
+    for (int i = 0; i < rays->count; i++) {
+        block->stripe[i] = 0;
+        block->code[i] = 0;
+        if (rays->part[i] != EMPTY)
+            block->code[i] = (uint32_t)((int)scene->target.part[rays->part[i]].first_surface + (int)rays->face[i] + 1) << 16;
+    }
+    choose_shaded(block, step, wanted);
+    for (int i = 0; i < rays->count; i++) {
+        if (scene->dark) wanted[i] &= near[i];
+        if (rays->part[i] == EMPTY && wanted[i] && !scene->dark)
+            sum_of(block, i)[0] += sky(scene, scene->stand + block->draw[i].time,
+                                       (Vector){rays->dx[i], rays->dy[i], rays->dz[i]}, block->code + i);
+    }
+    if (scene->dark && !lasers) return;
+    complete_hits(&scene->target, rays, wanted, hits);
+    find_views(scene->light.angle_per_px, size, block, width);
+    find_coatings(&scene->target, width, hits);
+    for (int i = 0; i < hits->count; i++)
+        if (hits->second[i]) block->code[hits->ray[i]] |= SECOND;
+    if (!scene->dark) add_ambient(scene, block);
+    if (!lasers) return;
+    block->sources |= lasers << 1;
+    for (int i = 0; i < hits->count; i++) {
+        block->cx[i] = block->x[hits->ray[i]], block->cy[i] = block->y[hits->ray[i]];
+        block->depth[i] = hits->parameter[i];
+    }
+    for (int k = 0; k < scene->lasers; k++)
+        if (lasers >> k & 1) add_laser(scene, k, block);
 }
 
 typedef struct {
@@ -285,10 +465,10 @@ typedef struct {
     const double *per_px[2][2];    /* its derivatives along the row and the column */
     size_t pixels;
     int width;
-} Rays;
+} PixelRays;
 
 /* Parts whose bounding sphere a cone around the rays may meet, at the first, the middle or the last time. */
-static void parts_near(const Scene *scene, const Rays *rays, const int64_t *pixel, int count, Choice *choice) {
+static void parts_near(const Scene *scene, const PixelRays *rays, const int64_t *pixel, int count, Choice *choice) {
     double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1;
     choice->count = 0;
     for (int i = 0; i < count; i++) {
@@ -323,66 +503,115 @@ static double reversed(int number, int base) {
     return sum;
 }
 
-/* Samples of a pixel: a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated
-   by the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
-static void draw_sample(const Scene *scene, int sample, int samples, uint32_t column, uint32_t row, double shift_px[2],
-                        Draw *draw) {
-    const double turn = fraction(0.7548776662 * (double)column + 0.5698402910 * (double)row);
-    const int first = (int)(turn * DISC);
-    draw->sun = (first + sample) % DISC;
-    draw->earth = (7 * first + 5 * sample + 3) % DISC;
-    shift_px[0] = shift_px[1] = 0;
-    draw->time = scene->times / 2;
-    if (samples == 1) return;
-    const double other = fraction(0.8191725134 * (double)column + 0.6710436067 * (double)row);
-    shift_px[0] = fraction((double)sample / samples + turn) - 0.5;
-    shift_px[1] = reversed(sample, 2) + 0.5 / samples - 0.5;
-    if (scene->times > 1) draw->time = (int)(fraction(reversed(sample, 3) + other) * scene->times);
-}
-
-/* One sample of each pixel of a block. */
-static void cast_block(const Scene *scene, const Rays *rays, const Choice *parts, const int64_t *pixel, int count,
-                       int sample, int samples, Ray *ray) {
-    int guess = 0;
+/* Directions of rays of one time. */
+VECTOR_LOOP static void aim(const Stand *restrict stand, const Block *restrict block, Rays *restrict rays) {
+    const double *m = stand->rotation;
+    const Vector eye = stand->eye;
+    const int count = rays->count;
     for (int i = 0; i < count; i++) {
-        const int64_t at = pixel[i];
-        double shift_px[2], x = rays->x[at], y = rays->y[at];
-        draw_sample(scene, sample, samples, (uint32_t)at % (uint32_t)rays->width, (uint32_t)at / (uint32_t)rays->width,
-                    shift_px, &ray[i].draw);
-        if (samples > 1) {
-            x += shift_px[0] * rays->per_px[0][0][at] + shift_px[1] * rays->per_px[1][0][at];
-            y += shift_px[0] * rays->per_px[0][1][at] + shift_px[1] * rays->per_px[1][1][at];
-        }
-        const Stand *stand = scene->stand + ray[i].draw.time;
-        ray[i].direction = rotated_back(stand->rotation, (Vector){x, y, 1});
-        if (first_hit(&scene->target, parts->part, parts->count, guess, stand->eye, ray[i].direction, &ray[i].hit))
-            for (guess = 0; parts->part[guess] != ray[i].hit.part;) guess++;
+        const double x = block->x[i], y = block->y[i];
+        rays->ox[i] = eye.x, rays->oy[i] = eye.y, rays->oz[i] = eye.z;
+        rays->dx[i] = m[0] * x + m[3] * y + m[6];
+        rays->dy[i] = m[1] * x + m[4] * y + m[7];
+        rays->dz[i] = m[2] * x + m[5] * y + m[8];
     }
 }
 
-static void render_all(const Scene *scene, const Rays *rays, const int64_t *chosen_pixel, size_t count, int samples,
-                       float *radiance, uint32_t *code, uint8_t *stripe) {
-    uint32_t unused_code;
-    uint8_t unused_stripe;
-    Ray ray[BLOCK];
-    Choice parts;
-    Shades shades;
-    for (size_t start = 0; start < count; start += BLOCK) {
-        int64_t pixel[BLOCK];
-        double sum[BLOCK][1 + MAX_LASERS] = {{0}};
-        const int entries = (int)(count - start < BLOCK ? count - start : BLOCK);
-        for (int i = 0; i < entries; i++) pixel[i] = chosen_pixel ? chosen_pixel[start + i] : (int64_t)(start + i);
-        parts_near(scene, rays, pixel, entries, &parts);
-        for (int sample = 0; sample < samples; sample++) {
-            cast_block(scene, rays, &parts, pixel, entries, sample, samples, ray);
-            if (!scene->dark) find_shades(scene, ray, entries, &shades);
-            for (int i = 0; i < entries; i++)
-                shade(scene, &shades, ray + i, 1 / sqrt(samples), sum[i], code ? code + pixel[i] : &unused_code,
-                      stripe ? stripe + pixel[i] : &unused_stripe);
+/* One sample of each pixel of a block: its rays, and where they hit the target.
+
+   The samples are a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated by
+   the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
+static void cast_block(const Scene *scene, const PixelRays *rays, const Choice *parts, int sample, int samples,
+                       Block *block) {
+    Rays *cast = &block->rays;
+    const double column = (double)sample / samples, row_px = reversed(sample, 2) + 0.5 / samples - 0.5;
+    const double when = reversed(sample, 3);
+    for (int i = 0; i < cast->count; i++) {
+        const int64_t at = block->pixel[i];
+        const int first = (int)(block->turn[i] * DISC);
+        double x = rays->x[at], y = rays->y[at];
+        Draw *draw = block->draw + i;
+        *draw = (Draw){scene->times / 2, (first + sample) % DISC, (7 * first + 5 * sample + 3) % DISC};
+        if (samples > 1) {
+            const double column_px = fraction(column + block->turn[i]) - 0.5;
+            x += column_px * rays->per_px[0][0][at] + row_px * rays->per_px[1][0][at];
+            y += column_px * rays->per_px[0][1][at] + row_px * rays->per_px[1][1][at];
+            if (scene->times > 1) draw->time = (int)(fraction(when + block->other[i]) * scene->times);
         }
-        for (int i = 0; i < entries; i++)
+        block->x[i] = x, block->y[i] = y;
+        cast->least[i] = 0;
+        cast->best[i] = INFINITY;
+        cast->own[i] = EMPTY;
+        if (samples == 1 || scene->times == 1) continue;
+        const Stand *stand = scene->stand + draw->time;
+        const Vector direction = rotated_back(stand->rotation, (Vector){x, y, 1});
+        cast->ox[i] = stand->eye.x, cast->oy[i] = stand->eye.y, cast->oz[i] = stand->eye.z;
+        cast->dx[i] = direction.x, cast->dy[i] = direction.y, cast->dz[i] = direction.z;
+    }
+    if (samples == 1 || scene->times == 1) aim(scene->stand + scene->times / 2, block, cast);
+    intersect(&scene->target, parts, cast);
+}
+
+/* The next pixels of an image, or of those chosen, as a block: a tile of an image of several rows. */
+static int next_pixels(const PixelRays *rays, const int64_t *chosen, size_t count, size_t *next, Block *block) {
+    enum { ROWS = 4, COLUMNS = BLOCK / ROWS };
+    const size_t width = (size_t)rays->width, height = count / width, across = (width + COLUMNS - 1) / COLUMNS;
+    int entries = 0;
+    if (chosen || height < ROWS || height * width < count) {
+        for (; *next < count && entries < BLOCK; ++*next, ++entries) {
+            const uint32_t at = chosen ? (uint32_t)chosen[*next] : (uint32_t)*next;
+            block->pixel[entries] = at;
+            block->row[entries] = (int32_t)(at / (uint32_t)width);
+            block->column[entries] = (int32_t)(at % (uint32_t)width);
+        }
+        return entries;
+    }
+    const size_t top = *next / across * ROWS, left = *next % across * COLUMNS;
+    for (size_t row = top; row < top + ROWS && row < height; row++)
+        for (size_t column = left; column < left + COLUMNS && column < width; column++, entries++) {
+            block->pixel[entries] = (int64_t)(row * width + column);
+            block->row[entries] = (int32_t)row;
+            block->column[entries] = (int32_t)column;
+        }
+    ++*next;
+    return entries;
+}
+
+static void render_all(const Scene *scene, const PixelRays *rays, const int64_t *chosen, size_t count, int samples,
+                       int step, float *radiance, uint32_t *code, uint8_t *stripe) {
+    Block block;
+    Choice parts;
+    const int entries = step == 1 ? 1 : ENTRIES;
+    const double per_sample = 1.0 / samples;
+    for (size_t next = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, &block)) > 0;) {
+        for (int k = 0; k < entries; k++) {
+            memset(block.sum[k], 0, sizeof block.sum[k]);
+            memset(block.count[k], 0, sizeof block.count[k]);
+            memset(block.shaded[k], 0, sizeof block.shaded[k]);
+        }
+        for (int i = 0; i < block.rays.count; i++) {
+            block.turn[i] = fraction(0.7548776662 * block.column[i] + 0.5698402910 * block.row[i]);
+            block.other[i] = fraction(0.8191725134 * block.column[i] + 0.6710436067 * block.row[i]);
+        }
+        block.sources = 1;
+        parts_near(scene, rays, block.pixel, block.rays.count, &parts);
+        for (int sample = 0; sample < samples; sample++) {
+            cast_block(scene, rays, &parts, sample, samples, &block);
+            shade(scene, 1 / sqrt(samples), step, &block);
+        }
+        for (int i = 0; i < block.rays.count; i++) {
+            const size_t at = (size_t)block.pixel[i];
+            double sum[1 + MAX_LASERS] = {0};
+            for (int entry = 0; entry < entries && block.count[entry][i] > 0; entry++) {
+                const double share = step == 1 ? 1 : (double)block.count[entry][i] / block.shaded[entry][i];
+                for (int k = 0; k <= scene->lasers; k++)
+                    if (block.sources >> k & 1) sum[k] += share * block.sum[entry][i][k];
+            }
             for (int k = 0; k <= scene->lasers; k++)
-                radiance[(size_t)k * rays->pixels + (size_t)pixel[i]] = (float)(sum[i][k] / samples);
+                if (chosen || block.sources >> k & 1) radiance[(size_t)k * rays->pixels + at] = (float)(sum[k] * per_sample);
+            if (code) code[at] = block.code[i];
+            if (stripe) stripe[at] = block.stripe[i];
+        }
     }
 }
 
@@ -391,7 +620,7 @@ static void render_all(const Scene *scene, const Rays *rays, const int64_t *chos
     {"parts", 'd', {ANY, NUMBERS(Part)}}, {"points", 'd', {ANY, 2}}, {"gaps", 'd', {ANY, NUMBERS(Gap)}}, \
         {"forms", 'd', {ANY, NUMBERS(Form)}}, {"material_of", 'i', {ANY}}, \
         {"materials", 'd', {ANY, NUMBERS(Material)}}, {"print_x", 'd', {ANY}}, {"print_y", 'd', {ANY}}, \
-        {"print", 'B', {ANY, ANY}}, {"texels", 'd', {K}}, {"heights", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS}}, \
+        {"print", 'B', {ANY, ANY}}, {"texels", 'd', {K, 2}}, {"heights", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS}}, \
         {"slopes", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS, 2}}
 enum { AFTER_TARGET = 12 };
 
@@ -419,7 +648,7 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         TARGET,
         {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}},
         {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, {"width", 'L', {1, 1 << 30}},
-        {"?pixels", 'q', {ANY}}, {"samples", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}}, {">?code", 'i', {N}},
+        {"?pixels", 'q', {ANY}}, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}}, {">?code", 'i', {N}},
         {">?stripe", 'B', {N}}};
     Arguments arguments;
     (void)module;
@@ -431,7 +660,7 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
     const size_t pixels = (size_t)view[4].shape[1];
     int fits = open_target(&arguments, &scene->target) &&
                require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS &&
-                           view[9].shape[0] == view[2].shape[0] + 1 && (view[5].obj || number[8][0] == 1),
+                           view[10].shape[0] == view[2].shape[0] + 1 && (view[5].obj || number[8][0] == 1),
                        "poses, lasers and radiance do not fit each other");
     const int64_t *chosen = view[7].obj ? view[7].buf : NULL;
     const size_t count = chosen ? (size_t)view[7].shape[0] : pixels;
@@ -439,25 +668,36 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         fits = require(chosen[i] >= 0 && (size_t)chosen[i] < pixels, "a pixel is outside the image");
     if (fits) {
         const double *xy = view[4].buf, *per_px = view[5].obj ? view[5].buf : NULL;
-        Rays rays = {xy, xy + pixels, {{NULL, NULL}, {NULL, NULL}}, pixels, (int)number[6][0]};
+        PixelRays rays = {xy, xy + pixels, {{NULL, NULL}, {NULL, NULL}}, pixels, (int)number[6][0]};
         for (int i = 0; per_px && i < 4; i++) rays.per_px[i / 2][i % 2] = per_px + (size_t)i * pixels;
         memcpy(&scene->light, number[3], sizeof(Light));
         memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
         scene->times = (int)view[0].shape[0];
         scene->lasers = (int)view[2].shape[0];
-        for (Py_ssize_t i = 0; i < arguments.view[9].shape[0] * RELIEF_TEXELS * RELIEF_TEXELS; i++)
-            scene->relief = greater(scene->relief, 2 * fabs(scene->target.height[i]));
-        for (scene->all.count = 0; scene->all.count < scene->target.parts; scene->all.count++)
-            scene->all.part[scene->all.count] = scene->all.count;
+        for (Py_ssize_t i = 0; i < arguments.view[9].shape[0]; i++)
+            scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
+        memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
+        for (int i = 0; i < scene->lasers; i++)
+            scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
         scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
         for (int i = 0; i < scene->times; i++)
-            place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i, view[2].buf);
-        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], view[9].buf,
-                                          view[10].obj ? view[10].buf : NULL, view[11].obj ? view[11].buf : NULL);
+            place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
+        for (int i = 0; i < scene->lasers; i++) {
+            const Vector moved = minus(scene->stand[scene->times - 1].projector[i], scene->stand[0].projector[i]);
+            scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
+        }
+        const int step = scene->target.columns * scene->target.rows > 1 ? 1 : (int)number[9][0]; /* 1: edges of a print */
+        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], step,
+                                          view[10].buf, view[11].obj ? view[11].buf : NULL,
+                                          view[12].obj ? view[12].buf : NULL);
         Py_END_ALLOW_THREADS
     }
     free(scene);
     return close_arguments(&arguments, fits ? Py_NewRef(Py_None) : NULL);
+}
+
+static void choose_all(const Target *target, Choice *all) {
+    for (all->count = 0; all->count < target->parts; all->count++) all->part[all->count] = all->count;
 }
 
 PyObject *call_hits(PyObject *module, PyObject *tuple) {
@@ -478,17 +718,29 @@ PyObject *call_hits(PyObject *module, PyObject *tuple) {
     const double *origin = view[0].buf, *direction = view[1].buf;
     double *parameters = view[2].buf, *point = view[4].buf, *normal = view[5].buf;
     int32_t *surface = view[3].buf;
-    int all[MAX_PARTS];
-    for (int i = 0; i < target.parts; i++) all[i] = i;
-    for (size_t i = 0; i < n; i++) {
-        const Vector eye = {origin[0], origin[1], origin[2]};
-        const Vector ray = {direction[i], direction[n + i], direction[2 * n + i]};
-        Hit hit = {.surface = EMPTY, .point = {NAN, NAN, NAN}, .normal = {NAN, NAN, NAN}};
-        if (first_hit(&target, all, target.parts, target.parts, eye, ray, &hit)) complete_hit(&target, eye, ray, &hit);
-        parameters[i] = hit.parameter;
-        surface[i] = hit.surface;
-        point[i] = hit.point.x, point[n + i] = hit.point.y, point[2 * n + i] = hit.point.z;
-        normal[i] = hit.normal.x, normal[n + i] = hit.normal.y, normal[2 * n + i] = hit.normal.z;
+    Rays rays;
+    Hits hits;
+    Choice all;
+    choose_all(&target, &all);
+    for (size_t start = 0; start < n; start += BLOCK) {
+        rays.count = (int)(n - start < BLOCK ? n - start : BLOCK);
+        for (int i = 0; i < rays.count; i++) {
+            const size_t at = start + (size_t)i;
+            rays.ox[i] = origin[0], rays.oy[i] = origin[1], rays.oz[i] = origin[2];
+            rays.dx[i] = direction[at], rays.dy[i] = direction[n + at], rays.dz[i] = direction[2 * n + at];
+            rays.least[i] = 0, rays.best[i] = INFINITY, rays.own[i] = EMPTY;
+            surface[at] = EMPTY;
+            for (size_t k = 0; k < 3; k++) point[k * n + at] = normal[k * n + at] = NAN;
+        }
+        intersect(&target, &all, &rays);
+        complete_hits(&target, &rays, NULL, &hits);
+        for (int i = 0; i < rays.count; i++) parameters[start + (size_t)i] = rays.best[i];
+        for (int i = 0; i < hits.count; i++) {
+            const size_t at = start + (size_t)hits.ray[i];
+            surface[at] = hits.surface[i];
+            point[at] = hits.x[i], point[n + at] = hits.y[i], point[2 * n + at] = hits.z[i];
+            normal[at] = hits.nx[i], normal[n + at] = hits.ny[i], normal[2 * n + at] = hits.nz[i];
+        }
     }
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }
@@ -505,11 +757,21 @@ PyObject *call_blocked(PyObject *module, PyObject *tuple) {
     const size_t n = (size_t)view[0].shape[1];
     const double *point = view[0].buf, *towards = view[1].buf;
     uint8_t *result = view[2].buf;
-    int all[MAX_PARTS];
-    for (int i = 0; i < target.parts; i++) all[i] = i;
-    for (size_t i = 0; i < n; i++)
-        result[i] = (uint8_t)blocked(&target, all, target.parts, EMPTY, (Vector){point[i], point[n + i], point[2 * n + i]},
-                                     (Vector){towards[i], towards[n + i], towards[2 * n + i]});
+    Rays rays;
+    Choice all;
+    choose_all(&target, &all);
+    for (size_t start = 0; start < n; start += BLOCK) {
+        rays.count = (int)(n - start < BLOCK ? n - start : BLOCK);
+        for (int i = 0; i < rays.count; i++) {
+            const size_t at = start + (size_t)i;
+            const Vector to = {towards[at], towards[n + at], towards[2 * n + at]};
+            rays.ox[i] = point[at], rays.oy[i] = point[n + at], rays.oz[i] = point[2 * n + at];
+            rays.dx[i] = to.x, rays.dy[i] = to.y, rays.dz[i] = to.z;
+            rays.least[i] = NEAREST_M / sqrt(dot(to, to)), rays.best[i] = 1, rays.own[i] = EMPTY;
+        }
+        intersect(&target, &all, &rays);
+        for (int i = 0; i < rays.count; i++) result[start + (size_t)i] = rays.part[i] != EMPTY;
+    }
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }
 
@@ -526,10 +788,44 @@ PyObject *call_reflectances(PyObject *module, PyObject *tuple) {
     const size_t n = (size_t)view[1].shape[1];
     const double *normal = view[1].buf, *light = view[2].buf, *eye = view[3].buf;
     double *result = view[4].buf;
-    const Coating coating = {arguments.number[0][0], arguments.number[0][1], arguments.number[0][2]};
+    const double *coating = arguments.number[0];
     for (size_t i = 0; i < n; i++)
-        result[i] = reflectance(coating, (Vector){normal[i], normal[n + i], normal[2 * n + i]},
-                                (Vector){light[i], light[n + i], light[2 * n + i]},
-                                (Vector){eye[i], eye[n + i], eye[2 * n + i]});
+        result[i] = brdf((float)coating[0], (float)coating[1], (float)coating[2], (float)normal[i], (float)normal[n + i],
+                         (float)normal[2 * n + i], (float)light[i], (float)light[n + i], (float)light[2 * n + i],
+                         (float)eye[i], (float)eye[n + i], (float)eye[2 * n + i]);
+    return close_arguments(&arguments, Py_NewRef(Py_None));
+}
+
+/* Bits by which a row of codes differs from those of the eight neighbours of each pixel, except in the first and the last
+   column. */
+VECTOR_LOOP static void find_changes(const int32_t *restrict above, const int32_t *restrict row,
+                                     const int32_t *restrict below, int width, int32_t shadows, uint8_t *restrict edge) {
+    for (int i = 1; i < width - 1; i++) {
+        const int32_t code = row[i];
+        const int32_t changes = (code ^ row[i - 1]) | (code ^ row[i + 1]) | (code ^ above[i - 1]) | (code ^ above[i]) |
+                                (code ^ above[i + 1]) | (code ^ below[i - 1]) | (code ^ below[i]) | (code ^ below[i + 1]);
+        edge[i] = (uint8_t)((changes != 0) + ((changes & ~shadows) != 0));
+    }
+}
+
+PyObject *call_code_edges(PyObject *module, PyObject *tuple) {
+    static const Parameter parameter[] = {{"code", 'i', {N, M}}, {">edge", 'B', {N, M}}};
+    Arguments arguments;
+    (void)module;
+    if (!OPEN(tuple, parameter, &arguments)) return NULL;
+    const Py_ssize_t height = arguments.view[0].shape[0], width = arguments.view[0].shape[1];
+    const int32_t *code = arguments.view[0].buf, shadows = SUN_SHADOW | EARTH_SHADOW;
+    uint8_t *edge = arguments.view[1].buf;
+    for (Py_ssize_t i = 0; i < height; i++) {
+        const int32_t *row = code + i * width, *above = i > 0 ? row - width : row;
+        const int32_t *below = i + 1 < height ? row + width : row;
+        find_changes(above, row, below, (int)width, shadows, edge + i * width);
+        for (Py_ssize_t side = 0; side < 2; side++) {
+            const Py_ssize_t at = side * (width - 1), beside = width > 1 ? (side ? at - 1 : at + 1) : at;
+            const int32_t own = row[at], changes = (own ^ row[beside]) | (own ^ above[at]) | (own ^ below[at]) |
+                                                   (own ^ above[beside]) | (own ^ below[beside]);
+            edge[i * width + at] = (uint8_t)((changes != 0) + ((changes & ~shadows) != 0));
+        }
+    }
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }

@@ -1,33 +1,13 @@
-/* Reflection by coatings, and their patterns. */
+/* Coatings of surfaces, and their patterns. */
 #include "target.h"
 
-#define PI 3.14159265358979323846
-
-/* Minimum roughness: a smoother surface would reflect a projector as a point. */
-static const double MIN_ROUGHNESS = 0.02;
-
-/* Lambert plus GGX with Smith shadowing and the Fresnel term of Schlick; directions are unit vectors. */
-double reflectance(Coating coating, Vector normal, Vector to_light, Vector to_eye) {
-    const double lambert = coating.diffuse / PI;
-    if (coating.specular <= 0) return lambert;
-    const Vector sum = plus(to_light, to_eye), half = times(1 / greater(sqrt(dot(sum, sum)), 1e-9), sum);
-    const double n_half = greater(dot(normal, half), 1e-4), n_light = greater(dot(normal, to_light), 1e-4);
-    const double n_eye = greater(dot(normal, to_eye), 1e-4), alpha = greater(coating.roughness, MIN_ROUGHNESS);
-    const double alpha2 = alpha * alpha, lobe = n_half * n_half * (alpha2 - 1) + 1;
-    const double grazing = 1 - lesser(greater(dot(half, to_eye), 0), 1), grazing2 = grazing * grazing;
-    const double fresnel = coating.specular + (1 - coating.specular) * grazing2 * grazing2 * grazing;
-    const double smith = (n_light + sqrt(alpha2 + (1 - alpha2) * n_light * n_light)) *
-                         (n_eye + sqrt(alpha2 + (1 - alpha2) * n_eye * n_eye));
-    return lambert + alpha2 * fresnel / (PI * lobe * lobe * smith);
-}
-
 /* Length of lines [k cell, k cell + line] between 0 and x, for any x. */
-static double lines_until(double x, double cell, double line) {
-    const double number = (double)whole(x / cell);
+static inline double lines_until(double x, double cell, double line) {
+    const double number = whole(x / cell);
     return number * line + lesser(x - number * cell, line);
 }
 
-static double line_share(double x, double cell, double line, double width) {
+static inline double line_share(double x, double cell, double line, double width) {
     return (lines_until(x + width / 2, cell, line) - lines_until(x - width / 2, cell, line)) / width;
 }
 
@@ -44,24 +24,41 @@ static int interval(const double *line, int count, double x) {
     return low;
 }
 
-static double mixed(double first, double second, double share) { return first + share * (second - first); }
+static float mixed(double first, double second, double share) { return (float)(first + share * (second - first)); }
 
-Coating coating_at(const Target *target, const Hit *hit, double footprint, int *second) {
-    const Material *material = target->material + target->material_of[hit->surface];
-    Coating coating = material->coating;
-    *second = 0;
-    if (material->printed > 0) {
-        const int column = interval(target->print_x, target->columns - 1, hit->u);
-        const int row = interval(target->print_y, target->rows - 1, hit->v);
-        *second = target->print[row * target->columns + column];
-        if (*second) coating = material->second;
-    } else if (material->cell_x > 0) {
-        const double width = greater(footprint, 1e-9);
-        const double along_u = line_share(hit->u, material->cell_x, material->line, width);
-        const double share = 1 - (1 - along_u) * (1 - line_share(hit->v, material->cell_y, material->line, width));
-        coating.diffuse = mixed(coating.diffuse, material->second.diffuse, share);
-        coating.specular = mixed(coating.specular, material->second.specular, share);
-        coating.roughness = mixed(coating.roughness, material->second.roughness, share);
+/* Coatings of one material with a pattern. */
+static void find_patterned(const Target *target, const Material *material, const double width[BLOCK], int first, int last,
+                           Hits *hits) {
+    for (int i = first; i < last; i++) {
+        const Coating *coating = &material->coating;
+        double share = 0;
+        if (material->printed > 0) {
+            const int column = interval(target->print_x, target->columns - 1, hits->u[i]);
+            const int row = interval(target->print_y, target->rows - 1, hits->v[i]);
+            hits->second[i] = target->print[row * target->columns + column];
+            if (hits->second[i]) coating = &material->second;
+        } else {
+            const double square = greater(width[i], 1e-9);
+            const double along_u = line_share(hits->u[i], material->cell_x, material->line, square);
+            share = 1 - (1 - along_u) * (1 - line_share(hits->v[i], material->cell_y, material->line, square));
+        }
+        hits->diffuse[i] = mixed(coating->diffuse, material->second.diffuse, share);
+        hits->specular[i] = mixed(coating->specular, material->second.specular, share);
+        hits->roughness[i] = mixed(coating->roughness, material->second.roughness, share);
     }
-    return coating;
+}
+
+void find_coatings(const Target *target, const double width[BLOCK], Hits *hits) {
+    for (int first = 0, last; first < hits->count; first = last) {
+        const Material *material = target->material + target->material_of[hits->surface[first]];
+        const Coating *coating = &material->coating;
+        for (last = first + 1; last < hits->count && hits->surface[last] == hits->surface[first];) last++;
+        for (int i = first; i < last; i++) {
+            hits->second[i] = 0;
+            hits->diffuse[i] = (float)coating->diffuse;
+            hits->specular[i] = (float)coating->specular;
+            hits->roughness[i] = (float)coating->roughness;
+        }
+        if (material->printed > 0 || material->cell_x > 0) find_patterned(target, material, width, first, last, hits);
+    }
 }

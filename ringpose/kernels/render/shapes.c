@@ -1,61 +1,80 @@
-/* Intersections of rays with boxes and surfaces of revolution, in closed form. */
+/* Intersections of rays with boxes and surfaces of revolution, in closed form, and points and normals there. */
 #include "target.h"
 
-/* Least ray parameter of an intersection times the length of the direction, in metres. */
-static const double NEAREST_M = 1e-9;
-
 enum { FORM_STEPS = 4, RELIEF_STEPS = 2 };
+
+/* Instead of 0 as a component of a direction: its reciprocal is finite. */
+static const double TINY = 1e-300;
 
 static int is_aligned(const Part *part) {
     return part->rotation[0] == 1 && part->rotation[4] == 1 && part->rotation[8] == 1;
 }
 
-int near_ray(const Part *part, Vector origin, Vector direction, double limit) {
-    const Vector to = minus(part->center, origin);
-    const double square = dot(direction, direction), along = dot(to, direction), radius2 = part->radius * part->radius;
-    const double distance2 = dot(to, to);
-    if (distance2 * square - along * along > radius2 * square) return 0;
-    if (distance2 <= radius2) return 1; /* the origin is inside */
-    const double beyond = along - limit * square;
-    return along > 0 && (beyond < 0 || beyond * beyond < radius2 * square);
+/* Rays in the frame of a part, which may hit it; `ray` is the number of each in the rays of the target. */
+typedef struct {
+    int count;
+    int32_t ray[BLOCK];
+    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK], least[BLOCK], best[BLOCK], face[BLOCK];
+} Near;
+
+/* Which rays meet the bounding sphere of a part before the best intersection. */
+VECTOR_LOOP static void find_near(const Part *part, int number, const Rays *restrict rays, int32_t *restrict near) {
+    const int count = rays->count;
+    const double x = part->center.x, y = part->center.y, z = part->center.z, radius2 = part->radius * part->radius;
+    for (int i = 0; i < count; i++) {
+        const double tx = x - rays->ox[i], ty = y - rays->oy[i], tz = z - rays->oz[i];
+        const double dx = rays->dx[i], dy = rays->dy[i], dz = rays->dz[i];
+        const double square = dx * dx + dy * dy + dz * dz, along = tx * dx + ty * dy + tz * dz;
+        const double distance2 = tx * tx + ty * ty + tz * tz, beyond = along - lesser(rays->best[i], 1e30) * square;
+        const int passes = (distance2 * square - along * along <= radius2 * square) & (rays->own[i] != number);
+        const int before = (along > 0) & ((beyond < 0) | (beyond * beyond < radius2 * square));
+        near[i] = passes & (before | (distance2 <= radius2));
+    }
 }
 
-/* Ray against the box between two corners; 0 without overlap, else the interval of the parameter and its first axis. */
-static int slab(Vector low, Vector high, Vector o, Vector d, double *enter, double *leave, int *axis) {
-    const double origin[3] = {o.x, o.y, o.z}, direction[3] = {d.x, d.y, d.z};
-    const double first[3] = {low.x, low.y, low.z}, last[3] = {high.x, high.y, high.z};
-    *enter = -INFINITY;
-    *leave = INFINITY;
-    *axis = 2;
-    for (int i = 0; i < 3; i++) {
-        if (direction[i] == 0) {
-            if (origin[i] < first[i] || origin[i] > last[i]) return 0;
-            continue;
-        }
-        const double inverse = 1 / direction[i];
-        double one = (first[i] - origin[i]) * inverse, other = (last[i] - origin[i]) * inverse;
-        if (one > other) {
-            const double swap = one;
-            one = other;
-            other = swap;
-        }
-        if (one > *enter) {
-            *enter = one;
-            *axis = i;
-        }
-        if (other < *leave) *leave = other;
-    }
-    return *enter <= *leave;
+static inline void copy_ray(const Part *part, const Rays *restrict rays, int ray, Near *restrict near, int i) {
+    const double *m = part->rotation;
+    const double ox = rays->ox[ray] - part->origin.x, oy = rays->oy[ray] - part->origin.y;
+    const double oz = rays->oz[ray] - part->origin.z, dx = rays->dx[ray], dy = rays->dy[ray], dz = rays->dz[ray];
+    const double ax = m[0] * dx + m[1] * dy + m[2] * dz, ay = m[3] * dx + m[4] * dy + m[5] * dz;
+    const double az = m[6] * dx + m[7] * dy + m[8] * dz;
+    near->ox[i] = m[0] * ox + m[1] * oy + m[2] * oz;
+    near->oy[i] = m[3] * ox + m[4] * oy + m[5] * oz;
+    near->oz[i] = m[6] * ox + m[7] * oy + m[8] * oz;
+    near->dx[i] = ax == 0 ? TINY : ax;
+    near->dy[i] = ay == 0 ? TINY : ay;
+    near->dz[i] = az == 0 ? TINY : az;
+    near->least[i] = rays->least[ray];
+    near->best[i] = rays->best[ray];
+    near->face[i] = EMPTY;
+}
+
+VECTOR_LOOP static void copy_near(const Part *restrict part, const Rays *restrict rays, Near *restrict near) {
+    const Part moved = *part;
+    const int count = near->count;
+    if (count == rays->count)
+        for (int i = 0; i < count; i++) copy_ray(&moved, rays, i, near, i);
+    else
+        for (int i = 0; i < count; i++) copy_ray(&moved, rays, near->ray[i], near, i);
 }
 
 /* Faces of a box: 0 z+, 1 x-, 2 x+, 3 y-, 4 y+, 5 z-. */
-static double hit_box(const Part *part, Vector o, Vector d, double nearest, double limit, int *face) {
-    double enter, leave;
-    int axis;
-    if (!slab(part->low, part->high, o, d, &enter, &leave, &axis) || enter < nearest || enter >= limit) return INFINITY;
-    const double towards = axis == 0 ? d.x : axis == 1 ? d.y : d.z;
-    *face = axis == 2 ? (towards > 0 ? 5 : 0) : 1 + 2 * axis + (towards < 0);
-    return enter;
+VECTOR_LOOP static void hit_box(const Part *restrict part, Near *restrict near) {
+    const Vector low = part->low, high = part->high;
+    for (int i = 0; i < near->count; i++) {
+        const double by_x = 1 / near->dx[i], by_y = 1 / near->dy[i], by_z = 1 / near->dz[i];
+        const double x_1 = (low.x - near->ox[i]) * by_x, x_2 = (high.x - near->ox[i]) * by_x;
+        const double y_1 = (low.y - near->oy[i]) * by_y, y_2 = (high.y - near->oy[i]) * by_y;
+        const double z_1 = (low.z - near->oz[i]) * by_z, z_2 = (high.z - near->oz[i]) * by_z;
+        const double x_in = lesser(x_1, x_2), y_in = lesser(y_1, y_2), z_in = lesser(z_1, z_2);
+        const double leave = lesser(lesser(greater(x_1, x_2), greater(y_1, y_2)), greater(z_1, z_2));
+        const double enter = greater(greater(x_in, y_in), z_in);
+        const double face_x = by_x < 0 ? 2 : 1, face_y = by_y < 0 ? 4 : 3, face_z = by_z > 0 ? 5 : 0;
+        const double face = enter == x_in ? face_x : enter == y_in ? face_y : face_z;
+        const int hit = (enter <= leave) & (enter >= near->least[i]) & (enter < near->best[i]);
+        near->best[i] = hit ? enter : near->best[i];
+        near->face[i] = hit ? face : near->face[i];
+    }
 }
 
 static double wave(const double order[FORM_ORDERS][2], double angle) {
@@ -74,221 +93,201 @@ static int in_gap(const Target *target, const Part *part, double x, double y, do
     return 0;
 }
 
-typedef struct {
-    const Target *target;
-    const Part *part;
-    Vector o, d;
-    double nearest, best;
-    int piece;
-} Search;
-
-static void accept(Search *search, double parameter, int piece) {
-    if (!(parameter > search->nearest && parameter < search->best)) return;
-    if (search->part->gaps > 0) {
-        const Vector p = plus(search->o, times(parameter, search->d));
-        if (in_gap(search->target, search->part, p.x, p.y, p.z)) return;
+/* Where rays hit a piece of a profile (an annulus), or a cylinder or a cone twice; INFINITY where they do not. */
+VECTOR_LOOP static void meet_annulus(const double first[2], const double second[2], const Near *restrict near,
+                                     double *restrict one) {
+    const double z = first[1], inner = lesser(first[0], second[0]), outer = greater(first[0], second[0]);
+    const double inner2 = inner * inner, outer2 = outer * outer;
+    for (int i = 0; i < near->count; i++) {
+        const double t = (z - near->oz[i]) / near->dz[i];
+        const double x = near->ox[i] + t * near->dx[i], y = near->oy[i] + t * near->dy[i], square = x * x + y * y;
+        one[i] = (square >= inner2) & (square <= outer2) ? t : INFINITY;
     }
-    search->best = parameter;
-    search->piece = piece;
 }
 
-/* A piece of the profile: an annulus, a cylinder or a cone. Roots of |xy|^2 = radius(z)^2 without cancellation. */
-static void hit_piece(Search *search, const double first[2], const double second[2], int piece) {
-    const Vector o = search->o, d = search->d;
-    if (first[1] == second[1]) {
-        const double t = (first[1] - o.z) / d.z, x = o.x + t * d.x, y = o.y + t * d.y, square = x * x + y * y;
-        const double inner = lesser(first[0], second[0]), outer = greater(first[0], second[0]);
-        if (square >= inner * inner && square <= outer * outer) accept(search, t, piece);
+/* Roots of |xy|^2 = radius(z)^2 without cancellation. */
+VECTOR_LOOP static void meet_cone(const double first[2], const double second[2], const Near *restrict near,
+                                  double *restrict one, double *restrict other) {
+    const double slope = (second[0] - first[0]) / (second[1] - first[1]), radius_1 = first[0], z_1 = first[1];
+    const double low = lesser(first[1], second[1]), high = greater(first[1], second[1]);
+    for (int i = 0; i < near->count; i++) {
+        const double ox = near->ox[i], oy = near->oy[i], oz = near->oz[i];
+        const double dx = near->dx[i], dy = near->dy[i], dz = near->dz[i], radius = radius_1 + slope * (oz - z_1);
+        const double a = dx * dx + dy * dy - slope * slope * dz * dz, b = ox * dx + oy * dy - slope * dz * radius;
+        const double c = ox * ox + oy * oy - radius * radius, under = b * b - a * c, size = sqrt(greater(under, 0));
+        const double root = -(b + (b < 0 ? -size : size)), t = root / a, s = c / root;
+        const double z_t = oz + t * dz, z_s = oz + s * dz;
+        one[i] = (under >= 0) & (z_t >= low) & (z_t <= high) & (radius + slope * t * dz >= 0) ? t : INFINITY;
+        other[i] = (under >= 0) & (z_s >= low) & (z_s <= high) & (radius + slope * s * dz >= 0) ? s : INFINITY;
+    }
+}
+
+VECTOR_LOOP static void accept_all(const double *restrict parameter, int piece, Near *restrict near) {
+    for (int i = 0; i < near->count; i++) {
+        const int nearer = (parameter[i] > near->least[i]) & (parameter[i] < near->best[i]);
+        near->best[i] = nearer ? parameter[i] : near->best[i];
+        near->face[i] = nearer ? piece : near->face[i];
+    }
+}
+
+static void accept(const Target *target, const Part *part, const double *parameter, int piece, Near *near) {
+    if (part->gaps == 0) {
+        accept_all(parameter, piece, near);
         return;
     }
-    const double slope = (second[0] - first[0]) / (second[1] - first[1]), radius = first[0] + slope * (o.z - first[1]);
-    const double a = d.x * d.x + d.y * d.y - slope * slope * d.z * d.z, b = o.x * d.x + o.y * d.y - slope * d.z * radius;
-    const double c = o.x * o.x + o.y * o.y - radius * radius, under = b * b - a * c;
-    if (under < 0) return;
-    const double root = -(b + copysign(sqrt(under), b)), both[2] = {root / a, c / root};
-    for (int i = 0; i < 2; i++) {
-        const double z = o.z + both[i] * d.z;
-        if (z >= lesser(first[1], second[1]) && z <= greater(first[1], second[1]) && radius + slope * both[i] * d.z >= 0)
-            accept(search, both[i], piece);
+    for (int i = 0; i < near->count; i++) {
+        const double t = parameter[i];
+        if (!(t > near->least[i] && t < near->best[i]) ||
+            in_gap(target, part, near->ox[i] + t * near->dx[i], near->oy[i] + t * near->dy[i],
+                   near->oz[i] + t * near->dz[i]))
+            continue;
+        near->best[i] = t;
+        near->face[i] = piece;
+    }
+}
+
+static void hit_profile(const Target *target, const Part *part, const double (*point)[2], Near *near) {
+    double one[BLOCK], other[BLOCK];
+    for (int piece = 0; piece + 1 < (int)part->points; piece++) {
+        const double *first = point[piece], *second = point[piece + 1];
+        if (first[1] == second[1]) {
+            meet_annulus(first, second, near, one);
+        } else {
+            meet_cone(first, second, near, one, other);
+            accept(target, part, other, piece, near);
+        }
+        accept(target, part, one, piece, near);
     }
 }
 
 /* Walls and floors of the gaps; they are the surface after the pieces of the profile. */
-static void hit_gaps(Search *search) {
-    const Part *part = search->part;
-    const double(*point)[2] = search->target->point + (int)part->first_point;
-    const Gap *gap = search->target->gap + (int)part->first_gap;
+static void hit_gaps(const Target *target, const Part *part, Near *near, int i) {
+    const double(*point)[2] = target->point + (int)part->first_point;
+    const Gap *gap = target->gap + (int)part->first_gap;
     const int piece = (int)part->points - 1;
     double inner = INFINITY, outer = 0;
-    for (int i = 0; i <= piece; i++) {
-        inner = lesser(inner, point[i][0]);
-        outer = greater(outer, point[i][0]);
+    for (int k = 0; k <= piece; k++) {
+        inner = lesser(inner, point[k][0]);
+        outer = greater(outer, point[k][0]);
     }
-    const Vector o = search->o, d = search->d;
+    const Vector o = {near->ox[i], near->oy[i], near->oz[i]}, d = {near->dx[i], near->dy[i], near->dz[i]};
     const double low = (part->low.y - o.z) / d.z, high = (part->high.y - o.z) / d.z; /* where it enters and leaves */
     const Vector enter = plus(o, times(low, d)), leave = plus(o, times(high, d));
-    for (int i = 0; i < (int)part->gaps; i++, gap++) {
+    for (int k = 0; k < (int)part->gaps; k++, gap++) {
         const double one = enter.y * gap->cosine - enter.x * gap->sine;
         const double other = leave.y * gap->cosine - leave.x * gap->sine;
-        if (d.z != 0 && (lesser(one, other) > gap->half_width || greater(one, other) < -gap->half_width)) continue;
-        if (d.z != 0 &&
-            lesser(enter.x * gap->cosine + enter.y * gap->sine, leave.x * gap->cosine + leave.y * gap->sine) > outer)
+        if (lesser(one, other) > gap->half_width || greater(one, other) < -gap->half_width) continue;
+        if (lesser(enter.x * gap->cosine + enter.y * gap->sine, leave.x * gap->cosine + leave.y * gap->sine) > outer)
             continue;
         const double across = o.y * gap->cosine - o.x * gap->sine, by_t = d.y * gap->cosine - d.x * gap->sine;
         for (int side = -1; side <= 2; side++) { /* the two walls, then the floor */
             const double t = side <= 1 ? (side * gap->half_width - across) / by_t : (gap->floor - o.z) / d.z;
             const int is_open = side == 2 && gap->floor <= part->low.y; /* through the whole ring */
-            if (side == 0 || is_open || !(t > search->nearest && t < search->best)) continue;
+            if (side == 0 || is_open || !(t > near->least[i] && t < near->best[i])) continue;
             const double x = o.x + t * d.x, y = o.y + t * d.y, z = o.z + t * d.z, square = x * x + y * y;
             const int within = side <= 1 ? z > greater(gap->floor, part->low.y) && z < part->high.y
                                          : fabs(y * gap->cosine - x * gap->sine) < gap->half_width;
             if (within && square > inner * inner && square < outer * outer && x * gap->cosine + y * gap->sine > 0) {
-                search->best = t;
-                search->piece = piece;
+                near->best[i] = t;
+                near->face[i] = piece;
             }
         }
     }
 }
 
-static void hit_profile(Search *search, const double (*point)[2]) {
-    for (int i = 0; i + 1 < (int)search->part->points; i++) hit_piece(search, point[i], point[i + 1], i);
-}
-
 /* A ring that is out of round and warped: the profile is displaced by the deviations at the angle of the hit. */
-static void hit_form(Search *search, const double (*point)[2], double face_z) {
-    const Form *form = search->target->form + (int)search->part->form;
-    const double limit = search->best;
-    const int points = (int)search->part->points;
-    double moved[MAX_POINTS][2], t = (face_z - search->o.z) / search->d.z;
+static void hit_form(const Target *target, const Part *part, const double (*point)[2], Near *near, int i) {
+    const Form *form = target->form + (int)part->form;
+    double moved[MAX_POINTS][2], t = (part->high.y - near->oz[i]) / near->dz[i];
+    Near one = {.count = 1, .ox = {near->ox[i]}, .oy = {near->oy[i]}, .oz = {near->oz[i]}, .dx = {near->dx[i]},
+                .dy = {near->dy[i]}, .dz = {near->dz[i]}, .least = {near->least[i]}};
     for (int step = 0; step < FORM_STEPS; step++) {
-        const double angle = atan2(search->o.y + t * search->d.y, search->o.x + t * search->d.x);
+        const double angle = atan2(one.oy[0] + t * one.dy[0], one.ox[0] + t * one.dx[0]);
         const double inner = wave(form->inner, angle), outer = wave(form->outer, angle), axial = wave(form->axial, angle);
         const double scale = form->radius_outer - form->radius_inner;
-        for (int i = 0; i < points; i++) {
-            const double share = lesser(greater((point[i][0] - form->radius_inner) / scale, 0), 1);
-            moved[i][0] = point[i][0] + inner + share * (outer - inner);
-            moved[i][1] = point[i][1] + axial;
+        for (int k = 0; k < (int)part->points; k++) {
+            const double share = lesser(greater((point[k][0] - form->radius_inner) / scale, 0), 1);
+            moved[k][0] = point[k][0] + inner + share * (outer - inner);
+            moved[k][1] = point[k][1] + axial;
         }
-        search->best = limit;
-        search->piece = EMPTY;
-        hit_profile(search, (const double(*)[2])moved);
-        if (search->piece == EMPTY) return;
-        t = search->best;
+        one.best[0] = near->best[i];
+        one.face[0] = EMPTY;
+        hit_profile(target, part, (const double(*)[2])moved, &one);
+        if (one.face[0] == EMPTY) return;
+        t = one.best[0];
     }
+    near->best[i] = one.best[0];
+    near->face[i] = one.face[0];
 }
 
-/* Whether the ray passes between the least and the greatest radius within the heights of the surface. */
-static int passes_near(const Part *part, Vector o, Vector d, double least, double greatest) {
-    double enter = 0, leave = INFINITY;
-    if (d.z != 0) {
-        const double one = (part->low.z - o.z) / d.z, other = (part->high.z - o.z) / d.z;
-        enter = greater(lesser(one, other), 0);
-        leave = greater(one, other);
-        if (leave <= 0) return 0;
-    } else if (o.z < part->low.z || o.z > part->high.z) {
-        return 0;
-    }
-    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y, c = o.x * o.x + o.y * o.y;
-    const double nearest = a > 0 ? lesser(greater(-b / a, enter), leave) : enter;
-    if (c + nearest * (2 * b + nearest * a) > greatest * greatest * (1 + 1e-12)) return 0;
-    return leave == INFINITY || greater(c + enter * (2 * b + enter * a), c + leave * (2 * b + leave * a)) >=
-                                    least * least * (1 - 1e-12);
-}
-
-static double hit_revolution(const Target *target, const Part *part, Vector o, Vector d, double nearest, double limit,
-                             int *piece) {
-    const double(*point)[2] = target->point + (int)part->first_point;
-    if (!passes_near(part, o, d, part->low.x, part->high.x)) return INFINITY;
-    Search search = {target, part, o, d, nearest, limit, EMPTY};
-    if (part->form >= 0)
-        hit_form(&search, point, part->high.y);
-    else
-        hit_profile(&search, point);
-    if (part->gaps > 0) hit_gaps(&search);
-    *piece = search.piece;
-    return search.piece == EMPTY ? INFINITY : search.best;
-}
-
-static double hit_part(const Target *target, const Part *part, Vector origin, Vector direction, double nearest,
-                       double limit, int *face) {
-    Vector o = minus(origin, part->origin), d = direction;
-    if (!is_aligned(part)) o = rotated(part->rotation, o), d = rotated(part->rotation, d);
-    if (part->kind == BOX) return hit_box(part, o, d, nearest, limit, face);
-    return hit_revolution(target, part, o, d, nearest, limit, face);
-}
-
-int first_hit(const Target *target, const int *chosen, int count, int guess, Vector origin, Vector direction, Hit *hit) {
-    hit->parameter = INFINITY;
-    hit->part = hit->surface = EMPTY;
-    for (int i = guess < count ? -1 : 0; i < count; i++) {
-        if (i == guess) continue;
-        const int number = chosen[i < 0 ? guess : i];
-        const Part *part = target->part + number;
-        int face = 0;
-        if (!near_ray(part, origin, direction, hit->parameter)) continue;
-        const double parameter = hit_part(target, part, origin, direction, 0, hit->parameter, &face);
-        if (parameter < hit->parameter) {
-            hit->parameter = parameter;
-            hit->part = number;
-            hit->face = face;
-            hit->surface = (int)part->first_surface + face;
-        }
-    }
-    return hit->parameter < INFINITY;
-}
-
-int blocked(const Target *target, const int *chosen, int count, int own, Vector point, Vector towards) {
-    const double nearest = NEAREST_M / sqrt(dot(towards, towards));
+/* Which rays pass between the least and the greatest radius within the heights of a surface of revolution. */
+VECTOR_LOOP static void find_passing(const Part *part, const Near *restrict near, int32_t *restrict passes) {
+    const int count = near->count;
+    const double least2 = part->low.x * part->low.x * (1 - 1e-12), greatest2 = part->high.x * part->high.x * (1 + 1e-12);
+    const double low = part->low.z, high = part->high.z;
     for (int i = 0; i < count; i++) {
-        const Part *part = target->part + chosen[i];
-        int face;
-        if (chosen[i] == own || !near_ray(part, point, towards, 1)) continue;
-        if (hit_part(target, part, point, towards, nearest, 1, &face) < 1) return 1;
-    }
-    return 0;
-}
-
-static size_t texel_index(int64_t column, int64_t row) {
-    return (size_t)((row & (RELIEF_TEXELS - 1)) * RELIEF_TEXELS + (column & (RELIEF_TEXELS - 1)));
-}
-
-/* Newton steps from the flat face to the relief's tangent planes; then its slopes, bilinear between texels. */
-static void hit_relief(const Target *target, int relief, Vector o, Vector d, double *t, double slope[2]) {
-    const double texel = target->texel[relief], per_texel = 1 / texel;
-    const float *height = target->height + (size_t)relief * RELIEF_TEXELS * RELIEF_TEXELS;
-    const float *gradient = target->slope + 2 * (size_t)relief * RELIEF_TEXELS * RELIEF_TEXELS;
-    for (int step = 0; step < RELIEF_STEPS; step++) {
-        const double x = o.x + *t * d.x, y = o.y + *t * d.y, z = o.z + *t * d.z;
-        const int64_t column = whole(x * per_texel + 0.5), row = whole(y * per_texel + 0.5);
-        const size_t at = texel_index(column, row);
-        const double along_x = gradient[2 * at], along_y = gradient[2 * at + 1];
-        const double off_x = x - (double)column * texel, off_y = y - (double)row * texel;
-        const double tangent = height[at] + along_x * off_x + along_y * off_y;
-        *t += (tangent - z) / (d.z - along_x * d.x - along_y * d.y);
-    }
-    const double x = (o.x + *t * d.x) * per_texel, y = (o.y + *t * d.y) * per_texel;
-    const int64_t column = whole(x), row = whole(y);
-    const double share_x = x - (double)column, share_y = y - (double)row;
-    const float *near = gradient + 2 * texel_index(column, row), *right = gradient + 2 * texel_index(column + 1, row);
-    const float *below = gradient + 2 * texel_index(column, row + 1), *far = gradient + 2 * texel_index(column + 1, row + 1);
-    for (int i = 0; i < 2; i++) {
-        const double top = near[i] + (right[i] - near[i]) * share_x, bottom = below[i] + (far[i] - below[i]) * share_x;
-        slope[i] = top + (bottom - top) * share_y;
+        const double ox = near->ox[i], oy = near->oy[i], dx = near->dx[i], dy = near->dy[i], by_z = 1 / near->dz[i];
+        const double one = (low - near->oz[i]) * by_z, other = (high - near->oz[i]) * by_z;
+        const double enter = greater(lesser(one, other), 0), leave = lesser(greater(one, other), 1e30);
+        const double a = dx * dx + dy * dy, b = ox * dx + oy * dy, c = ox * ox + oy * oy;
+        const double nearest = lesser(greater(-b / a, enter), leave), at_nearest = c + nearest * (2 * b + nearest * a);
+        const double farthest = greater(c + enter * (2 * b + enter * a), c + leave * (2 * b + leave * a));
+        const double within = lesser(greatest2 - at_nearest, farthest - least2);
+        passes[i] = lesser(lesser(leave, near->best[i] - enter), within) >= 0; /* all of them */
     }
 }
 
-/* Frame of a face of a box: u, v along it and w out of it; `level` is the face's w. */
-static void face_frame(const Part *part, int face, Vector a, Vector *local, double *level) {
-    switch (face) {
-    case 0: *local = a, *level = part->high.z; break;
-    case 5: *local = (Vector){a.x, a.y, -a.z}, *level = -part->low.z; break;
-    case 1: *local = (Vector){a.y, a.z, -a.x}, *level = -part->low.x; break;
-    case 2: *local = (Vector){a.y, a.z, a.x}, *level = part->high.x; break;
-    case 3: *local = (Vector){a.x, a.z, -a.y}, *level = -part->low.y; break;
-    default: *local = (Vector){a.x, a.z, a.y}, *level = part->high.y;
+static void hit_revolution(const Target *target, const Part *part, Near *near) {
+    const double(*point)[2] = target->point + (int)part->first_point;
+    int32_t passes[BLOCK];
+    find_passing(part, near, passes);
+    int count = 0;
+    for (int i = 0; i < near->count; i++) {
+        if (!passes[i]) continue;
+        near->ray[count] = near->ray[i];
+        near->ox[count] = near->ox[i], near->oy[count] = near->oy[i], near->oz[count] = near->oz[i];
+        near->dx[count] = near->dx[i], near->dy[count] = near->dy[i], near->dz[count] = near->dz[i];
+        near->least[count] = near->least[i], near->best[count] = near->best[i], near->face[count] = EMPTY;
+        count++;
+    }
+    near->count = count;
+    if (count == 0) return;
+    if (part->form >= 0)
+        for (int i = 0; i < count; i++) hit_form(target, part, point, near, i);
+    else
+        hit_profile(target, part, point, near);
+    for (int i = 0; part->gaps > 0 && i < count; i++) hit_gaps(target, part, near, i);
+}
+
+void intersect(const Target *target, const Choice *choice, Rays *rays) {
+    Near near;
+    int32_t is_near[BLOCK];
+    for (int i = 0; i < rays->count; i++) rays->part[i] = EMPTY;
+    for (int k = 0; k < choice->count; k++) {
+        const Part *part = target->part + choice->part[k];
+        find_near(part, choice->part[k], rays, is_near);
+        near.count = 0;
+        for (int i = 0; i < rays->count; i++) {
+            near.ray[near.count] = i;
+            near.count += is_near[i];
+        }
+        if (near.count == 0) continue;
+        copy_near(part, rays, &near);
+        if (part->kind == BOX)
+            hit_box(part, &near);
+        else
+            hit_revolution(target, part, &near);
+        for (int i = 0; i < near.count; i++) {
+            if (near.face[i] == EMPTY) continue;
+            const int ray = near.ray[i];
+            rays->best[ray] = near.best[i];
+            rays->face[ray] = near.face[i];
+            rays->part[ray] = choice->part[k];
+        }
     }
 }
 
+/* The inverse of the frame of a box's face, whose w axis points out of it: u, v, w in the frame of the part. */
 static Vector from_face(int face, Vector a) {
     switch (face) {
     case 0: return a;
@@ -302,56 +301,162 @@ static Vector from_face(int face, Vector a) {
 
 static Vector in_target(const Part *part, Vector a) { return is_aligned(part) ? a : rotated_back(part->rotation, a); }
 
-static Vector box_normal(const Target *target, const Part *part, Vector o, Vector d, Hit *hit, double *parameter) {
-    Vector local_o, local_d, normal = {0, 0, 1};
-    double level, slope[2], unused;
-    face_frame(part, hit->face, o, &local_o, &level);
-    face_frame(part, hit->face, d, &local_d, &unused);
-    local_o.z -= level;
-    hit->flat_normal = in_target(part, from_face(hit->face, normal));
-    if (part->relief >= 0) {
-        hit_relief(target, (int)part->relief, local_o, local_d, parameter, slope);
-        normal = unit((Vector){-slope[0], -slope[1], 1});
-    }
-    hit->u = local_o.x + *parameter * local_d.x;
-    hit->v = local_o.y + *parameter * local_d.y;
-    return part->relief >= 0 ? in_target(part, from_face(hit->face, normal)) : hit->flat_normal;
+typedef struct {
+    Vector origin, u, v, w; /* of the face */
+    double texel;
+    const float *height, *slope; /* NULL without a relief */
+} Face;
+
+static inline int texel_index(int column, int row) {
+    return (row & (RELIEF_TEXELS - 1)) * RELIEF_TEXELS + (column & (RELIEF_TEXELS - 1));
 }
 
-static Vector revolution_normal(const Target *target, const Part *part, Vector p, const Hit *hit) {
-    const double(*point)[2] = target->point + (int)part->first_point;
-    if (hit->face == (int)part->points - 1) { /* in a gap: a wall, or its floor */
-        const Gap *gap = target->gap + (int)part->first_gap, *in = gap;
-        double off = INFINITY;
-        for (int i = 0; i < (int)part->gaps; i++, gap++) {
-            const double wall = fabs(fabs(p.y * gap->cosine - p.x * gap->sine) - gap->half_width);
-            if (p.x * gap->cosine + p.y * gap->sine > 0 && lesser(wall, fabs(p.z - gap->floor)) < off) {
-                off = lesser(wall, fabs(p.z - gap->floor));
-                in = gap;
-            }
+/* Newton steps from the flat face to the relief's tangent planes; then its slopes, bilinear between texels. */
+VECTOR_LOOP static void complete_relief(const Face *restrict face, int first, int last, Hits *restrict hits) {
+    const double texel = face->texel, per_texel = 1 / texel;
+    const float *restrict height = face->height, *restrict slope = face->slope;
+    const Vector u = face->u, v = face->v, w = face->w, at = face->origin;
+    for (int i = first; i < last; i++) {
+        const double rx = hits->ox[i] - at.x, ry = hits->oy[i] - at.y, rz = hits->oz[i] - at.z;
+        const double dx = hits->dx[i], dy = hits->dy[i], dz = hits->dz[i], flat = hits->best[i];
+        const double o_u = rx * u.x + ry * u.y + rz * u.z, d_u = dx * u.x + dy * u.y + dz * u.z;
+        const double o_v = rx * v.x + ry * v.y + rz * v.z, d_v = dx * v.x + dy * v.y + dz * v.z;
+        const double o_w = rx * w.x + ry * w.y + rz * w.z, d_w = dx * w.x + dy * w.y + dz * w.z;
+        double t = flat;
+        for (int step = 0; step < RELIEF_STEPS; step++) {
+            const double a = o_u + t * d_u, b = o_v + t * d_v, c = o_w + t * d_w;
+            const int column = (int)floor(a * per_texel + 0.5), row = (int)floor(b * per_texel + 0.5);
+            const int texel_at = texel_index(column, row);
+            const double by_a = slope[2 * texel_at], by_b = slope[2 * texel_at + 1];
+            const double tangent = height[texel_at] + by_a * (a - column * texel) + by_b * (b - row * texel);
+            t += (tangent - c) / (d_w - by_a * d_u - by_b * d_v);
         }
-        const double wall = fabs(fabs(p.y * in->cosine - p.x * in->sine) - in->half_width);
-        return wall < fabs(p.z - in->floor) ? (Vector){-in->sine, in->cosine, 0} : (Vector){0, 0, 1};
+        const double a = o_u + t * d_u, b = o_v + t * d_v;
+        const int column = (int)floor(a * per_texel), row = (int)floor(b * per_texel);
+        const float share_a = (float)(a * per_texel - column), share_b = (float)(b * per_texel - row);
+        const int near = 2 * texel_index(column, row), right = 2 * texel_index(column + 1, row);
+        const int below = 2 * texel_index(column, row + 1), far = 2 * texel_index(column + 1, row + 1);
+        const float top_a = slope[near] + (slope[right] - slope[near]) * share_a;
+        const float end_a = slope[below] + (slope[far] - slope[below]) * share_a;
+        const float top_b = slope[near + 1] + (slope[right + 1] - slope[near + 1]) * share_a;
+        const float end_b = slope[below + 1] + (slope[far + 1] - slope[below + 1]) * share_a;
+        const double by_a = top_a + (end_a - top_a) * share_b, by_b = top_b + (end_b - top_b) * share_b;
+        const double scale = 1 / sqrt(1 + by_a * by_a + by_b * by_b);
+        hits->u[i] = a;
+        hits->v[i] = b;
+        hits->parameter[i] = t;
+        hits->below[i] = greater((flat - t) * d_w, 0);
+        hits->nx[i] = scale * (w.x - by_a * u.x - by_b * v.x);
+        hits->ny[i] = scale * (w.y - by_a * u.y - by_b * v.y);
+        hits->nz[i] = scale * (w.z - by_a * u.z - by_b * v.z);
     }
-    const double along = point[hit->face + 1][0] - point[hit->face][0], up = point[hit->face + 1][1] - point[hit->face][1];
-    const double length = sqrt(along * along + up * up), radius = greater(sqrt(p.x * p.x + p.y * p.y), 1e-300);
-    return (Vector){up / length * p.x / radius, up / length * p.y / radius, -along / length};
 }
 
-void complete_hit(const Target *target, Vector origin, Vector direction, Hit *hit) {
-    const Part *part = target->part + hit->part;
-    Vector o = minus(origin, part->origin), d = direction;
-    if (!is_aligned(part)) o = rotated(part->rotation, o), d = rotated(part->rotation, d);
-    double parameter = hit->parameter;
-    hit->flat = plus(origin, times(parameter, direction));
-    hit->u = hit->v = 0;
-    if (part->kind == BOX) {
-        hit->normal = box_normal(target, part, o, d, hit, &parameter);
-    } else {
-        const Vector normal = revolution_normal(target, part, plus(o, times(parameter, d)), hit);
-        hit->normal = in_target(part, normal);
-        if (dot(hit->normal, direction) > 0) hit->normal = times(-1, hit->normal);
-        hit->flat_normal = hit->normal;
+VECTOR_LOOP static void complete_flat(const Face *restrict face, int first, int last, Hits *restrict hits) {
+    const Vector u = face->u, v = face->v, w = face->w, at = face->origin;
+    for (int i = first; i < last; i++) {
+        const double t = hits->best[i], x = hits->ox[i] + t * hits->dx[i] - at.x;
+        const double y = hits->oy[i] + t * hits->dy[i] - at.y, z = hits->oz[i] + t * hits->dz[i] - at.z;
+        hits->u[i] = x * u.x + y * u.y + z * u.z;
+        hits->v[i] = x * v.x + y * v.y + z * v.z;
+        hits->parameter[i] = t;
+        hits->below[i] = 0;
+        hits->nx[i] = w.x, hits->ny[i] = w.y, hits->nz[i] = w.z;
     }
-    hit->point = plus(origin, times(parameter, direction));
+}
+
+static void complete_box(const Target *target, const Part *part, int number, int first, int last, Hits *hits) {
+    Face face = {.u = in_target(part, from_face(number, (Vector){1, 0, 0})),
+                 .v = in_target(part, from_face(number, (Vector){0, 1, 0})),
+                 .w = in_target(part, from_face(number, (Vector){0, 0, 1}))};
+    const Vector low = part->low, high = part->high;
+    const double level = number == 0   ? high.z
+                         : number == 5 ? -low.z
+                         : number == 1 ? -low.x
+                         : number == 2 ? high.x
+                         : number == 3 ? -low.y
+                                       : high.y;
+    face.origin = plus(part->origin, times(level, face.w));
+    if (part->relief >= 0) {
+        const size_t texels = (size_t)RELIEF_TEXELS * RELIEF_TEXELS * (size_t)part->relief;
+        face.texel = target->texel[(int)part->relief][0];
+        face.height = target->height + texels;
+        face.slope = target->slope + 2 * texels;
+        complete_relief(&face, first, last, hits);
+    } else {
+        complete_flat(&face, first, last, hits);
+    }
+    for (int i = first; i < last; i++) hits->fx[i] = face.w.x, hits->fy[i] = face.w.y, hits->fz[i] = face.w.z;
+}
+
+/* The normal of a wall or of the floor of a gap. */
+static Vector gap_normal(const Target *target, const Part *part, Vector p) {
+    const Gap *gap = target->gap + (int)part->first_gap, *in = gap;
+    double off = INFINITY;
+    for (int i = 0; i < (int)part->gaps; i++, gap++) {
+        const double wall = fabs(fabs(p.y * gap->cosine - p.x * gap->sine) - gap->half_width);
+        if (p.x * gap->cosine + p.y * gap->sine > 0 && lesser(wall, fabs(p.z - gap->floor)) < off) {
+            off = lesser(wall, fabs(p.z - gap->floor));
+            in = gap;
+        }
+    }
+    const double wall = fabs(fabs(p.y * in->cosine - p.x * in->sine) - in->half_width);
+    return wall < fabs(p.z - in->floor) ? (Vector){-in->sine, in->cosine, 0} : (Vector){0, 0, 1};
+}
+
+static void complete_revolution(const Target *target, const Part *part, int piece, int first, int last, Hits *hits) {
+    const double(*point)[2] = target->point + (int)part->first_point;
+    const int is_gap = piece == (int)part->points - 1;
+    double outward = 0, upward = 0;
+    if (!is_gap) {
+        const double along = point[piece + 1][0] - point[piece][0], up = point[piece + 1][1] - point[piece][1];
+        const double length = sqrt(along * along + up * up);
+        outward = up / length, upward = -along / length;
+    }
+    for (int i = first; i < last; i++) {
+        const double t = hits->best[i];
+        const Vector d = {hits->dx[i], hits->dy[i], hits->dz[i]};
+        Vector p = {hits->ox[i] + t * d.x - part->origin.x, hits->oy[i] + t * d.y - part->origin.y,
+                    hits->oz[i] + t * d.z - part->origin.z};
+        if (!is_aligned(part)) p = rotated(part->rotation, p);
+        const double scale = outward / greater(sqrt(p.x * p.x + p.y * p.y), 1e-300);
+        Vector normal = is_gap ? gap_normal(target, part, p) : (Vector){scale * p.x, scale * p.y, upward};
+        normal = in_target(part, normal);
+        if (dot(normal, d) > 0) normal = times(-1, normal);
+        hits->u[i] = hits->v[i] = hits->below[i] = 0;
+        hits->parameter[i] = t;
+        hits->nx[i] = hits->fx[i] = normal.x, hits->ny[i] = hits->fy[i] = normal.y, hits->nz[i] = hits->fz[i] = normal.z;
+    }
+}
+
+void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted, Hits *hits) {
+    uint8_t rest[BLOCK];
+    hits->count = 0;
+    for (int i = 0; i < rays->count; i++) rest[i] = rays->part[i] != EMPTY && (!wanted || wanted[i]);
+    for (int i = 0; i < rays->count; i++) {
+        if (!rest[i]) continue;
+        const int number = rays->part[i], face = (int)rays->face[i], first = hits->count;
+        const Part *part = target->part + number;
+        const int surface = (int)part->first_surface + face;
+        for (int k = i; k < rays->count; k++) {
+            if (!rest[k] || rays->part[k] != number || rays->face[k] != face) continue;
+            const int at = hits->count++;
+            rest[k] = 0;
+            hits->part[at] = number;
+            hits->surface[at] = surface;
+            hits->ray[at] = k;
+            hits->ox[at] = rays->ox[k], hits->oy[at] = rays->oy[k], hits->oz[at] = rays->oz[k];
+            hits->dx[at] = rays->dx[k], hits->dy[at] = rays->dy[k], hits->dz[at] = rays->dz[k];
+            hits->best[at] = rays->best[k];
+        }
+        if (part->kind == BOX)
+            complete_box(target, part, face, first, hits->count, hits);
+        else
+            complete_revolution(target, part, face, first, hits->count, hits);
+    }
+    for (int i = 0; i < hits->count; i++) {
+        hits->x[i] = hits->ox[i] + hits->parameter[i] * hits->dx[i];
+        hits->y[i] = hits->oy[i] + hits->parameter[i] * hits->dy[i];
+        hits->z[i] = hits->oz[i] + hits->parameter[i] * hits->dz[i];
+    }
 }

@@ -8,9 +8,14 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "kernels.h"
+
 enum { BOX, REVOLUTION };
 enum { EMPTY = -1 };
-enum { FORM_ORDERS = 3, FIRST_ORDER = 2, RELIEF_TEXELS = 512, MAX_POINTS = 64, MAX_PARTS = 128, MAX_LASERS = 8 };
+enum { FORM_ORDERS = 3, FIRST_ORDER = 2, RELIEF_TEXELS = 512, MAX_POINTS = 64, MAX_PARTS = 128, MAX_LASERS = 8, BLOCK = 64 };
+
+/* Minimum roughness: a smoother surface would reflect a projector as a point. */
+#define MIN_ROUGHNESS 0.02f
 
 typedef struct {
     double x, y, z;
@@ -64,24 +69,47 @@ typedef struct {
     const double *print_x, *print_y; /* lines at which the print changes */
     int columns, rows;
     const uint8_t *print; /* 1 where the second coating is */
-    const double *texel;
+    const double (*texel)[2]; /* of the reliefs: side of a texel, and the largest height */
     const float *height; /* of the reliefs, row by row */
     const float *slope;  /* pairs (along u, along v) */
 } Target;
 
+/* Rays in the target frame, in arrays, so that loops over them become vector instructions. */
 typedef struct {
-    double parameter;
-    int part, face, surface;
-    Vector point, flat; /* on the relief, and on the surface without it */
-    Vector normal, flat_normal; /* towards the viewer */
-    double u, v;                /* on the face of a box */
-} Hit;
+    int count;
+    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK];
+    double least[BLOCK]; /* parameter from which on intersections count */
+    double best[BLOCK];  /* and up to which they do; then that of the nearest intersection */
+    double face[BLOCK];
+    int32_t part[BLOCK]; /* with the nearest intersection, or EMPTY */
+    int32_t own[BLOCK];  /* convex part that the ray leaves, or EMPTY */
+} Rays;
+
+/* Some of the parts. */
+typedef struct {
+    int count, part[MAX_PARTS];
+} Choice;
+
+/* Where rays hit surfaces, sorted by surface. */
+typedef struct {
+    int count;
+    int32_t ray[BLOCK]; /* its number in the rays */
+    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK]; /* the ray */
+    double best[BLOCK];                                                      /* where it meets the flat surface */
+    int32_t part[BLOCK], surface[BLOCK], second[BLOCK]; /* second: where the print has the second coating */
+    double parameter[BLOCK];                            /* on the relief */
+    double x[BLOCK], y[BLOCK], z[BLOCK], u[BLOCK], v[BLOCK]; /* point, and its place on the face of a box */
+    double below[BLOCK];                                     /* depth under the surface without its relief */
+    double nx[BLOCK], ny[BLOCK], nz[BLOCK];                  /* normal towards the viewer */
+    double fx[BLOCK], fy[BLOCK], fz[BLOCK];                  /* that without the relief */
+    float diffuse[BLOCK], specular[BLOCK], roughness[BLOCK];
+} Hits;
 
 /* As fmin, fmax and floor for numbers that are no NaN, without a call. */
 static inline double lesser(double a, double b) { return a < b ? a : b; }
 static inline double greater(double a, double b) { return a > b ? a : b; }
-static inline int64_t whole(double a) {
-    const int64_t truncated = (int64_t)a;
+static inline int32_t whole(double a) {
+    const int32_t truncated = (int32_t)a;
     return truncated - (a < (double)truncated);
 }
 
@@ -102,24 +130,40 @@ static inline Vector rotated_back(const double m[9], Vector a) {
                     m[2] * a.x + m[5] * a.y + m[8] * a.z};
 }
 
-/* Whether the bounding sphere of a part meets the ray between 0 and `limit`. */
-int near_ray(const Part *part, Vector origin, Vector direction, double limit);
+/* Nearest intersections of the rays with the chosen parts; parts that no ray can hit cost little. */
+void intersect(const Target *target, const Choice *choice, Rays *rays);
 
-/* The nearest intersection of a ray with the chosen parts; 0 if there is none. The part chosen[guess], which the ray
-   probably hits, is tried first; `guess` may be count. */
-int first_hit(const Target *target, const int *chosen, int count, int guess, Vector origin, Vector direction, Hit *hit);
+/* Points and normals of the rays that have hit a part, and of which `wanted` is not 0 (NULL: of all). */
+void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted, Hits *hits);
 
-/* Completes a hit: points, normals and coordinates on the surface. */
-void complete_hit(const Target *target, Vector origin, Vector direction, Hit *hit);
+/* The coatings at the hits, averaged over squares of the given widths. */
+void find_coatings(const Target *target, const double width[BLOCK], Hits *hits);
 
-/* Whether one of the chosen parts intersects the segment from `point` to `point` + `towards`; `own`: a convex part to
-   leave out, or EMPTY. */
-int blocked(const Target *target, const int *chosen, int count, int own, Vector point, Vector towards);
+/* A coating's BRDF for the sine squared and the cosine of the angle between its normal and the bisector of light and
+   eye, and the cosines of the angles of the light with its normal, of the eye with its normal and with the bisector.
+   Lambert plus GGX with Smith shadowing and the Fresnel term of Schlick. */
+static inline float reflectance(float diffuse, float specular, float roughness, float sine2, float n_light, float n_eye,
+                                float half_eye) {
+    const float pi = 3.14159265f, rough = roughness > MIN_ROUGHNESS ? roughness : MIN_ROUGHNESS;
+    const float light = n_light > 1e-4f ? n_light : 1e-4f, eye = n_eye > 1e-4f ? n_eye : 1e-4f;
+    const float alpha2 = rough * rough, lobe = sine2 + (1 - sine2) * alpha2;
+    const float grazing = 1 - (half_eye > 0 ? half_eye < 1 ? half_eye : 1 : 0), grazing2 = grazing * grazing;
+    const float fresnel = specular + (1 - specular) * grazing2 * grazing2 * grazing;
+    const float smith = (light + sqrtf(alpha2 + (1 - alpha2) * light * light)) *
+                        (eye + sqrtf(alpha2 + (1 - alpha2) * eye * eye));
+    const float glossy = alpha2 * fresnel / (pi * lobe * lobe * smith);
+    return diffuse / pi + (specular > 0 ? glossy : 0);
+}
 
-/* Radiance per irradiance of a coating: BRDF times cosine is left to the caller. */
-double reflectance(Coating coating, Vector normal, Vector to_light, Vector to_eye);
-
-/* The coating at a hit, averaged over a square of the width `footprint`; sets `second` where the print has the second. */
-Coating coating_at(const Target *target, const Hit *hit, double footprint, int *second);
+/* The same for unit vectors: normal, towards the light, towards the eye. */
+static inline float brdf(float diffuse, float specular, float roughness, float nx, float ny, float nz, float lx, float ly,
+                         float lz, float ex, float ey, float ez) {
+    const float sx = lx + ex, sy = ly + ey, sz = lz + ez, square = sx * sx + sy * sy + sz * sz;
+    const float scale = 1 / sqrtf(square > 1e-18f ? square : 1e-18f), hx = scale * sx, hy = scale * sy, hz = scale * sz;
+    const float ax = nx - hx, ay = ny - hy, az = nz - hz, apart = ax * ax + ay * ay + az * az; /* 2 (1 - cosine) */
+    const float behind = nx * hx + ny * hy + nz * hz < 1e-4f;
+    return reflectance(diffuse, specular, roughness, behind ? 1 : apart * (1 - apart / 4), nx * lx + ny * ly + nz * lz,
+                       nx * ex + ny * ey + nz * ez, hx * ex + hy * ey + hz * ez);
+}
 
 #endif
