@@ -66,7 +66,7 @@ class SceneView:
     def __init__(self, server: viser.ViserServer, rig: Rig, target_m: Float64[Array, "xyz=3"]) -> None:
         self._server, self._rig = server, rig
         distance_m = max(float(np.linalg.norm(target_m)), 0.5)
-        server.initial_camera.position = tuple(np.array([-2.1, -1.3, -1.7]) * distance_m)
+        server.initial_camera.position = tuple(np.array([-1.7, -1.1, -1.5]) * distance_m)
         server.initial_camera.look_at = tuple(0.8 * target_m)
         self._frustum = server.scene.add_camera_frustum(
             "/camera", *_field_of_view(rig.camera), scale=0.12, color=(40, 40, 40), thickness=2.0,
@@ -185,7 +185,7 @@ def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float]) ->
         for name, key, factor, unit in (
             ("centre", "center_m", 1e3, "mm"),
             ("grasp", "grasp_m", 1e3, "mm"),
-            ("normal", "normal_rad", 180 / np.pi, "deg"),
+            ("normal", "normal_rad", 180 / np.pi, "°"),
         )
         if key in errors
     ]

@@ -202,7 +202,7 @@ class Engine:
         track_truth = truth_at(truth, track.stamp_s, shot.measured_at_s)
         return ConsolePicture(
             state=state,
-            image=overlay(picture_of(shot), detection, line, scene.rig),
+            image=overlay(picture_of(shot), detection, line, scene.rig, with_numbers=False),  # the page has them
             rig=scene.rig,
             truth=truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s),
             shot=shot,

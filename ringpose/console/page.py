@@ -410,7 +410,7 @@ class ConsolePage:
         line, errors, track = picture.line, picture.errors or {}, picture.track
         assert line is not None
         self._result.show(jpeg, f"newest measurement: {stamp}")
-        self._view3d.show_rings(line.pose, picture.truth, None if track is None else track.pose)
+        self._view3d.show_rings(line.pose, None, None if track is None else track.pose)  # the target shows the truth
         self._text.content = line_text(line, stamp, errors)
         if track is not None:
             status = f"{track.validity}, {track.attempt.fusion_status}"

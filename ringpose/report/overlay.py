@@ -94,14 +94,19 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def overlay(
-    image: UInt[Array, "row column"], detection: Detection, line: PoseLine | None = None, rig: Rig | None = None
+    image: UInt[Array, "row column"],
+    detection: Detection,
+    line: PoseLine | None = None,
+    rig: Rig | None = None,
+    *,
+    with_numbers: bool = True,
 ) -> UInt8[Array, "row column 3"]:
     """The dimmed image as blue, green, red, with segments, stripes, ring edges and break points drawn over it.
 
     With a pose line and its rig also the projected ring, the grasp point, the normal and the status as text; what the
     pose rejected is red. Each laser has its colour; the half axes of error ellipses are `ELLIPSE_SIGMAS` standard
     deviations, those of the grasp point `GRASP_SIGMAS`. The ring of a moving target is that at the line's
-    `pose_stamp_s`.
+    `pose_stamp_s`. Without `with_numbers` the pose is drawn, but not written.
     """
     picture: UInt8[Array, "row column 3"] = cv2.cvtColor(eight_bit(image) // 2, cv2.COLOR_GRAY2BGR)
     rejected = _rejected(line, rig)
@@ -121,7 +126,7 @@ def overlay(
     if line is None:
         _write(picture, f"{detection.shot}: {detection.summary}", _scale(picture) * np.array([8.0, 20.0]), WHITE)
     else:
-        _write_status(picture, line, pose)
+        _write_status(picture, line, pose if with_numbers else None)
     return picture
 
 
