@@ -159,7 +159,7 @@ def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Trut
     from ringpose.report.overlay import overlay, picture_of
     from ringpose.report.replay import ReplayShot, replay_picture
 
-    picture = overlay(picture_of(shot), detect(shot, rig), line, rig)
+    picture = overlay(picture_of(shot), detect(shot, rig), line, rig, with_numbers=False)
     errors = {}
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)

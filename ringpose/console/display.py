@@ -181,10 +181,10 @@ def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float]) ->
     if line.pose is not None:
         rows += [text.replace("+-", "±") for text in pose_texts(line.pose)]
     shown = [
-        f"{name} {factor * errors[key]:.3f} {unit}"
+        f"{name} {factor * errors[key]:.3f}{unit}"
         for name, key, factor, unit in (
-            ("centre", "center_m", 1e3, "mm"),
-            ("grasp", "grasp_m", 1e3, "mm"),
+            ("centre", "center_m", 1e3, " mm"),
+            ("grasp", "grasp_m", 1e3, " mm"),
             ("normal", "normal_rad", 180 / np.pi, "°"),
         )
         if key in errors

@@ -32,6 +32,11 @@ PERIOD_S = 0.05
 END_S = 60.0
 """Of the motion that the controls set; then it starts again."""
 
+SPEEDS, IN_STEP = ("0.25", "0.5", "1", "2", "4"), "each shot measured"
+"""Seconds of the motion in a second; in step, the time advances by `STEP_S` when a measurement is finished."""
+
+STEP_S = 0.2
+
 SHOWN_MEASUREMENTS = 300
 """Measurements in the plots."""
 
@@ -41,8 +46,8 @@ COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55
 SKY_M = 8.0
 """Distance at which sun and Earth are drawn."""
 
-EARTH = Earth(direction=np.array([-0.35, -0.25, 0.9]))
-"""The Earth of scenes without one: behind the target."""
+EARTH = Earth(direction=np.array([0.9, -0.35, 0.25]))
+"""The Earth of scenes without one: beside the target."""
 
 
 class ConsolePage:
@@ -124,7 +129,9 @@ class ConsolePage:
             self._plots = Plots(self._server, "number")
         self._preset.on_update(lambda _: self._apply_preset())
         self._motion.on_update(lambda _: self._apply_motion())
-        self._step.on_click(lambda _: self._advance(0.1))
+        self._step.on_click(lambda _: self._advance(STEP_S))
+        self._speed.on_update(lambda _: self._advance_in_step())
+        self._playing.on_update(lambda _: self._advance_in_step())
         for handle in (
             *self._center, *self._angles, self._spin, self._tumble, *self._drift, self._focal, self._pitch, self._size,
             self._auto, self._exposure, *self._on, self._sequence, *self._tilts, *self._shifts, self._ambient,
@@ -152,9 +159,9 @@ class ConsolePage:
             self._spin: Any = gui.add_slider("spin (deg/s)", -10.0, 10.0, 0.01, 0.0)
             self._tumble: Any = gui.add_slider("tumble (deg/s)", -10.0, 10.0, 0.01, 0.0)
             self._drift: list[Any] = [gui.add_slider(f"drift {name} (mm/s)", -50.0, 50.0, 1.0, 0.0) for name in "xyz"]
-            self._speed = gui.add_dropdown("speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1")
+            self._speed: Any = gui.add_dropdown("speed", [*SPEEDS, IN_STEP], initial_value="1")
             self._time: Any = gui.add_slider("time (s)", 0.0, END_S, 0.01, 0.0)
-            self._step = gui.add_button("step 0.1 s")
+            self._step = gui.add_button(f"step {STEP_S:g} s")
             if self._load is not None:
                 loading: Any = gui.add_upload_button("load trajectory", mime_type="application/json,.jsonl")
                 loading.on_upload(lambda _: self._load_trajectory(loading.value))
@@ -334,9 +341,13 @@ class ConsolePage:
         then_s = time.monotonic()
         while not self._ended.wait(PERIOD_S):
             now_s = time.monotonic()
-            if self._playing.value and self._server.get_clients():
+            if self._playing.value and self._speed.value in SPEEDS and self._server.get_clients():
                 self._advance((now_s - then_s) * float(self._speed.value))
             then_s = now_s
+
+    def _advance_in_step(self) -> None:
+        if self._playing.value and self._speed.value == IN_STEP:
+            self._advance(STEP_S)
 
     def _advance(self, step_s: float) -> None:
         self._time.value = float((self._time.value + step_s) % self._time.max)  # calls _change
@@ -383,7 +394,7 @@ class ConsolePage:
         server, light = self._server.scene, state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         arrow = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
-        server.add_arrows("/sun", arrow, (240, 180, 40), visible=light.sun_w_m2 > 0)
+        server.add_arrows("/sun", arrow, (240, 180, 40), 0.008, 0.02, 0.05, visible=light.sun_w_m2 > 0)
         earth = light.earth or EARTH
         server.add_icosphere(
             "/earth", SKY_M * float(np.sin(earth.angular_radius_rad)), (70, 110, 180), subdivisions=4,
@@ -405,6 +416,8 @@ class ConsolePage:
                 self._view3d.show_image(jpeg)
             if picture.line is not None:
                 self._show_measurement(picture, jpeg, stamp)
+        if picture.line is not None:
+            self._advance_in_step()
 
     def _show_measurement(self, picture: ConsolePicture, jpeg: bytes, stamp: str) -> None:
         line, errors, track = picture.line, picture.errors or {}, picture.track
@@ -414,7 +427,8 @@ class ConsolePage:
         self._text.content = line_text(line, stamp, errors)
         if track is not None:
             status = f"{track.validity}, {track.attempt.fusion_status}"
-            self._details.content = track_text(track.pose, track.velocity, status, picture.track_error_m)
+            text = track_text(track.pose, track.velocity, status, picture.track_error_m)
+            self._details.content = f"{text}  \nrings: pose blue, track orange; the target shows the truth"
         self._measured += 1
         self._rows.append((float(self._measured), *plotted(line.pose, errors)))
         rows = list(self._rows)

@@ -95,4 +95,4 @@ class RecordedPage:
             text = line_text(shot.line, about, shot.errors)
             if track is not None:
                 text += "  \n" + track_text(track.pose, track.velocity, track.reason or "")
-            self._text.content = text
+            self._text.content = f"{text}  \nrings: pose blue, track orange, truth green"
