@@ -46,10 +46,8 @@ AUTO_RANGE_S = (2e-5, 0.1)
 """Range of automatic exposures, besides the limits of the camera; half of the lasers' on-time is left for a second
 exposure."""
 
-RECONNECT_TRIES = 5
-
-RECONNECT_S = 1.0
-"""Pause between two attempts to open a camera whose connection was lost."""
+RECONNECT_PAUSES_S = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+"""Pause before each attempt to open a camera whose connection was lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +67,8 @@ class Procedure:
     """From switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
     """Whether every commanded laser must be seen in the images of a shot."""
+    report: Callable[[str], None] = lambda _: None
+    """Receives a message when the camera is lost."""
 
     @property
     def exposures_s(self) -> tuple[float, ...]:
@@ -222,8 +222,9 @@ class _Sequencer:
         """Open the camera again, with all lasers off; returns the problem to raise if every attempt ends so."""
         (problem,) = lost.args
         self._camera.close()
-        for attempt in range(RECONNECT_TRIES):
-            self._lasers.wait(RECONNECT_S * min(attempt, 1))
+        self._procedure.report(f"{problem}; trying to connect again for {sum(RECONNECT_PAUSES_S):.0f} s")
+        for pause_s in RECONNECT_PAUSES_S:
+            self._lasers.wait(pause_s)
             try:
                 self._camera.open()
                 self._camera.arm(self._procedure.exposure_s)

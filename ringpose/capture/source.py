@@ -54,6 +54,8 @@ class CaptureRequest:
     """Of the rig's lasers; None where no rig is given."""
     rig: Rig | None = None
     """Of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
+    report: Callable[[str], None] = lambda _: None
+    """Receives a message when the camera is lost."""
 
     @property
     def fixed_exposure_s(self) -> float | None:
@@ -131,6 +133,7 @@ def device_source(
         rig=request.rig,
         settle_s=None if settle_s == "auto" else settle_s,
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not request.allow_missing,
+        report=request.report,
     )
     # A frame that lasts longer than the watchdog waits would show lasers going off.
     on_s = (procedure.settle_s or 0.0) + max(step.exposure_s or procedure.exposure_s or 0.0 for step in steps)

@@ -20,6 +20,7 @@ from ringpose.capture.source import (
     switched_steps,
 )
 from ringpose.capture.uri import CAMERAS, LASERS, device_uri, scheme_and_rest, schemes
+from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
@@ -32,6 +33,7 @@ from ringpose.types.sequence import Step, steps_of
 def source_of(request: CaptureRequest, batch: Batch) -> Source:
     """The source that the URIs name; bad shots of a recording are reported through the batch."""
     scheme, rest = scheme_and_rest(request.camera, "--camera", schemes(CAMERAS))
+    request = replace(request, report=messages.echo)
     if scheme == "files":
         return _recorded(rest, request, batch)
     if scheme == "tcp":

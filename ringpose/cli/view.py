@@ -1,6 +1,7 @@
-"""`ringpose view`: a replay of recorded shots with their poses and their truth."""
+"""`ringpose view`: recorded shots with their poses, tracks and truth, in the browser or as one HTML page."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,9 @@ from ringpose.cli.options import Force, ImageChannel, Inputs, Quiet, RigFile
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from typing import Any
+
     from ringpose.cli.batch import Batch
     from ringpose.report.replay import ReplayShot
     from ringpose.types.image import Shot
@@ -22,12 +26,17 @@ Poses = Annotated[
     list[Path] | None,
     typer.Option("--poses", readable=False, metavar="FILE", help="The output of ringpose pose for these shots."),
 ]
+Tracks = Annotated[
+    list[Path] | None,
+    typer.Option("--tracks", readable=False, metavar="FILE", help="The output of ringpose track for these poses."),
+]
 TruthFile = Annotated[
     Path | None, typer.Option("--truth", readable=False, metavar="FILE", help="Show the truth and the errors, too.")
 ]
 HtmlFile = Annotated[
     Path | None, typer.Option("--html", readable=False, metavar="FILE", help="Write the replay as one HTML page.")
 ]
+Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
 
 
 @app.command()
@@ -35,51 +44,65 @@ def view(
     inputs: Inputs,
     rig: RigFile,
     poses: Poses = None,
+    tracks: Tracks = None,
     truth: TruthFile = None,
     html: HtmlFile = None,
+    port: Port = 8080,
     channel: ImageChannel = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a replay of recorded shots: pictures, poses, errors, a timeline and a three-dimensional view."""
+    """Show recorded shots in the browser: pictures, poses, tracks, errors, a timeline and a three-dimensional view."""
+    from importlib.util import find_spec
+
     from ringpose.cli.batch import Batch
     from ringpose.cli.progress import with_progress
-    from ringpose.files import atomic
+    from ringpose.files import atomic, records
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
+    from ringpose.files.poses import pose_line_of
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
     from ringpose.files.sources import path_of_input
     from ringpose.report.replay import replay_page
 
-    if html is None:
-        raise UsageError("--html", "is missing", "give --html FILE")
-    atomic.reject_existing(html, force)
+    if html is not None:
+        atomic.reject_existing(html, force)
+    elif find_spec("viser") is None:
+        raise UsageError("view", "viser is not installed", "pip install 'ringpose[console]', or give --html FILE")
     loaded_rig = read_rig(rig)
     truths = {} if truth is None else {each.shot: each for each in read_truths(truth)}
     batch = Batch()
-    lines = _pose_lines(poses or [], batch)
+    lines = _lines_by_shot(poses or [], batch, pose_line_of, "pose")
+    tracked = _lines_by_shot(tracks or [], batch, _track_line_of, "track")
     shots = []
     for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.guarded():
             shot = read_shot(path_of_input(item), channel, loaded_rig)
-            shots.append(_replay_shot(shot, loaded_rig, lines.get(shot.name), truths.get(shot.name)))
-    _check_names((("--poses", lines), ("--truth", truths)), [shot.name for shot in shots])
+            shown = _replay_shot(shot, loaded_rig, lines.get(shot.name), truths.get(shot.name))
+            shots.append(replace(shown, track=tracked.get(shot.name)))
+    _check_names((("--poses", lines), ("--tracks", tracked), ("--truth", truths)), [shot.name for shot in shots])
     if not shots:
         batch.finish()
-    title = f"{len(shots)} shots of {inputs[0]}"
-    page = replay_page(shots, loaded_rig, title)
-    with atomic.replacing(html, force) as stream:
-        stream.write(page.encode())
-    batch.finish()
+    elif html is not None:
+        with atomic.replacing(html, force) as stream:
+            stream.write(replay_page(shots, loaded_rig, f"{len(shots)} shots of {inputs[0]}").encode())
+        batch.finish()
+    else:
+        from ringpose.console.recorded import RecordedPage
+
+        with RecordedPage(shots, loaded_rig, "127.0.0.1", port) as page:
+            records.write({"page": f"http://127.0.0.1:{page.port}"})
+            page.serve()
 
 
-def _pose_lines(files: list[Path], batch: "Batch") -> "dict[str, PoseLine]":
-    """The pose line of each shot; invalid ones are reported by the batch."""
+def _lines_by_shot(
+    files: list[Path], batch: "Batch", line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
+) -> "dict[str, PoseLine]":
+    """The line of each shot; invalid ones are reported by the batch."""
     from ringpose.errors import DataError, NoInputError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.poses import pose_line_of
 
     lines: dict[str, PoseLine] = {}
     for item in batch.valid_inputs(named(list(map(str, files)), (RECORDS_SUFFIX,))):
@@ -87,12 +110,45 @@ def _pose_lines(files: list[Path], batch: "Batch") -> "dict[str, PoseLine]":
             if not isinstance(item, Record):
                 if not item.exists():
                     raise NoInputError(str(item), "does not exist")
-                raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
-            line = pose_line_of(item.values, item.location)
-            if line.shot in lines:
+                raise DataError(str(item), f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
+            line = line_of(item.values, item.location)
+            if line.shot in lines and kind == "pose":
                 raise DataError(item.location, f"is a second pose line of the shot {line.shot}", "give one run")
-            lines[line.shot] = line
+            if line.shot:  # a track also has lines of instants without a shot
+                lines[line.shot] = line
     return lines
+
+
+def _track_line_of(record: "Mapping[str, Any]", location: str) -> "PoseLine":
+    """What a track line has in common with a pose line; its reason is its validity and what became of the shot.
+
+    A track in another frame than the camera's is not drawn.
+    """
+    from ringpose.files.poses import SCHEMA as POSE_SCHEMA
+    from ringpose.files.poses import pose_line_of
+    from ringpose.files.schema import Fields
+    from ringpose.files.tracks import SCHEMA
+
+    fields = Fields(location, record)
+    if fields.text("schema") != SCHEMA:
+        raise fields.problem(
+            "schema", f"is {record['schema']!r}, must be {SCHEMA!r}", "give the output of ringpose track"
+        )
+    in_camera = fields.text("frame") == "camera"
+    return pose_line_of(
+        {
+            "schema": POSE_SCHEMA,
+            "shot": fields.text("shot") if fields.has("shot") else "",
+            "stamp_s": fields.number("stamp_s"),
+            "pose_stamp_s": fields.number("stamp_s"),
+            "frame": "camera",
+            "flags": [],
+            "reason": f"{fields.text('validity')}, {fields.text('fusion_status')}",
+            "pose": record.get("pose") if in_camera else None,
+            "velocity": record.get("velocity") if in_camera else None,
+        },
+        location,
+    )
 
 
 def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Truth | None") -> "ReplayShot":
@@ -103,7 +159,7 @@ def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Trut
     from ringpose.report.overlay import overlay, picture_of
     from ringpose.report.replay import ReplayShot, replay_picture
 
-    picture = overlay(picture_of(shot), detect(shot, rig), line, rig)
+    picture = overlay(picture_of(shot), detect(shot, rig), line, rig, with_numbers=False)
     errors = {}
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)

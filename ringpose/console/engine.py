@@ -1,31 +1,43 @@
-"""Rendering and measurement for the console, in a thread of their own: always the newest state, only while watched."""
+"""The work behind the console: previews, measurements and pictures, each in a thread of its own.
+
+Each thread works on the newest state only, so that a preview never waits for a measurement; the kernels run in
+parallel. States are worked on only while a browser shows the page.
+"""
 
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
 
+import cv2
 import numpy as np
 
 from ringpose.bench.score import estimate_of, score
 from ringpose.console.state import ConsoleState
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
+from ringpose.estimate.pose_errors import truth_at
 from ringpose.pose.record import pose_line
-from ringpose.report.overlay import overlay, picture_of
+from ringpose.report.overlay import captioned, overlay, picture_of
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.pipeline import illuminated_ring, render_ring_view, view_truth
-from ringpose.simulate.placement import READOUT_S
-from ringpose.simulate.serve.preview import preview
+from ringpose.simulate.pipeline import illuminated_ring, simulated_shot, view_truth
+from ringpose.simulate.renderer import render_view
+from ringpose.track.pipeline import Tracker
 from ringpose.types.arrays import Array, UInt8
 from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.pose import PoseLine
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
+from ringpose.types.track import TrackLine
 from ringpose.types.truth import Truth
 
-QUICK_WIDTH = 240
-"""Width of the first picture of a new state, which comes without a measurement."""
+PREVIEW_WIDTH = 640
+"""Largest width of a preview, which is rendered with one ray a pixel."""
+
+JPEG_QUALITY = 85
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,135 +46,203 @@ class ConsolePicture:
 
     state: ConsoleState
     image: UInt8[Array, "row column 3"]
-    """Blue, green, red."""
+    """Blue, green, red; the number of the state and its time are written into it."""
     rig: Rig
     """Of the images of this picture."""
     truth: Truth
+    """At the time at which the pose holds."""
     shot: Shot | None = None
+    shot_truth: Truth | None = None
     line: PoseLine | None = None
-    """None in the first picture of a new state."""
+    """None in a preview."""
     errors: dict[str, float] | None = None
     """Errors of the pose, as `ringpose bench` names and computes them; empty without a pose."""
+    track: TrackLine | None = None
+    track_error_m: float = np.nan
+    """Of the track's centre."""
+
+    @property
+    def jpeg(self) -> bytes:
+        """The image for browsers."""
+        return bytes(cv2.imencode(".jpg", self.image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
 
 
-class Engine:
-    """Renders inside its context; `publish` is called in its thread with each picture."""
+class Stage(Generic[Item]):
+    """A thread that works on the newest item; earlier ones that it has not begun are skipped."""
 
-    def __init__(self, scene: Scene, width: int, publish: Callable[[ConsolePicture], None]) -> None:
-        self._scene, self._width, self._publish = scene, width, publish
+    def __init__(
+        self,
+        name: str,
+        work: Callable[[Item], None],
+        fail: Callable[[BaseException], None],
+        is_watched: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._work, self._fail, self._is_watched = work, fail, is_watched
         self._changed = threading.Condition()
-        self._newest: ConsoleState | None = None
+        self._newest: Item | None = None
         self._ended = False
-        self._cameras: dict[tuple[float, int], Camera] = {}
-        self.is_watched: Callable[[], bool] = lambda: True
-        self.failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="console engine", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"console {name}", daemon=True)
 
-    def __enter__(self) -> "Engine":
+    def put(self, item: Item) -> None:
+        """Work on this item as soon as possible."""
+        with self._changed:
+            self._newest = item
+            self._changed.notify_all()
+
+    def start(self) -> None:
+        """Begin to work."""
         self._thread.start()
-        return self
 
-    def __exit__(self, *_: object) -> None:
+    def end(self) -> None:
+        """Finish the item that is being worked on, and end."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
         self._thread.join()
 
-    def show(self, state: ConsoleState) -> None:
-        """Show this state as soon as possible, instead of earlier ones that are not rendered yet."""
-        with self._changed:
-            self._newest = state
-            self._changed.notify_all()
-
-    def wait_for_failure(self) -> None:
-        """Return when the thread has ended."""
-        self._thread.join()
-
     def _run(self) -> None:
         try:
-            while (state := self._next_state()) is not None:
-                if not state.time_s:  # while time runs, every picture is measured
-                    self._publish(self.picture(state, QUICK_WIDTH, measured=False))
-                    if self._has_newer():
-                        continue
-                self._publish(self.picture(state, self._width, measured=True))
+            while (item := self._taken()) is not None:
+                self._work(item)
         except BaseException as failure:
-            self.failure = failure
+            self._fail(failure)
 
-    def _next_state(self) -> ConsoleState | None:
+    def _taken(self) -> Item | None:
         with self._changed:
-            while not self._ended and (self._newest is None or not self.is_watched()):
-                self._changed.wait(0.2)
-            state, self._newest = self._newest, None
-            return None if self._ended else state
+            while not self._ended and (self._newest is None or not self._is_watched()):
+                self._changed.wait(0.2 if self._newest is not None else None)
+            item, self._newest = self._newest, None
+            return None if self._ended else item
 
-    def _has_newer(self) -> bool:
-        with self._changed:
-            return self._newest is not None
 
-    def picture(self, state: ConsoleState, width: int, *, measured: bool) -> ConsolePicture:
-        """The picture of a state; of one that cannot be seen, such as from inside the target, a black one with why."""
+class Engine:
+    """Works inside its context; `show` is called with each preview and each measurement, and the picture as JPEG.
+
+    `show` is called by two threads, one for previews and one for measurements; `record` with each measurement.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        show: Callable[[ConsolePicture, bytes], None],
+        record: Callable[[ConsolePicture], None] = lambda _: None,
+        is_watched: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._scene = scene
+        self._cameras: dict[tuple[object, ...], Camera] = {}
+        self._tracker, self._tracked = Tracker(None), (-1, 0.0)
+        self._ended = threading.Event()
+        self.failure: BaseException | None = None
+        pictures = [
+            Stage[ConsolePicture](name, lambda picture: show(picture, picture.jpeg), self._fail)
+            for name in ("preview pictures", "measured pictures")
+        ]
+
+        def measure(state: ConsoleState) -> None:
+            picture = self.measured(state)
+            record(picture)
+            pictures[1].put(picture)
+
+        def preview(state: ConsoleState) -> None:
+            pictures[0].put(self.preview(state))
+
+        self._workers = [
+            Stage[ConsoleState]("previews", preview, self._fail, is_watched),
+            Stage[ConsoleState]("measurements", measure, self._fail, is_watched),
+        ]
+        self._stages: list[Stage[Any]] = [*self._workers, *pictures]
+
+    def __enter__(self) -> "Engine":
+        for stage in self._stages:
+            stage.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for stage in self._stages:
+            stage.end()
+
+    def show(self, state: ConsoleState) -> None:
+        """Show and measure this state as soon as possible, instead of earlier ones that are not begun yet."""
+        for worker in self._workers:
+            worker.put(state)
+
+    def wait_for_failure(self) -> None:
+        """Return when a thread has failed, which is its `failure`."""
+        self._ended.wait()
+
+    def _fail(self, failure: BaseException) -> None:
+        self.failure = failure
+        self._ended.set()
+
+    def preview(self, state: ConsoleState) -> ConsolePicture:
+        """A frame with all lasers that are switched on, with one ray a pixel."""
+        scene = self._scene_of(replace(state, width=min(state.width or PREVIEW_WIDTH, PREVIEW_WIDTH)))
+        view, mask = state.view(scene), int(np.bitwise_or.reduce(scene.sequence))
+        caption = f"{view.name}: {state.time_s:.2f} s"
         try:
-            return self._picture(state, width, measured=measured)
+            illuminated = illuminated_ring(scene, view, (mask,))
         except DataError as problem:
-            return _unseen(state, preview(state.scene_of(self._scene), width).rig, problem)
-
-    def _picture(self, state: ConsoleState, width: int, *, measured: bool) -> ConsolePicture:
-        scene = self._with_same_camera(preview(state.scene_of(self._scene), width), state.focal_scale)
-        view, masks = state.view, scene.sequence
-        illuminated = illuminated_ring(scene, view, masks)
-        rendered = render_ring_view(scene, view, state.number)
-        exposure_s = view_exposure_s(scene, illuminated)
-        stamps_s = scene.start_s + state.time_s + np.arange(len(masks)) * (exposure_s + READOUT_S)
-        shot = Shot(
-            name=view.name,
-            images=np.stack(
-                [rendered.frame(m, exposure_s, float(s)).image for m, s in zip(masks, stamps_s, strict=True)]
-            ),
-            lasers=np.array(masks, dtype=np.uint8),
-            stamp_s=stamps_s,
-            exposure_s=np.full(len(masks), exposure_s),
-            meta={"simulated": True, "still": True},  # all frames show one state
-        )
+            return _unseen(state, scene.rig, problem)
+        rendered = render_view(scene, illuminated, (state.number,), samples=1)
+        frame = rendered.frame(mask, view_exposure_s(scene, illuminated), scene.start_s)
         truth = view_truth(scene, view, illuminated)
-        picture = ConsolePicture(
-            state=state, image=_grey(picture_of(shot)), rig=scene.rig, truth=truth, shot=shot if measured else None
-        )
-        return self._measured(picture, shot) if measured else picture
+        return ConsolePicture(state=state, image=captioned(frame.image, caption), rig=scene.rig, truth=truth)
 
-    def _with_same_camera(self, scene: Scene, focal_scale: float) -> Scene:
-        """The scene with the camera record of earlier pictures: the renderer keeps the rays of a record."""
-        key = (focal_scale, scene.rig.camera.image_width)
-        if key not in self._cameras:
-            self._cameras = {**dict(list(self._cameras.items())[-3:]), key: scene.rig.camera}
-        return replace(scene, rig=replace(scene.rig, camera=self._cameras[key]))
-
-    def _measured(self, picture: ConsolePicture, shot: Shot) -> ConsolePicture:
-        detection = detect(shot, picture.rig)
-        line = pose_line(detection, picture.rig)
+    def measured(self, state: ConsoleState) -> ConsolePicture:
+        """A shot of the state, what detect, pose and track find in it, and their errors."""
+        scene = self._scene_of(state)
+        try:
+            shot, truth = simulated_shot(scene, (state.view(scene),), 0)
+        except DataError as problem:
+            return _unseen(state, scene.rig, problem)
+        detection = detect(shot, scene.rig)
+        line = pose_line(detection, scene.rig)
         estimate = estimate_of(line, shot.name)
-        errors = score(picture.truth, estimate, estimate.method, picture.rig.camera).errors
-        return replace(
-            picture,
-            image=overlay(picture_of(shot), detection, line, picture.rig),
+        track = self._track(state, line, scene.rig)
+        track_truth = truth_at(truth, track.stamp_s, shot.measured_at_s)
+        return ConsolePicture(
+            state=state,
+            image=overlay(picture_of(shot), detection, line, scene.rig, with_numbers=False),  # the page has them
+            rig=scene.rig,
+            truth=truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s),
+            shot=shot,
+            shot_truth=truth,
             line=line,
-            errors=dict(errors),
+            errors=dict(score(truth, estimate, estimate.method, scene.rig.camera).errors),
+            track=track,
+            track_error_m=np.nan
+            if track.pose is None or track_truth.center_m is None
+            else float(np.linalg.norm(track.pose.center_m - track_truth.center_m)),
         )
+
+    def _track(self, state: ConsoleState, line: PoseLine, rig: Rig) -> TrackLine:
+        """The track after this measurement; a new one begins when something other than the time was changed."""
+        since, time_s = self._tracked
+        if state.since != since or state.time_s <= time_s:
+            self._tracker = Tracker(rig)
+        self._tracked = state.since, state.time_s
+        return self._tracker.line_of(self._tracker.add(line))
+
+    def _scene_of(self, state: ConsoleState) -> Scene:
+        """The scene of a state, with the camera record of earlier pictures: the renderer keeps the rays of a record."""
+        scene, change = state.scene_of(self._scene), state.rig_change
+        key = (change.rig, change.focal_scale, change.pitch_scale, scene.rig.camera.image_width)
+        cameras = self._cameras
+        if key not in cameras:
+            self._cameras = cameras = {**dict(list(cameras.items())[-3:]), key: scene.rig.camera}
+        return replace(scene, rig=replace(scene.rig, camera=cameras[key]))
 
 
 def _unseen(state: ConsoleState, rig: Rig, problem: DataError) -> ConsolePicture:
-    name, camera = state.view.name, rig.camera
+    """A black picture of a state that cannot be seen, such as from inside the target, with the reason."""
+    camera = rig.camera
+    black = np.zeros((camera.image_height, camera.image_width), dtype=np.uint8)
+    name = f"console_{state.number:06d}"
     return ConsolePicture(
         state=state,
-        image=np.zeros((camera.image_height, camera.image_width, 3), dtype=np.uint8),
+        image=captioned(black, f"{name}: {problem}"),
         rig=rig,
         truth=Truth(shot=name, expect="no_target", groups={}),
         line=PoseLine(shot=name, stamp_s=state.time_s, pose=None, reason=str(problem)),
         errors={},
     )
-
-
-def _grey(image: Array) -> UInt8[Array, "row column 3"]:
-    from ringpose.detect.line_segments import eight_bit
-
-    return np.repeat(eight_bit(image)[:, :, None], 3, axis=2)

@@ -37,8 +37,12 @@ _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
 def read_rig(path: Path) -> Rig:
     """The rig in a rig.yaml, with exactly normalised normals."""
-    text = read_bytes(path)
-    return rig_of(Fields(str(path), parsed(text, str(path)), _KEYS), hashlib.sha256(text).hexdigest())
+    return rig_in(read_bytes(path), str(path))
+
+
+def rig_in(text: bytes, location: str) -> Rig:
+    """The rig in the text of a rig.yaml."""
+    return rig_of(Fields(location, parsed(text, location), _KEYS), hashlib.sha256(text).hexdigest())
 
 
 def rig_of(fields: Fields, sha256: str = "") -> Rig:

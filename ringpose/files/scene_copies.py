@@ -21,8 +21,9 @@ def write_scene_copy(
     light: Light,
     sequence: tuple[int, ...],
     exposure_s: float | None,
+    pixel_m: float | None = None,
 ) -> Path:
-    """Write scene.yaml, which has this single view, and rig.yaml into a new folder; returns the scene's path.
+    """Write scene.yaml, which has this single view of a still target, and rig.yaml into a new folder; returns its path.
 
     All other keys are those of the original file. Without `exposure_s` the exposure follows the original's rule.
     """
@@ -49,6 +50,16 @@ def write_scene_copy(
             }
         ],
     }
+    values.pop("motion", None)
+    values.pop("earth", None)
+    if (earth := light.earth) is not None:
+        values["earth"] = {
+            "direction": earth.direction,
+            "orbit_radius_m": earth.orbit_radius_m,
+            "albedo": earth.albedo,
+        }
+    if pixel_m is not None:
+        values["sensor"] = {**values.get("sensor", {}), "pixel_m": pixel_m}
     if exposure_s is not None:
         values.pop("stripe_dn", None)
         values["exposure_s"] = exposure_s

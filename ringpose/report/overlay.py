@@ -76,6 +76,9 @@ RING_POINTS = 720
 ROW_PX = 18.0
 """Distance of two rows of text."""
 
+LETTER_PX = 8.0
+"""Width of a letter, a mean with a margin."""
+
 TEXT_WIDTH_PX = 1000.0
 """Width of a picture above which texts grow with it."""
 
@@ -91,14 +94,19 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def overlay(
-    image: UInt[Array, "row column"], detection: Detection, line: PoseLine | None = None, rig: Rig | None = None
+    image: UInt[Array, "row column"],
+    detection: Detection,
+    line: PoseLine | None = None,
+    rig: Rig | None = None,
+    *,
+    with_numbers: bool = True,
 ) -> UInt8[Array, "row column 3"]:
     """The dimmed image as blue, green, red, with segments, stripes, ring edges and break points drawn over it.
 
     With a pose line and its rig also the projected ring, the grasp point, the normal and the status as text; what the
     pose rejected is red. Each laser has its colour; the half axes of error ellipses are `ELLIPSE_SIGMAS` standard
     deviations, those of the grasp point `GRASP_SIGMAS`. The ring of a moving target is that at the line's
-    `pose_stamp_s`.
+    `pose_stamp_s`. Without `with_numbers` the pose is drawn, but not written.
     """
     picture: UInt8[Array, "row column 3"] = cv2.cvtColor(eight_bit(image) // 2, cv2.COLOR_GRAY2BGR)
     rejected = _rejected(line, rig)
@@ -118,7 +126,15 @@ def overlay(
     if line is None:
         _write(picture, f"{detection.shot}: {detection.summary}", _scale(picture) * np.array([8.0, 20.0]), WHITE)
     else:
-        _write_status(picture, line, pose)
+        _write_status(picture, line, pose if with_numbers else None)
+    return picture
+
+
+def captioned(image: UInt[Array, "row column"], caption: str) -> UInt8[Array, "row column 3"]:
+    """The image as blue, green, red, with a caption in its upper left corner."""
+    picture: UInt8[Array, "row column 3"] = cv2.cvtColor(eight_bit(image), cv2.COLOR_GRAY2BGR)
+    for row, text in enumerate(_wrapped(picture, caption)):
+        _write(picture, text, _scale(picture) * np.array([8.0, 20.0 + ROW_PX * row]), WHITE)
     return picture
 
 
@@ -277,15 +293,17 @@ def _write_status(picture: UInt8[Array, "row column 3"], line: PoseLine, pose: R
     """Status, flags and reason; what the pose is in the camera frame, with standard deviations."""
     unused = [f"{name} {str(state).replace('_', ' ')}" for name, state in line.lasers.items() if state != "used"]
     texts = [f"{line.shot}: {line.status}"]
-    texts += textwrap.wrap(", ".join(line.flag_names), 90) + textwrap.wrap(line.reason or "", 90)
-    texts += [f"lasers: {', '.join(unused)}"] if unused else []
+    texts += [", ".join(line.flag_names), line.reason or "", f"lasers: {', '.join(unused)}" if unused else ""]
+    texts = [row for text in texts for row in _wrapped(picture, text)]
     for row, text in enumerate(texts):
         color = WHITE if row else STATUS_COLORS[line.status]
         _write(picture, text, _scale(picture) * np.array([8.0, 20.0 + ROW_PX * row]), color)
     if pose is None:
         return
     below = picture.shape[0] / _scale(picture) - 12.0
-    for row, text in enumerate(reversed(pose_texts(pose))):
+    rows = [row for text in pose_texts(pose) for row in _wrapped(picture, text)]
+    room = int((below - 20.0) / ROW_PX) - len(texts)  # without one text over another
+    for row, text in enumerate(reversed(rows[: max(room, 0)])):
         _write(picture, text, _scale(picture) * np.array([8.0, below - ROW_PX * row]), WHITE)
 
 
@@ -317,10 +335,18 @@ def _sigma(covariance: Float64[Array, "n n"]) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
+def _wrapped(picture: UInt8[Array, "row column 3"], text: str) -> list[str]:
+    """The text in rows that fit into the picture."""
+    return textwrap.wrap(text, max(int((picture.shape[1] / _scale(picture) - 12.0) / LETTER_PX), 8))
+
+
 def _write(picture: UInt8[Array, "row column 3"], text: str, position: Float64[Array, "2"], color: Color) -> None:
-    column, row = np.round(position).astype(int).tolist()
+    """Write a text, moved into the picture where it would leave it."""
     ascii_text = text.encode("ascii", "replace").decode()
     size = 0.45 * _scale(picture)
+    (width, height), _ = cv2.getTextSize(ascii_text, _FONT, size, 1)
+    highest = np.array([picture.shape[1] - width - 3, picture.shape[0] - 4])
+    column, row = np.maximum(np.minimum(np.round(position), highest), [3, height + 2]).astype(int).tolist()
     for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # an outline; in OpenCV 5 thicker letters would also be wider
         cv2.putText(picture, ascii_text, (column + x, row + y), _FONT, size, (0, 0, 0), 1, cv2.LINE_AA)
     cv2.putText(picture, ascii_text, (column, row), _FONT, size, color, 1, cv2.LINE_AA)

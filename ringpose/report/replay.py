@@ -44,6 +44,16 @@ class ReplayShot:
     """The truth at the time at which the pose holds."""
     errors: Mapping[str, float] = field(default_factory=dict)
     """Errors of the pose, as `ringpose bench` names and computes them."""
+    track: PoseLine | None = None
+    """The track after this shot, in the camera frame; its reason is its validity and what became of the measurement."""
+
+
+def times_s(shots: Sequence[ReplayShot]) -> list[float]:
+    """Time of each shot since the first one; half a second apart where the stamps do not increase."""
+    stamps_s = np.array([shot.stamp_s for shot in shots])
+    if not (np.diff(stamps_s) > 0).all() or not np.isfinite(stamps_s).all():
+        stamps_s = 0.5 * np.arange(len(shots))
+    return [float(stamp_s) for stamp_s in stamps_s - stamps_s[0]]
 
 
 def replay_picture(overlay: UInt8[Array, "row column 3"]) -> bytes:
@@ -98,6 +108,7 @@ def _shot_values(shot: ReplayShot, pose: RingPose | None) -> dict[str, Any]:
         "texts": _texts(shot, pose),
         "pose": None if pose is None else {**_ring_values(pose), **_uncertainty_values(pose)},
         "truth": None if truth is None or truth.center_m is None else _ring_values(truth),
+        "track": None if shot.track is None or shot.track.pose is None else _ring_values(shot.track.pose),
     }
 
 
@@ -130,6 +141,13 @@ def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:
             (name.replace("pitch", "normal"), f"pitch {value}" if name == "pitch" else value)
             for name, _, value in parts
         ]
+    if shot.track is not None:
+        texts.append(("track", shot.track.reason or ""))
+        texts += (
+            []
+            if shot.track.pose is None
+            else [("track: centre", pose_texts(shot.track.pose)[1].partition(" ")[2].replace("+-", "±"))]
+        )
     texts += [(f"error: {_title(name)}", _error_text(name, value)) for name, value in shot.errors.items()]
     return [(name, text) for name, text in texts if text]
 

@@ -65,14 +65,19 @@ class RenderedView:
         return rate
 
 
-def render_view(scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, ...]) -> RenderedView:
-    """The image of a target through the lens of the scene; the seed determines speckle and noise."""
+def render_view(
+    scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, ...], samples: int | None = None
+) -> RenderedView:
+    """The image of a target through the lens of the scene; the seed determines speckle and noise.
+
+    `samples` are those of `layers`.
+    """
     generator = np.random.default_rng(seed)
     camera = scene.rig.camera
     motion_px = blur_px(illuminated, camera) if len(illuminated.during) > 1 else 0.0
     if motion_px <= BLURRED_PX:
         illuminated = replace(illuminated, during=(illuminated.placement,))
-    radiance = layers(illuminated, pixel_rays(camera), blur_px=motion_px)
+    radiance = layers(illuminated, pixel_rays(camera), blur_px=motion_px, samples=samples)
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
     ambient = radiance.ambient
     ambient *= scale
@@ -82,7 +87,7 @@ def render_view(scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, .
     if beacon is not None:
         light = Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2)
         lamp = replace(illuminated, light=light, lasers=())
-        beacon_radiance = layers(lamp, pixel_rays(camera), blur_px=motion_px).ambient
+        beacon_radiance = layers(lamp, pixel_rays(camera), blur_px=motion_px, samples=samples).ambient
         beacon_light = scale * _blurred(beacon_radiance, scene.lens.blur_px)
     return RenderedView(
         sensor=scene.sensor,

@@ -2,7 +2,9 @@
 
 import json
 import threading
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from ringpose.files.scenes import read_scene
 from ringpose.geometry.rays import project
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.preview import preview
-from ringpose.types.scene import Light
+from ringpose.types.scene import Earth, Light
 
 
 @pytest.fixture(scope="module")
@@ -33,20 +35,23 @@ def state(scene):
 def test_the_first_state_shows_the_view_of_the_scene(scene, state):
     view = ring_views(scene)[0]
 
-    np.testing.assert_allclose(state.view.normal, view.normal, atol=1e-12)
-    np.testing.assert_array_equal(state.view.center_m, view.center_m)
+    np.testing.assert_allclose(state.view(scene).normal, view.normal, atol=1e-12)
+    np.testing.assert_array_equal(state.view(scene).center_m, view.center_m)
 
 
-def test_the_target_moves_with_time(state):
-    moving = replace(state, tumble_rad_s=0.1, drift_m_s=np.array([0.01, 0.0, -0.02]), time_s=2.0).view
+MOVING = {"tumble_rad_s": 0.1, "drift_m_s": np.array([0.01, 0.0, -0.02])}
+
+
+def test_the_target_moves_with_time(scene, state):
+    moving, start = (replace(state, **MOVING, time_s=time_s).view(scene) for time_s in (2.0, 0.0))
 
     np.testing.assert_allclose(moving.center_m - state.center_m, [0.02, 0.0, -0.04], atol=1e-12)
-    before, after = (each.normal[1:] / np.linalg.norm(each.normal[1:]) for each in (state.view, moving))
+    before, after = (each.normal[1:] / np.linalg.norm(each.normal[1:]) for each in (start, moving))
     assert np.arccos(before @ after) == pytest.approx(0.2)
-    assert moving.normal[0] == pytest.approx(state.view.normal[0])
+    assert moving.normal[0] == pytest.approx(start.normal[0])
 
 
-def test_a_trajectory_is_followed_and_interpolated(state):
+def test_a_trajectory_is_followed_and_interpolated(scene, state):
     lines = [
         {"shot": "a", "stamp_s": 10.0, "center_m": [0.5, 0.0, 0.6], "normal": [0.0, 0.0, -1.0]},
         {"shot": "b", "expect": "no_target", "center_m": None, "normal": None},
@@ -54,7 +59,7 @@ def test_a_trajectory_is_followed_and_interpolated(state):
     ]
     trajectory = trajectory_in("\n".join(map(json.dumps, lines)).encode(), "t.jsonl")
 
-    views = [replace(state, trajectory=trajectory, time_s=time_s).view for time_s in (0.0, 1.0, 5.0)]
+    views = [replace(state, trajectory=trajectory, time_s=time_s).view(scene) for time_s in (0.0, 1.0, 5.0)]
 
     np.testing.assert_allclose([view.center_m for view in views], [[0.5, 0, 0.6], [0.55, 0, 0.7], [0.6, 0, 0.8]])
     np.testing.assert_allclose(views[1].normal, np.array([0.0, 0.3, -0.9]) / np.hypot(0.3, 0.9))
@@ -76,30 +81,54 @@ def test_what_is_no_trajectory_is_rejected(text):
         trajectory_in(text.encode(), "t.jsonl")
 
 
-def test_a_light_plane_turns_about_its_projector(scene, state):
-    lasers = replace(state, laser_tilt_rad=(0.1, 0.0, -0.1)).scene_of(scene).rig.lasers
+def rig_of(scene, state, **changes):
+    return replace(state, rig_change=replace(state.rig_change, **changes)).scene_of(scene).rig
 
-    np.testing.assert_allclose((lasers.normal * lasers.projector_m).sum(axis=1), lasers.distance_m)
+
+def test_a_light_plane_turns_about_its_projector_and_moves_with_it(scene, state):
+    moved_m = (0.0, 0.02, 0.0)
+    lasers = rig_of(scene, state, laser_tilt_rad=(0.1, 0.0, -0.1), laser_shift_m=moved_m).lasers
+
+    off_m, before_m = (
+        (each.normal * each.projector_m).sum(axis=1) - each.distance_m for each in (lasers, scene.rig.lasers)
+    )
+    np.testing.assert_allclose(off_m, before_m, atol=1e-12)
     angles = np.arccos((lasers.normal * scene.rig.lasers.normal).sum(axis=1).clip(-1, 1))
     np.testing.assert_allclose(angles, [0.1, 0.0, 0.1], atol=1e-7)
+    np.testing.assert_allclose(lasers.projector_m - scene.rig.lasers.projector_m, np.outer(moved_m, [0, 1, 0]))
+
+
+def test_larger_pixels_see_a_wider_field_with_more_light(scene, state):
+    wide = replace(state, rig_change=replace(state.rig_change, pitch_scale=2.0)).scene_of(scene)
+
+    assert wide.rig.camera.camera_matrix[0, 0] == pytest.approx(scene.rig.camera.camera_matrix[0, 0] / 2)
+    assert wide.sensor.pixel_m == pytest.approx(2 * scene.sensor.pixel_m)
+
+
+def test_a_picked_rig_takes_the_place_of_that_of_the_scene(scene, state):
+    camera = replace(scene.rig.camera, camera_name="other")
+    rig = rig_of(scene, state, rig=replace(scene.rig, camera=camera))
+
+    assert rig.camera.camera_name == "other"
 
 
 @pytest.mark.parametrize(
-    ("is_switched", "mask", "masks"), [(True, 5, (0, 1, 4)), (False, 5, (5,)), (True, 255, (0, 1, 2, 4))]
+    ("masks", "mask", "sequence"),
+    [((0, 1, 2, 4), 5, (0, 1, 4)), ((7,), 5, (5,)), ((0, 1, 2, 4), 255, (0, 1, 2, 4)), ((1, 2), 4, (0,))],
 )
-def test_frames_have_the_lasers_that_are_switched_on(scene, state, is_switched, mask, masks):
-    assert replace(state, is_switched=is_switched, mask=mask).scene_of(scene).sequence == masks
+def test_frames_have_the_lasers_that_are_switched_on(scene, state, masks, mask, sequence):
+    assert replace(state, masks=masks, mask=mask).scene_of(scene).sequence == sequence
 
 
-def test_a_preview_shows_the_same_view_with_the_same_grey_values(scene, state):
-    engine = Engine(scene, 200, lambda _: None)
-    large, small = (engine.picture(state, width, measured=False) for width in (200, 100))
+def test_a_preview_shows_what_a_shot_shows(scene, state):
+    engine = Engine(scene, lambda *_: None)
+    state = replace(state, width=200)
+    preview_picture, measured = engine.preview(state), engine.measured(state)
 
-    assert small.image.shape == (75, 100, 3)
-    assert abs(float(small.image.mean()) - float(large.image.mean())) < 2.5  # of the noisier of four frames
-    halved = large.image.reshape(75, 2, 100, 2, 3).mean(axis=(1, 3))
-    stripes = halved.max(axis=2) > 60
-    assert small.image[stripes].mean() > 40
+    assert preview_picture.image.shape == measured.image.shape == (150, 200, 3)
+    plain = slice(40, None)  # below the caption
+    expected = measured.shot.images.max(axis=0)[plain].ravel().astype(float)
+    assert np.corrcoef(preview_picture.image[plain, :, 0].ravel(), expected)[0, 1] > 0.8
 
 
 def test_points_project_to_the_same_place_of_a_preview(scene, rng):
@@ -115,69 +144,133 @@ def test_an_image_that_is_small_already_is_its_own_preview(scene):
     assert preview(scene, 300) is scene
 
 
-def shown_by(scene, states, is_watched=lambda: True):
-    pictures, measured = [], threading.Event()
+class Shown:
+    """What an engine shows, and events for it."""
 
-    def publish(picture):
-        pictures.append(picture)
-        if picture.line is not None and picture.state.number == states[-1].number:
-            measured.set()
+    def __init__(self):
+        self.pictures, self.changed = [], threading.Condition()
 
-    with Engine(scene, 200, publish) as engine:
-        engine.is_watched = is_watched
-        for state in states:
-            engine.show(state)
-        is_measured = measured.wait(20 if is_watched() else 0.5)
-    assert engine.failure is None
-    return pictures, is_measured
+    def __call__(self, picture, jpeg):
+        assert jpeg[:2] == b"\xff\xd8"
+        with self.changed:
+            self.pictures.append(picture)
+            self.changed.notify_all()
+
+    def wait_for(self, condition):
+        with self.changed:
+            assert self.changed.wait_for(lambda: any(condition(picture) for picture in self.pictures), 60)
 
 
 def test_the_newest_state_is_shown_and_earlier_ones_are_skipped(scene, state):
-    states = [replace(state, number=number) for number in range(50)]
+    shown = Shown()
+    with Engine(scene, shown) as engine:
+        for number in range(50):
+            engine.show(replace(state, number=number, width=200))
+        for is_preview in (True, False):
+            shown.wait_for(lambda p, is_preview=is_preview: p.state.number == 49 and (p.line is None) == is_preview)
 
-    pictures, is_measured = shown_by(scene, states)
+    assert engine.failure is None
+    assert len(shown.pictures) < 50
 
-    assert is_measured
-    assert pictures[-1].state.number == 49
-    assert len(pictures) < 10
-    assert [picture.line is None for picture in pictures[-2:]] == [True, False]
+
+def test_previews_do_not_wait_for_a_measurement(scene, state, monkeypatch):
+    shown, measuring, may_end = Shown(), threading.Event(), threading.Event()
+    measured = Engine.measured
+
+    def slow(engine, state):
+        measuring.set()
+        assert may_end.wait(60)
+        return measured(engine, state)
+
+    monkeypatch.setattr(Engine, "measured", slow)
+    with Engine(scene, shown) as engine:
+        for number in range(5):
+            engine.show(replace(state, number=number, width=200))
+            assert measuring.wait(60)
+            shown.wait_for(lambda picture, number=number: picture.state.number == number)
+        assert all(picture.line is None for picture in shown.pictures)
+        may_end.set()
+        shown.wait_for(lambda picture: picture.line is not None and picture.state.number == 4)
+
+
+def test_a_preview_costs_less_than_half_of_a_measurement(scene, state):
+    engine = Engine(scene, lambda *_: None)
+    state = replace(state, width=200)
+    costs = []
+    for work in (engine.preview, engine.measured):
+        work(state)
+        began_s = time.thread_time()
+        for number in range(5):
+            work(replace(state, number=number))
+        costs.append(time.thread_time() - began_s)
+
+    assert costs[0] < 0.5 * costs[1]
 
 
 def test_nothing_is_rendered_while_nobody_watches(scene, state):
-    pictures, _ = shown_by(scene, [state], is_watched=lambda: False)
+    asked, pictures = threading.Semaphore(0), []
+
+    def is_watched():
+        asked.release()
+        return False
+
+    with Engine(scene, lambda picture, _: pictures.append(picture), is_watched=is_watched) as engine:
+        engine.show(state)
+        for _ in range(4):
+            assert asked.acquire(timeout=60)
 
     assert pictures == []
+
+
+def test_the_running_measurement_tracks_a_moving_target():
+    scene = read_scene(Path(__file__).parents[2] / "examples" / "scene.yaml")
+    start = replace(first_state(scene, ring_views(scene)[0]), width=320, drift_m_s=np.array([0.01, 0.0, -0.02]))
+    engine = Engine(scene, lambda *_: None)
+    pictures = [engine.measured(replace(start, number=number, time_s=0.1 * number)) for number in range(3)]
+
+    truths = [picture.shot_truth for picture in pictures]
+    assert [len(truth.frames) for truth in truths] == [5] * 3
+    np.testing.assert_allclose(truths[2].center_m - truths[0].center_m, 0.2 * start.drift_m_s, atol=1e-6)
+    assert [picture.track.validity for picture in pictures] == ["valid"] * 3
+    assert pictures[2].track.velocity is not None
+    assert pictures[2].track_error_m < 0.05
+
+    changed = engine.measured(replace(start, number=9, since=9, mask=1, time_s=0.3))  # one stripe: no track
+    assert changed.track.validity == "lost"
 
 
 def test_a_saved_state_is_a_scene_with_that_view_and_rig(scene, state, tmp_path):
     small_scene(tmp_path)
     changed = replace(
         state,
-        focal_scale=1.2,
-        laser_tilt_rad=(0.05, 0.0, 0.0),
+        rig_change=replace(state.rig_change, focal_scale=1.2, pitch_scale=1.5, laser_tilt_rad=(0.05, 0.0, 0.0)),
+        masks=(0, 1, 2, 4),
         exposure_s=0.003,
         mask=3,
-        light=Light(name="console", ambient_w_m2=2.0),
+        light=Light(name="console", ambient_w_m2=2.0, earth=Earth(direction=np.array([1.0, 0.0, 0.0]))),
     )
     shown = changed.scene_of(scene)
 
     path = write_scene_copy(
-        tmp_path / "saved", tmp_path / "scene.yaml", shown.rig, changed.view, changed.light, shown.sequence, 0.003
-    )
+        tmp_path / "saved", tmp_path / "scene.yaml", shown.rig, changed.view(scene), changed.light, shown.sequence,
+        0.003, shown.sensor.pixel_m,
+    )  # fmt: skip
 
     saved = read_scene(path)
     (view,) = ring_views(saved)
-    np.testing.assert_allclose(view.center_m, changed.view.center_m, atol=1e-12)
-    np.testing.assert_allclose(view.normal, changed.view.normal, atol=1e-12)
+    np.testing.assert_allclose(view.center_m, changed.view(scene).center_m, atol=1e-12)
+    np.testing.assert_allclose(view.normal, changed.view(scene).normal, atol=1e-12)
     np.testing.assert_allclose(saved.rig.lasers.normal, shown.rig.lasers.normal, atol=1e-12)
     np.testing.assert_allclose(saved.rig.camera.camera_matrix, shown.rig.camera.camera_matrix)
     assert (saved.exposure_s, saved.stripe_dn, saved.sequence) == (0.003, None, (0, 1, 2))
     assert saved.lights["console"].ambient_w_m2 == 2.0
+    np.testing.assert_allclose(saved.lights["console"].earth.direction, [1.0, 0.0, 0.0])
+    assert saved.sensor.pixel_m == pytest.approx(1.5 * scene.sensor.pixel_m)
 
 
 @pytest.mark.slow
 def test_any_position_of_the_controls_gives_a_picture(scene, state, rng):
-    engine = Engine(scene, 120, lambda _: None)
+    engine = Engine(scene, lambda *_: None)
     for number in range(60):
         extreme = replace(
             state,
@@ -187,13 +280,20 @@ def test_any_position_of_the_controls_gives_a_picture(scene, state, rng):
             yaw_rad=rng.uniform(-1.05, 1.05),
             tumble_rad_s=rng.uniform(-0.2, 0.2),
             time_s=rng.uniform(0.0, 60.0),
-            focal_scale=rng.uniform(0.5, 2.0),
+            width=120,
+            rig_change=replace(
+                state.rig_change,
+                focal_scale=rng.uniform(0.5, 2.0),
+                pitch_scale=rng.uniform(0.5, 2.0),
+                laser_tilt_rad=tuple(rng.uniform(-0.17, 0.17, 3)),
+                laser_shift_m=tuple(rng.uniform(-0.1, 0.1, 3)),
+            ),
             exposure_s=rng.choice([None, 5e-5, 0.05]),
-            laser_tilt_rad=tuple(rng.uniform(-0.17, 0.17, 3)),
             mask=int(rng.integers(0, 8)),
-            is_switched=bool(rng.integers(0, 2)),
+            masks=((7,), (0, 1, 2, 4))[int(rng.integers(0, 2))],
             light=Light(name="console", ambient_w_m2=rng.uniform(0, 50), sun_w_m2=rng.uniform(0, 100)),
         )
-        picture = engine.picture(extreme, 120, measured=True)
+        assert engine.preview(extreme).image.shape == (90, 120, 3)
+        picture = engine.measured(extreme)
         assert picture.image.shape == (90, 120, 3)
         assert picture.line.pose is not None or picture.line.reason

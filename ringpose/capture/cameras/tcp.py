@@ -5,7 +5,6 @@ that it names. The parameter `timeout` (s) is the time to wait for a message.
 """
 
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -23,9 +22,6 @@ TIMEOUT_S = 60.0
 
 CONNECT_S = 5.0
 """Time to wait for a connection."""
-
-BACK_OFF_S = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-"""Pauses between attempts to connect again to a server that was connected before."""
 
 
 class TcpCamera(CameraDriver):
@@ -53,14 +49,28 @@ class TcpCamera(CameraDriver):
         """Whether each trigger sets the lasers of the next frame, for all clients, instead of following the server."""
 
     def open(self) -> None:
-        """Connect; a server that was connected before is tried again and again for about 13 s."""
-        pauses = BACK_OFF_S if self._greeting is not None else ()
-        for pause_s in pauses:
-            with suppress(DeviceError):
-                self._connect()
-                return
-            time.sleep(pause_s)
-        self._connect()
+        """Connect, and prove to have the secret if the server requires one."""
+        self.close()
+        self._remaining, self._exposure_s, self._valid_from = 0, None, 0
+        try:
+            self._socket = socket.create_connection((self._host, self._port), CONNECT_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError as error:
+            found = f"cannot be connected: {(error.strerror or str(error)).lower()}"
+            raise DeviceError(self.uri.text, found, "start ringpose simulate serve --images") from error
+        self._socket.settimeout(CONNECT_S)
+        self._send({"type": "hello", "protocol": wire.PROTOCOL})
+        answer = self._received()
+        if answer.type == "challenge":
+            if self._secret is None:
+                raise DeviceError(self.uri.text, "requires its shared secret", "add ?secret-file=FILE")
+            with self._malformed_messages():
+                proof = wire.challenge_answer(self._secret, answer.text("nonce"))
+            self._send({"type": "proof", "proof": proof})
+            answer = self._received()
+        with self._malformed_messages():
+            self._greeting = wire.greeting_in(answer)
+        self._socket.settimeout(self._timeout_s)
 
     def close(self) -> None:
         """End the connection; the lasers follow the server's sequence again."""
@@ -186,29 +196,6 @@ class TcpCamera(CameraDriver):
         return frame
 
     # The connection
-
-    def _connect(self) -> None:
-        self.close()
-        self._remaining, self._exposure_s, self._valid_from = 0, None, 0
-        try:
-            self._socket = socket.create_connection((self._host, self._port), CONNECT_S)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:
-            found = f"cannot be connected: {(error.strerror or str(error)).lower()}"
-            raise DeviceError(self.uri.text, found, "start ringpose simulate serve --images") from error
-        self._socket.settimeout(CONNECT_S)
-        self._send({"type": "hello", "protocol": wire.PROTOCOL})
-        answer = self._received()
-        if answer.type == "challenge":
-            if self._secret is None:
-                raise DeviceError(self.uri.text, "requires its shared secret", "add ?secret-file=FILE")
-            with self._malformed_messages():
-                proof = wire.challenge_answer(self._secret, answer.text("nonce"))
-            self._send({"type": "proof", "proof": proof})
-            answer = self._received()
-        with self._malformed_messages():
-            self._greeting = wire.greeting_in(answer)
-        self._socket.settimeout(self._timeout_s)
 
     def _send(self, header: dict[str, Any]) -> None:
         try:

@@ -25,11 +25,13 @@ def console(
     scene: SceneFile, port: Port = 8080, width: Width = 640, output: RecordFolder = None, force: Overwrite = False
 ) -> None:
     """Steer target, camera, lasers and light in the browser, and watch the measurement, until a signal ends it."""
+    from dataclasses import replace
     from importlib.util import find_spec
 
     from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.files.rigs import rig_in
     from ringpose.files.scene_copies import write_scene_copy
     from ringpose.files.scenes import read_scene
 
@@ -42,17 +44,20 @@ def console(
     folder = None if output is None else SimulationFolder(output, preview(read, width).rig, force=force, inputs=[scene])
 
     def record(picture: "ConsolePicture") -> None:
-        if folder is not None and picture.shot is not None:
-            records.write_name(folder.add(picture.shot, picture.truth))
+        if folder is not None and picture.shot is not None and picture.shot_truth is not None:
+            records.write_name(folder.add(picture.shot, picture.shot_truth))
 
     def save(state: "ConsoleState") -> str:
-        shown = state.scene_of(read)
+        shown = replace(state, width=None).scene_of(read)
         target = Path(output or ".") / f"saved_{state.number:06d}"
-        view, light = state.view, state.light
-        return str(write_scene_copy(target, scene, shown.rig, view, light, shown.sequence, state.exposure_s))
+        path = write_scene_copy(
+            target, scene, shown.rig, state.view(read), state.light, shown.sequence, state.exposure_s,
+            shown.sensor.pixel_m if shown.sensor.pixel_m != read.sensor.pixel_m else None,
+        )  # fmt: skip
+        return str(path)
 
     on_record, on_save = (None, None) if folder is None else (record, save)
-    with ConsolePage(read, "127.0.0.1", port, width, on_record, on_save, trajectory_in) as page:
+    with ConsolePage(read, "127.0.0.1", port, width, on_record, on_save, trajectory_in, rig_in) as page:
         records.write({"page": f"http://127.0.0.1:{page.port}"})
         page.serve()
 

@@ -44,10 +44,10 @@ class Client:
         """Whether it asked for frames that are not exposed yet."""
         return self._remaining is None or self._remaining > 0
 
-    @property
-    def has_sent_all(self) -> bool:
-        """Whether every frame for it has been handed to the network."""
-        return not self._queue and not self._is_sending
+    def awaits_more_than(self, frames: int) -> bool:
+        """Whether it asked for more frames than these, and every earlier one has been handed to the network."""
+        is_asked = self._remaining is None or self._remaining > frames
+        return is_asked and not self._queue and not self._is_sending
 
     def subscribe(self, request: wire.Subscribe | wire.Unsubscribe) -> None:
         """Begin, extend or end the subscription."""

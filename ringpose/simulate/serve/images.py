@@ -7,6 +7,7 @@ share, one frame being sent, and one message being read.
 
 import asyncio
 import math
+import os
 import secrets
 import socket
 import threading
@@ -37,6 +38,9 @@ from ringpose.wire.images import MalformedMessage, ServedFrame
 
 MAX_CLIENTS = 32
 
+WORKERS = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 4)
+"""Frames that are rendered at once; the kernels run in parallel."""
+
 MAX_CONNECTIONS = 128
 """Including those that have not been admitted yet; more are closed at once."""
 
@@ -61,8 +65,8 @@ class ImageSetup:
 class ImageServer:
     """Serves inside the block of its context.
 
-    `truth_record` and `on_truth` are those of `ImageCamera`; `report` receives a message when a connection is closed
-    because of its input.
+    `truth_record` is that of `ImageCamera`; `on_truth` receives the truth of each shot that is begun, `report` a
+    message when a connection is closed because of its input.
     """
 
     def __init__(
@@ -74,7 +78,8 @@ class ImageServer:
         report: Callable[[str], None] | None = None,
     ) -> None:
         self._setup, self._report = setup, report
-        self._camera = ImageCamera(scene, setup.rate_hz, setup.clock, truth_record, on_truth, report)
+        self._camera = ImageCamera(scene, setup.rate_hz, setup.clock, truth_record, report)
+        self._on_truth = on_truth
         self._clients: set[Client] = set()
         self._viewers: set[Viewer] = set()
         self._connections = 0
@@ -82,7 +87,9 @@ class ImageServer:
         self._failure: BaseException | None = None
         self.rejected = 0
         """Connections that were closed because of their input."""
-        self._renderer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="exposures")
+        self._renderer = ThreadPoolExecutor(max_workers=WORKERS, thread_name_prefix="exposures")
+        self._in_flight = 0
+        """Frames that are being rendered."""
         self._thread = threading.Thread(target=self._run, name="image server", daemon=True)
         self._socket: socket.socket | None = None
 
@@ -158,23 +165,51 @@ class ImageServer:
         self._stop.set()
 
     async def _produce(self) -> None:
-        """Expose one frame after the other."""
-        exposed, slot, began_s = 0, 0, self._loop.time()
+        """Expose frame after frame, several at once, and publish them in order."""
+        rendered: asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]] = asyncio.Queue()
+        expose = self._expose_in_lockstep if self._setup.clock == "lockstep" else self._expose_by_the_clock
+        await asyncio.gather(expose(rendered), self._publish_in_order(rendered))
+
+    async def _expose_in_lockstep(self, rendered: "asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]]") -> None:
+        exposed = 0
         while True:
-            if self._setup.clock == "lockstep":
-                await self._until(self._all_await_frames)
-                stamp_s = self._camera.start_s + exposed / self._setup.rate_hz
-            else:
+            await self._until(self._all_await_frames)
+            stamp_s = self._camera.start_s + exposed / self._setup.rate_hz
+            exposed += 1
+            rendered.put_nowait((self._loop.time(), self._begun(stamp_s)))
+
+    async def _expose_by_the_clock(self, rendered: "asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]]") -> None:
+        """The frames of a shot follow each other at the rate; where rendering takes longer, the next shot is late."""
+        rate_hz, slot, began_s = self._setup.rate_hz, 0, self._loop.time()
+        while True:
+            await self._until(lambda: self._in_flight < WORKERS)
+            slot += 1
+            if self._camera.is_between_shots:
                 was_idle = not self._is_watched()
                 await self._until(self._is_watched)
-                due = math.ceil((self._loop.time() - began_s) * self._setup.rate_hz)
+                due = math.ceil((self._loop.time() - began_s) * rate_hz)
                 if not was_idle:
-                    self._camera.dropped += max(due - slot - 1, 0)
-                slot = max(due, slot + 1)
-                await asyncio.sleep(began_s + slot / self._setup.rate_hz - self._loop.time())
-                stamp_s = time.time()
-            exposed += 1
-            self._publish(await self._loop.run_in_executor(self._renderer, self._camera.next_exposure(stamp_s)))
+                    self._camera.dropped += max(due - slot, 0)
+                slot = max(due, slot)
+            begin_s = began_s + slot / rate_hz
+            stamp_s = time.time() + begin_s - self._loop.time()
+            rendered.put_nowait((begin_s, self._begun(stamp_s)))
+
+    def _begun(self, stamp_s: float) -> "asyncio.Future[ServedFrame]":
+        self._in_flight += 1
+        return self._loop.run_in_executor(self._renderer, self._camera.next_exposure(stamp_s))
+
+    async def _publish_in_order(self, rendered: "asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]]") -> None:
+        """Publish each frame when it is rendered, not before it is exposed."""
+        while True:
+            begin_s, future = await rendered.get()
+            frame = await future
+            await asyncio.sleep(begin_s + frame.exposure_s - self._loop.time() if self._setup.clock == "wall" else 0.0)
+            self._in_flight -= 1
+            if frame.step == 0 and self._on_truth is not None and frame.truth is not None:
+                self._on_truth(frame.truth)
+            self._publish(frame)
+            self._changed.set()
 
     def _publish(self, frame: ServedFrame) -> None:
         for client in self._clients:
@@ -199,7 +234,8 @@ class ImageServer:
     def _all_await_frames(self) -> bool:
         """Whether time may advance: no client that receives frames is still busy with earlier ones."""
         receiving = [client for client in self._clients if client.is_subscribed]
-        return bool(receiving) and all(client.awaits_frames and client.has_sent_all for client in receiving)
+        is_free = self._in_flight < WORKERS
+        return is_free and bool(receiving) and all(client.awaits_more_than(self._in_flight) for client in receiving)
 
     # Connections
 

@@ -4,14 +4,13 @@ import json
 import socket
 import struct
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
 from quick_views import quick_view
 from served_scene import small_scene
 
-from ringpose.capture.cameras import tcp
 from ringpose.capture.cameras.tcp import TcpCamera
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.pipeline import Procedure, captured_shots
@@ -96,21 +95,35 @@ def test_lasers_that_no_frame_of_the_server_has_are_wrong_usage(scene):
         list(shots_of(camera_at(server.port), 1, sequence="off,1"))
 
 
-def test_a_client_resumes_when_the_server_is_restarted(scene, monkeypatch):
-    monkeypatch.setattr(tcp, "BACK_OFF_S", (0.05, 0.1, 0.2, 0.4, 0.8, 1.6))
-    with server_of(scene) as first:
-        port = first.port
-        shots = shots_of(camera_at(port), 4)
+def test_a_lost_server_is_reported_at_once_and_the_client_resumes_when_it_is_back(scene):
+    messages = []
+    with server_of(scene) as first, ExitStack() as later:
+
+        def restart(message):
+            messages.append(message)
+            later.enter_context(server_of(scene, port=first.port))
+
+        shots = shots_of(camera_at(first.port), 4, report=restart)
         before = [next(shots) for _ in range(2)]
-    restarted = server_of(scene, port=port)
-    timer = threading.Timer(0.3, restarted.__enter__)
-    timer.start()
-    after = list(shots)
-    timer.join()
-    restarted.__exit__(None, None, None)
+        first.__exit__(None, None, None)
+        after = list(shots)
 
     assert len(before) == len(after) == 2
     assert all(shot.lasers.tolist() == [0, 7] for shot in after)
+    assert len(messages) == 1
+    assert "lost" in messages[0]
+
+
+def test_a_server_that_stays_away_ends_the_capture_after_the_last_attempt(scene, monkeypatch):
+    monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_PAUSES_S", (0.0, 0.01))
+    messages = []
+    with server_of(scene) as server:
+        shots = shots_of(camera_at(server.port), 2, report=messages.append)
+        next(shots)
+    with pytest.raises(DeviceError, match="cannot be connected"):
+        next(shots)
+
+    assert len(messages) == 1
 
 
 def test_no_server_is_a_device_error_at_once():

@@ -162,7 +162,7 @@ def test_a_camera_that_is_lost_between_two_shots_loses_none(opened):
 
 
 def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(opened, monkeypatch):
-    monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_S", 0.01)
+    monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_PAUSES_S", (0.0, 0.01))
     with opened(lost=[3], reopens=False) as (relays, camera, lasers):
         with pytest.raises(DeviceError, match="is gone"):
             list(captured_shots(camera, lasers, procedure(), ["a"]))

@@ -22,9 +22,11 @@ from served_scene import small_scene
 from ringpose.errors import DataError, DeviceError, UsageError
 from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
+from ringpose.simulate.pipeline import render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve import image_clients, images, scene_shots
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
+from ringpose.types.motion import FreeMotion
 
 SECRET = b"a secret of the test"
 
@@ -257,6 +259,86 @@ def test_a_shot_shows_one_view_although_the_time_is_set_meanwhile(serve):
     assert (first["step"], second["step"], third["step"]) == (0, 1, 0)
     assert first["truth"] == second["truth"]
     assert third["truth"]["center_m"] != first["truth"]["center_m"]
+
+
+DRIFT_M_S = np.array([0.2, 0.0, 0.0])
+
+
+@pytest.fixture
+def drifting(scene):
+    """The scene with a target that drifts without turning, for 1 s."""
+    motion = FreeMotion(
+        inertia_kg_m2=np.eye(3),
+        center_of_mass_m=np.zeros(3),
+        angular_velocity_rad_s=np.zeros(3),
+        velocity_m_s=DRIFT_M_S,
+    )
+    return replace(scene, motion=motion, shots=11, period_s=0.1, approaches=scene.approaches[:1])
+
+
+def rendered_at(scene, truth_frame, mask):
+    """Electrons of a still target at a pose of the truth, rendered with these lasers."""
+    view = replace(
+        ring_views(replace(scene, motion=None, shots=1))[0],
+        center_m=np.array(truth_frame["center_m"]),
+        normal=np.array(truth_frame["normal"]),
+    )
+    return render_ring_view(replace(scene, motion=None), view, 0).electrons(mask, 0.005)
+
+
+def test_every_frame_of_a_moving_target_is_rendered_at_its_own_stamp(serve, drifting):
+    server = serve(drifting, clock="lockstep", rate_hz=10.0)
+    with ImageClient(server.port) as client:
+        frames = client.frames(4, whole_shots=True)
+
+    start_m = np.array(frames[0][0]["truth"]["frames"][0]["center_m"])
+    for header, _ in frames:
+        own = header["truth"]["frames"][header["step"]]
+        assert own["stamp_s"] == pytest.approx(header["stamp_s"] + header["exposure_s"] / 2, abs=1e-6)
+        since_s = own["stamp_s"] - frames[0][0]["truth"]["frames"][0]["stamp_s"]
+        np.testing.assert_allclose(np.array(own["center_m"]) - start_m, since_s * DRIFT_M_S, atol=1e-6)
+
+    _, image = frames[3]
+    poses = [frames[step][0]["truth"]["frames"][step % 2] for step in range(4)]
+    alike = [np.corrcoef(rendered_at(drifting, pose, 7).ravel(), image.ravel())[0, 1] for pose in poses]
+    assert alike[3] > max(alike[:3]) + 0.02
+
+
+def test_the_motion_is_that_of_the_stamps_also_between_shots_and_starts_again_at_its_end(serve, drifting):
+    with ImageClient(serve(drifting, clock="lockstep", rate_hz=10.0).port) as client:
+        truths = [header["truth"] for header, _ in client.frames(2 * 8)[::2]]
+
+    stamps_s, x_m = (np.array([truth[key] for truth in truths]) for key in ("stamp_s", "center_m"))
+    moved_m = np.diff(x_m[:, 0])
+    continued = moved_m > 0
+    np.testing.assert_allclose(moved_m[continued], np.diff(stamps_s)[continued] * DRIFT_M_S[0], atol=1e-6)
+    assert continued.sum() == 6
+    assert truths[0]["velocity_m_s"] == pytest.approx(DRIFT_M_S.tolist(), abs=1e-9)
+
+
+def test_a_moving_target_stands_while_the_time_is_paused(serve, drifting):
+    with ImageClient(serve(drifting, clock="lockstep", rate_hz=10.0).port) as client:
+        first = client.frames(2)[0][0]["truth"]["frames"]
+        client.ask(type="time", time_s=0.5, paused=True)
+        truths = [header["truth"] for header, _ in client.frames(4)]
+
+    centers_m = np.array([frame["center_m"] for truth in truths for frame in truth["frames"]])
+    np.testing.assert_allclose(np.ptp(centers_m, axis=0), 0.0, atol=1e-9)
+    middle_s = first[0]["stamp_s"] - drifting.start_s
+    np.testing.assert_allclose(centers_m[0] - first[0]["center_m"], (0.5 - middle_s) * DRIFT_M_S, atol=1e-6)
+    np.testing.assert_allclose(truths[0]["velocity_m_s"], 0.0, atol=1e-9)
+
+
+def test_a_setting_of_a_moving_target_concerns_the_next_shot(serve, drifting):
+    with ImageClient(serve(drifting, clock="lockstep", rate_hz=10.0).port) as client:
+        client.frames(1)
+        assert client.ask(type="exposure", exposure_s=0.002)["from_frame"] == 3
+        assert [header["exposure_s"] for header, _ in client.frames(2)] == [0.005, 0.002]
+
+
+def test_a_shot_that_outlasts_the_motion_is_wrong_usage(drifting):
+    with pytest.raises(UsageError, match="motion"):
+        ImageServer(drifting, ImageSetup(rate_hz=1.0), lambda truth: {})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,253 @@
+"""What the pages of the console and of recorded data have in common: the scene in three dimensions, text and plots."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+import viser.transforms
+from viser import uplot
+
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.pose.record import remarks_on
+from ringpose.report.overlay import color_of, pose_texts
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.camera import Camera
+from ringpose.types.pose import PoseLine, RingPose, RingVelocity
+from ringpose.types.rig import Rig
+from ringpose.types.truth import Truth
+
+PLOTS = (
+    ("error of the centre (mm)", "center_m", 1e3),
+    ("error of the normal (deg)", "normal_rad", 180 / np.pi),
+    ("error of the grasp point (mm)", "grasp_m", 1e3),
+)
+"""Title, error, and factor of its unit."""
+
+RING_POINTS = 90
+"""Vertices of a circle in the scene."""
+
+ESTIMATE_COLOR, TRUTH_COLOR, TRACK_COLOR = (31, 95, 191), (70, 160, 60), (225, 120, 0)
+
+UNSEEN = np.zeros((1, 2, 3))
+"""A line of length 0, for what is not known."""
+
+
+def opened_server(host: str, port: int) -> viser.ViserServer:
+    """A server whose page has its controls at the right, and nothing that concerns other machines."""
+    import io
+    from contextlib import redirect_stdout
+
+    with redirect_stdout(io.StringIO()):  # viser announces its address; stdout is for records
+        server = viser.ViserServer(host=host, port=port, label="ringpose", verbose=False)
+    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    server.gui.main_panel.dock_right()
+    server.gui.set_panel_label("ringpose")
+    server.scene.set_up_direction("-y")
+    return server
+
+
+class Picture:
+    """An image in the panel, encoded before."""
+
+    def __init__(self, server: viser.ViserServer, label: str) -> None:
+        self._handle = server.gui.add_image(np.zeros((120, 160, 3), np.uint8), label=label, format="jpeg")
+
+    def show(self, jpeg: bytes, label: str | None = None) -> None:
+        """Show this JPEG."""
+        self._handle._data = jpeg  # the setter of `image` would encode again, and once for each place
+        if label is not None:
+            self._handle.label = label
+
+
+class SceneView:
+    """Camera, light planes and rings in three dimensions; the frame is that of the camera."""
+
+    def __init__(self, server: viser.ViserServer, rig: Rig, target_m: Float64[Array, "xyz=3"]) -> None:
+        self._server, self._rig = server, rig
+        distance_m = max(float(np.linalg.norm(target_m)), 0.5)
+        server.initial_camera.position = tuple(np.array([-1.7, -1.1, -1.5]) * distance_m)
+        server.initial_camera.look_at = tuple(0.8 * target_m)
+        self._frustum = server.scene.add_camera_frustum(
+            "/camera", *_field_of_view(rig.camera), scale=0.12, color=(40, 40, 40), thickness=2.0,
+            thickness_units="screen",
+        )  # fmt: skip
+
+    def show_image(self, jpeg: bytes) -> None:
+        """Show the image of the measurement camera in its frustum."""
+        self._frustum._format = "jpeg"
+        self._frustum._image_data = jpeg
+
+    def show_rig(self, rig: Rig, mask: int, depth_m: float) -> None:
+        """The frustum, and the light planes of the lasers of the mask up to a depth."""
+        self._frustum.fov, self._frustum.aspect = _field_of_view(rig.camera)
+        for laser, name in enumerate(rig.lasers.names):
+            self._server.scene.add_mesh_simple(
+                f"/light/{name}", _light_plane(rig, laser, depth_m), np.array([[0, 1, 2]]), color=color_of(laser)[::-1],
+                opacity=0.35, side="double", visible=bool(mask >> laser & 1),
+            )  # fmt: skip
+
+    def show_stripes(self, segments: Float64[Array, "laser 2 xyz=3"], mask: int) -> None:
+        """Where the light planes of the lasers of the mask meet the ring's face; NaN where they do not."""
+        seen = np.isfinite(segments).all(axis=(1, 2)) & np.array([mask >> k & 1 == 1 for k in range(len(segments))])
+        colors = np.array([[color_of(int(laser))[::-1]] * 2 for laser in np.flatnonzero(seen)] or [[(0, 0, 0)] * 2])
+        self._server.scene.add_line_segments(
+            "/stripes", segments[seen] if seen.any() else UNSEEN, colors.astype(np.uint8), thickness=5.0,
+            thickness_units="screen", visible=bool(seen.any()),
+        )  # fmt: skip
+
+    def show_rings(self, pose: RingPose | None, truth: Truth | None, track: RingPose | None) -> None:
+        """The estimated ring with the error ellipsoid of its centre, the true one and that of the track."""
+        self._show_ring("estimate", pose, ESTIMATE_COLOR)
+        self._show_ring("truth", truth, TRUTH_COLOR)
+        self._show_ring("track", track, TRACK_COLOR)
+        covariance = None if pose is None else pose.covariance_center_m2
+        known = covariance is not None and bool(np.isfinite(covariance).all())
+        variance, axes = np.linalg.eigh(np.zeros((3, 3)) if covariance is None or not known else covariance)
+        axes = axes * np.sign(np.linalg.det(axes))
+        first, second, third = (3 * np.sqrt(np.maximum(variance, 1e-12))).tolist()
+        self._server.scene.add_icosphere(
+            "/estimate/center", 1.0, (176, 48, 144), scale=(first, second, third), visible=known,
+            wxyz=viser.transforms.SO3.from_matrix(axes).wxyz,
+            position=pose.center_m if known and pose is not None else np.zeros(3),
+        )  # fmt: skip
+
+    def _show_ring(self, name: str, ring: RingPose | Truth | None, color: tuple[int, int, int]) -> None:
+        """Both edges and the normal, as far as they are known."""
+        segments = []
+        center_m, normal = (None, None) if ring is None else (ring.center_m, ring.normal)
+        if ring is not None and center_m is not None and normal is not None and np.isfinite([*center_m, *normal]).all():
+            radii = [each for each in (ring.radius_inner_m, ring.radius_outer_m) if each is not None]
+            segments = [_circle(center_m, normal, radius) for radius in radii if np.isfinite(radius)]
+            segments.append(np.array([[center_m, center_m + 0.15 * normal]]))
+        self._server.scene.add_line_segments(
+            f"/{name}/ring", np.concatenate(segments) if segments else UNSEEN, color, thickness=2.0,
+            thickness_units="screen", visible=bool(segments),
+        )  # fmt: skip
+
+
+class Plots:
+    """Errors of measurements with the standard deviations that they report."""
+
+    def __init__(self, server: viser.ViserServer, x_label: str) -> None:
+        blank = (np.zeros(1), np.zeros(1), np.zeros(1))
+        self._plots = [
+            server.gui.add_uplot(
+                blank,
+                (
+                    uplot.Series(label=x_label),
+                    uplot.Series(label="error", stroke="#1f5fbf", width=2),
+                    uplot.Series(label="sigma", stroke="#c0392b", width=2),
+                ),
+                title=title,
+                scales={"x": uplot.Scale(time=False)},
+                aspect=2.0,
+            )
+            for title, *_ in PLOTS
+        ]
+
+    def show(self, x: Sequence[float], rows: Sequence[tuple[float, ...]]) -> None:
+        """Error and standard deviation of each plot, a row for each measurement, as `plotted` makes them."""
+        if not rows:
+            return
+        table, places = np.array(rows), np.array(x, dtype=np.float64)
+        for number, plot in enumerate(self._plots):
+            plot.data = (places, table[:, 2 * number], table[:, 2 * number + 1])
+
+
+def plotted(pose: RingPose | None, errors: Mapping[str, float]) -> tuple[float, ...]:
+    """Error and reported standard deviation of each plot, in its unit; NaN where there is none."""
+    tilts = None if pose is None or pose.covariance is None else pose.covariance[:2, :2]
+    covariances = {
+        "center_m": None if pose is None else pose.covariance_center_m2,
+        "normal_rad": tilts,
+        "grasp_m": None if pose is None else pose.covariance_grasp_m2,
+    }
+    row: list[float] = []
+    for _, name, factor in PLOTS:
+        covariance = covariances[name]
+        sigma = np.nan if covariance is None else float(np.sqrt(np.trace(covariance)))
+        row += [factor * errors.get(name, np.nan), factor * sigma]
+    return tuple(row)
+
+
+def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float]) -> str:
+    """Status, flags, reason, pose and errors of a measurement; `about` names what was measured."""
+    if line is None:
+        return f"**not measured** ({about})"
+    rows = [f"**{line.status}** ({about})"]
+    if (remarks := remarks_on(line)) != line.status:
+        rows.append(remarks)
+    if line.pose is not None:
+        rows += [text.replace("+-", "±") for text in pose_texts(line.pose)]
+    shown = [
+        f"{name} {factor * errors[key]:.3f}{unit}"
+        for name, key, factor, unit in (
+            ("centre", "center_m", 1e3, " mm"),
+            ("grasp", "grasp_m", 1e3, " mm"),
+            ("normal", "normal_rad", 180 / np.pi, "°"),
+        )
+        if key in errors
+    ]
+    return "  \n".join([*rows, f"errors: {', '.join(shown)}" if shown else "no errors: nothing to compare"])
+
+
+def track_text(pose: RingPose | None, velocity: RingVelocity | None, status: str, error_m: float = np.nan) -> str:
+    """What the track has, in a line."""
+    if pose is None:
+        return f"track: {status}"
+    x, y, z = 1e3 * pose.center_m
+    parts = [f"track: {status}, centre {x:.2f}, {y:.2f}, {z:.2f} mm"]
+    if velocity is not None:
+        rate_deg_s = np.degrees(np.linalg.norm(velocity.rate_rad_s))
+        parts.append(f"{1e3 * np.linalg.norm(velocity.center_m_s):.1f} mm/s, {rate_deg_s:.2f} deg/s")
+    if np.isfinite(error_m):
+        parts.append(f"error of the centre {1e3 * error_m:.3f} mm")
+    return ", ".join(parts)
+
+
+def _field_of_view(camera: Camera) -> tuple[float, float]:
+    """Vertical angle, and width over height."""
+    angle_rad = 2 * np.arctan(camera.image_height / 2 / camera.camera_matrix[1, 1])
+    return float(angle_rad), camera.image_width / camera.image_height
+
+
+def _circle(center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m: float) -> Float64[Array, "n 2 3"]:
+    angle = np.linspace(0.0, 2 * np.pi, RING_POINTS + 1)
+    first, second = tilt_basis(normal)
+    points = center_m + radius_m * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
+    segments: Float64[Array, "n 2 3"] = np.stack([points[:-1], points[1:]], axis=1)
+    return segments
+
+
+def surface(profile_m: Float64[Array, "point 2"]) -> tuple[Any, Any]:
+    """Vertices and triangles of a surface of revolution."""
+    angle = np.linspace(0.0, 2 * np.pi, RING_POINTS, endpoint=False)
+    radius, height = profile_m.T
+    vertices = np.stack(
+        [
+            np.outer(np.cos(angle), radius),
+            np.outer(np.sin(angle), radius),
+            np.broadcast_to(height, (len(angle), len(height))),
+        ],
+        axis=-1,
+    )
+    index = np.arange(vertices.shape[0] * vertices.shape[1]).reshape(vertices.shape[:2])
+    here, onward = index, np.roll(index, -1, axis=0)
+    quads = [(here[:, :-1], here[:, 1:], onward[:, 1:]), (here[:, :-1], onward[:, 1:], onward[:, :-1])]
+    faces = np.concatenate([np.stack([each.ravel() for each in triangle], axis=-1) for triangle in quads])
+    return vertices.reshape(-1, 3), faces
+
+
+def _light_plane(rig: Rig, laser: int, depth_m: float) -> Float64[Array, "3 3"]:
+    """A triangle in a light plane: the projector, and the ends of its line across the view at a depth."""
+    camera, lasers = rig.camera, rig.lasers
+    normal, distance_m = lasers.normal[laser], lasers.distance_m[laser]
+    half_m = camera.image_width / 2 / camera.camera_matrix[0, 0] * depth_m
+    if abs(normal[1]) > abs(normal[0]):
+        ends = [[x, (distance_m - normal[0] * x - normal[2] * depth_m) / normal[1], depth_m] for x in (-half_m, half_m)]
+    else:
+        ends = [[(distance_m - normal[1] * y - normal[2] * depth_m) / normal[0], y, depth_m] for y in (-half_m, half_m)]
+    projector = lasers.projector_m[laser]
+    start = projector if np.isfinite(projector).all() else np.zeros(3)
+    return np.array([start, *ends])
