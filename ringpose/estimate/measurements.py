@@ -46,8 +46,15 @@ CORRELATION_LENGTH_PX = 150.0
 TERMS = 8
 """Terms of the series; further ones have less variance than the points' independent errors."""
 
-ERRORS = 2 * (1 + TERMS)
-"""Number of common errors of a shot: one displacement and the terms of the series, for each edge."""
+FRAME_PX = 0.03
+"""Standard deviation of the displacement of an edge in one frame against another, by what shades or passes behind it
+and differs between them; measured on rendered rings with gaps, in the sun, 6 ms apart."""
+
+FRAMES = 2
+"""Number of frames in which the edges of a moving ring are measured."""
+
+ERRORS = 2 * (1 + TERMS + FRAMES)
+"""Number of common errors of a shot: one displacement, the terms of the series and one in each frame, for each edge."""
 
 SHORT_SERIES = 1.5
 """Factor on the autocorrelation time: a circle fitted to a short series removes part of the correlation."""
@@ -343,13 +350,18 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
 
 def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
     """Displacement of each point along its normal by common errors of unit variance; 0 for those of the other edge."""
-    errors = np.zeros((len(edges.edge), 2, 1 + TERMS))
+    errors = np.zeros((len(edges.edge), 2, ERRORS // 2))
+    frame = np.zeros(len(edges.edge), dtype=np.int64)
+    if edges.stamp_s is not None:
+        frame = np.minimum(np.unique(edges.stamp_s, return_inverse=True)[1], FRAMES - 1)
     for edge in (0, 1):
         members = np.flatnonzero(edges.edge == edge)
         if len(members):
             errors[members, edge, 0] = ROUNDED_PX
             along_px = _along_px(edges.position_px[members], edges.normal[members])
-            errors[members, edge, 1:] = (
+            if frame.any():
+                errors[members, edge, 1 + TERMS + frame[members]] = FRAME_PX
+            errors[members, edge, 1 : 1 + TERMS] = (
                 CORRELATED_SHARE * edges.sigma_px[members, None] * karhunen_loeve_terms(along_px)
             )
     return errors.reshape(len(errors), ERRORS)

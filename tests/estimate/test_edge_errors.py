@@ -39,6 +39,15 @@ def test_edges_err_independently_of_each_other(scene_of, visible_edges):
     assert together[:50, :50].min() > 0.0
 
 
+def test_an_edge_errs_differently_in_two_frames(scene_of, visible_edges):
+    edges = visible_edges(scene_of("B", distance_m=0.5), 100, 0.3)
+    twice = replace(edges, stamp_s=np.repeat([0.0, 0.1, 0.0, 0.1], 25))
+
+    differences = common_errors_px(twice)[:25] - common_errors_px(twice)[25:50]
+
+    assert (differences**2).sum(axis=1).min() > 2 * 0.02**2
+
+
 def test_an_edge_that_bends_alike_spoils_no_shot(scene_of, face_points, visible_edges):
     scene = scene_of("B", distance_m=0.5)
     edges = visible_edges(scene, 200, 0.1)
