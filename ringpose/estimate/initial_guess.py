@@ -23,19 +23,20 @@ def initial_guess(measured: Measurements, observations: Observations, prior: Pri
     """
     if not len(measured.points.x):
         return None
+    view = observations.view
     try:
         plane = _plane_of_stripes(measured, observations)
     except np.linalg.LinAlgError:
         return None
     # the stripes on that plane, and the break points on them
-    image_line = observations.light_normal - observations.light_distance_m[:, None] * plane
+    image_line = view.light_normal - view.light_distance_m[:, None] * plane
     slope = image_line[:, 0] / -image_line[:, 1]
-    rays = observations.rays.copy()
+    rays = view.rays.copy()
     rays[:, 1] = slope * rays[:, 0] - image_line[:, 2] / image_line[:, 1]
     inverse_depth = rays @ plane
     if not bool((inverse_depth > 0).all()):
         return None
-    ends = len(observations.whitening)
+    ends = view.ends
     rays, slope, depth_m = rays[ends:], slope[ends:], 1.0 / inverse_depth[ends:]
     points_m = depth_m[:, None] * rays
     # dP/dx of the break points along their stripes, for P = depth r
@@ -56,17 +57,18 @@ def initial_guess(measured: Measurements, observations: Observations, prior: Pri
 
 def _plane_of_stripes(measured: Measurements, observations: Observations) -> Float64[Array, "3"]:
     """The plane q that fits the stripes: (m . r - d q . r) / (m - d q)_y = 0, linear in q for a fixed denominator."""
-    ends, count = len(observations.whitening), len(observations.rays)
+    view = observations.view
+    ends, count = view.ends, len(view.rays)
     whitening = np.zeros((count, count))
     whitening[:ends, :ends] = observations.whitening
     isolated = ends + np.flatnonzero(measured.points.isolated)
     whitening[isolated, isolated] = 1.0 / np.sqrt(measured.points.covariance[isolated - ends, 1, 1])
-    distance_m = observations.light_distance_m
-    cosine = (observations.light_normal * observations.rays).sum(axis=1)  # m . r
+    distance_m = view.light_distance_m
+    cosine = (view.light_normal * view.rays).sum(axis=1)  # m . r
     plane = np.array([0.0, 0.0, float((cosine / distance_m).sum()) / count])
     for _ in range(2):
-        denominator = observations.light_normal[:, 1] - distance_m * plane[1]
-        rows = whitening @ ((distance_m / denominator)[:, None] * observations.rays)
+        denominator = view.light_normal[:, 1] - distance_m * plane[1]
+        rows = whitening @ ((distance_m / denominator)[:, None] * view.rays)
         matrix = rows.T @ rows
         matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2  # with a single stripe: a plane that faces the camera
         plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / denominator)))

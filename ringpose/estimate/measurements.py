@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rays import undistort
+from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -88,19 +89,18 @@ class Points:
 
 
 class Observations(NamedTuple):
-    """Rays of the lines' ends, then of the break points, with the light planes of their lasers."""
+    """The measurements with the light planes of their lasers, as one view of the ring."""
 
-    rays: Float64[Array, "sample xyz=3"]
-    light_normal: Float64[Array, "sample xyz=3"]
-    light_distance_m: Float64[Array, "sample"]
+    view: RingView
     whitening: Float64[Array, "end end"]
     """Block-diagonal, of the lines' ordinates."""
-    edge_sign: Float64[Array, "point"]
-    """-1 for the inner edge, +1 for the outer."""
     sigma_x: Float64[Array, "point"]
     """Standard deviations of the break points' abscissae."""
-    time_s: Float64[Array, "sample"]
-    """From the reference time to the mid exposure of the sample's frame."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the frames have different times, so that a motion can show."""
+        return len(self.view.instant_s) > 1 or bool(self.view.instant_s.any())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,7 +130,7 @@ class Measurements:
     """The instant at which the ring is estimated, t_0; NaN if the stamps are unknown."""
 
     def observations(self, planes: LaserPlanes) -> Observations:
-        """Ends of the lines and break points in one array, with the light planes of their lasers."""
+        """The view of the ring by ends of lines, break points and visible edge points, and the errors of these."""
         laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
         rays = np.ones((len(laser), 3))
         ends = 2 * len(self.lines.laser)
@@ -139,15 +139,21 @@ class Measurements:
         whitening = np.zeros((ends, ends))
         for number, block in enumerate(self.lines.whitening):
             whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
-        return Observations(
+        stamp_s = np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, self.edges.stamp_s])
+        instant_s, instant = np.unique(self.times_s(stamp_s), return_inverse=True)
+        view = RingView(
             rays=rays,
             light_normal=planes.normal[laser],
             light_distance_m=planes.distance_m[laser],
-            whitening=whitening,
+            ends=ends,
             edge_sign=2.0 * self.points.edge - 1.0,
-            sigma_x=self.points.sigma_x,
-            time_s=self.times_s(np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s])),
+            visible_rays=self.edges.ray,
+            visible_sign=2.0 * self.edges.edge - 1.0,
+            instant_s=instant_s,
+            of_sample=instant[: len(laser)],
+            of_visible=instant[len(laser) :],
         )
+        return Observations(view=view, whitening=whitening, sigma_x=self.points.sigma_x)
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""

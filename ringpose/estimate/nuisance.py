@@ -145,7 +145,7 @@ def rig_jacobian(
     Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe.
     """
     ends, lines = residuals.ends, np.repeat(measured.lines.laser, 2)
-    ray = _ray_wrt_rig(observations.rays[:, :2], errors, rig)
+    ray = _ray_wrt_rig(observations.view.rays[:, :2], errors, rig)
     y_wrt_planes = _ordinate_wrt_planes(residuals, np.concatenate([lines, measured.points.laser]), errors)
     above = ray[:, 1] - residuals.stripes.slope[:, None] * ray[:, 0] - y_wrt_planes
     distance = residuals.points.wrt_ray[:, 1:] * y_wrt_planes[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
@@ -172,7 +172,7 @@ def mean_ray_jacobian(
     if errors is None:
         return np.zeros((2, 0))
     points = slice(residuals.ends, None)
-    x_wrt_rig = _ray_wrt_rig(observations.rays[points, :2], errors, rig)[:, 0]
+    x_wrt_rig = _ray_wrt_rig(observations.view.rays[points, :2], errors, rig)[:, 0]
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
     y_wrt_rig = _ordinate_wrt_planes(residuals, laser, errors)[points] + residuals.slope[:, None] * x_wrt_rig
     return np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root

@@ -5,9 +5,8 @@ break points along their lines (b), the ordinates of break points without a line
 (d). The ring is described by `ringpose.geometry.ring`.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +21,11 @@ from ringpose.geometry.ring import (
     TILT_INWARD,
     TURN,
     EdgeDistances,
+    Rates,
     RingArcs,
     StripePrediction,
-    edge_distances,
     motion_derivatives,
-    predicted_stripes,
+    predicted_view,
 )
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import Assumptions
@@ -50,15 +49,6 @@ EXPECTED_HALF_BAND_M, HALF_BAND_SD_M = 0.015, 0.015
 
 RATES = 5
 """Velocity of the ring's centre, and angular velocities about its inward axis and about the axis along its face."""
-
-
-class Rates(NamedTuple):
-    """Motion of the ring: constant rates within a shot, Eq. (8.1)."""
-
-    velocity_m_s: Float64[Array, "xyz=3"]
-    """Of the ring's centre."""
-    rate_rad_s: Float64[Array, "xyz=3"]
-    """Angular velocity across the normal."""
 
 
 STILL = Rates(np.zeros(3), np.zeros(3))
@@ -107,8 +97,11 @@ class Residuals(NamedTuple):
     ordinates: OrdinateScale
     wrt_rates: Float64[Array, "row rate"]
     """Derivatives by the rates (`RATES`); no columns if all rows are of one instant."""
+    wrt_camera: Float64[Array, "row error"]
+    """Derivatives by the errors of the camera's motion; no columns for a camera at rest."""
     y_wrt_rates: Float64[Array, "sample rate"]
     """Derivatives of the predicted ordinates by the rates."""
+    y_wrt_camera: Float64[Array, "sample error"]
 
     @property
     def slope(self) -> Float64[Array, "point"]:
@@ -128,17 +121,14 @@ def ring_residuals(
 
     With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
     """
-    ends = len(observations.whitening)
-    rings = _rings_of_frames(arcs, measured, observations, prior, rates)
-    of_points, of_edges = rings.of_sample[ends:], rings.of_edge
-    planes = (observations.light_normal, observations.light_distance_m)
-    stripes = _of_frames(predicted_stripes, rings.arcs, rings.of_sample, (observations.rays[:, 0], *planes))
+    moving = prior.assumptions.motion is not None and observations.moving
+    stripes, points, edges = predicted_view(arcs, observations.view, rates if moving else None)
+    ends = observations.view.ends
     # a: whitened distances of the lines' ends from the predicted lines
-    above = observations.rays[:, 1] - stripes.rays[:, 1]
+    above = observations.view.rays[:, 1] - stripes.rays[:, 1]
     blocks = [(observations.whitening @ above[:ends], -observations.whitening @ stripes.y_wrt_step[:ends])]
 
     # b: distances of the break points from their edges, along the predicted lines
-    points = _of_frames(edge_distances, rings.arcs, of_points, (stripes.rays[ends:], observations.edge_sign))
     wrt_step = points.wrt_step + points.wrt_ray[:, 1:] * stripes.y_wrt_step[ends:]  # the point moves with its line
     distance_wrt_x = points.wrt_ray[:, 0] + stripes.slope[ends:] * points.wrt_ray[:, 1]
     distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
@@ -153,93 +143,35 @@ def ring_residuals(
         blocks.append((ordinate_scale * remainder, ordinate_scale[:, None] * jacobian))
 
     # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    edge_sign = np.array(EDGE_SIGN)[measured.edges.edge]
-    edges = _of_frames(edge_distances, rings.arcs, of_edges, (measured.edges.ray, edge_sign))
     sigma_m = np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1))
     edge_scale = 1.0 / np.maximum(sigma_m, np.finfo(float).tiny)
     blocks.append((edge_scale * edges.distance_m, edge_scale[:, None] * edges.wrt_step))
 
-    data_rows = sum(len(block) for block, _ in blocks)
-    blocks.append(_prior_residuals(arcs, prior))  # d
-    residual, jacobian = (np.concatenate(each) for each in zip(*blocks, strict=True))
-    wrt_rates, y_wrt_rates = np.zeros((len(residual), 0)), np.zeros((len(observations.rays), 0))
-    if len(rings.wrt_rates):  # from the increments of each frame's ring to those at the reference time, Eq. (8.2)
-        frame = np.concatenate([rings.of_sample, of_points[which], of_edges])
-        wrt_rates = np.zeros((len(residual), RATES))
-        wrt_rates[:data_rows] = _chained(jacobian[:data_rows], rings.wrt_rates, frame)
-        jacobian[:data_rows] = _chained(jacobian[:data_rows], rings.wrt_step, frame)
-        y_wrt_rates = _chained(stripes.y_wrt_step, rings.wrt_rates, rings.of_sample)
-        stripes = stripes._replace(y_wrt_step=_chained(stripes.y_wrt_step, rings.wrt_step, rings.of_sample))
+    residual, wrt_all = (np.concatenate(each) for each in zip(*blocks, strict=True))
+    prior_residual, prior_jacobian = _prior_residuals(arcs, prior)  # d
+    rate_columns = slice(PARAMETERS, PARAMETERS + RATES * moving)
     return Residuals(
-        residual,
-        jacobian,
-        ends,
-        data_rows,
-        stripes,
-        points,
-        edges,
-        edge_scale,
-        distance_wrt_x,
-        scale,
-        ordinates,
-        wrt_rates,
-        y_wrt_rates,
+        residual=np.concatenate([residual, prior_residual]),
+        jacobian=np.concatenate([wrt_all[:, :PARAMETERS], prior_jacobian]),
+        ends=ends,
+        data_rows=len(residual),
+        stripes=stripes._replace(y_wrt_step=stripes.y_wrt_step[:, :PARAMETERS]),
+        points=points,
+        edges=edges,
+        edge_scale=edge_scale,
+        distance_wrt_x=distance_wrt_x,
+        distance_scale=scale,
+        ordinates=ordinates,
+        wrt_rates=_with_zero_rows(wrt_all[:, rate_columns], len(prior_residual)),
+        wrt_camera=_with_zero_rows(wrt_all[:, rate_columns.stop :], len(prior_residual)),
+        y_wrt_rates=stripes.y_wrt_step[:, rate_columns],
+        y_wrt_camera=stripes.y_wrt_step[:, rate_columns.stop :],
     )
 
 
-class _RingsOfFrames(NamedTuple):
-    """The ring at the time of each frame."""
-
-    arcs: list[RingArcs]
-    of_sample: Int64[Array, "sample"]
-    """Index of the frame of each line's end and break point."""
-    of_edge: Int64[Array, "visible"]
-    wrt_step: Float64[Array, "frame step=7 step=7"]
-    """Derivatives of its increments by those at the reference time, and by the rates; empty for a still ring."""
-    wrt_rates: Float64[Array, "frame step=7 rate=5"]
-
-
-def _rings_of_frames(
-    arcs: RingArcs, measured: Measurements, observations: Observations, prior: Prior, rates: Rates
-) -> _RingsOfFrames:
-    samples, edges = len(observations.time_s), len(measured.edges.edge)
-    time_s = np.concatenate([observations.time_s, measured.times_s(measured.edges.stamp_s)])
-    if prior.assumptions.motion is None or not time_s.any():
-        frame = np.zeros(samples + edges, dtype=np.int64)
-        still = (np.empty((0, PARAMETERS, PARAMETERS)), np.empty((0, PARAMETERS, RATES)))
-        return _RingsOfFrames([arcs], frame[:samples], frame[samples:], *still)
-    unique_s, frame = np.unique(time_s, return_inverse=True)
-    times_s = unique_s.tolist()
-    rings = [arcs.after(each, *rates) for each in times_s]
-    derivatives = [motion_derivatives(arcs, ring, each) for ring, each in zip(rings, times_s, strict=True)]
-    wrt_step, wrt_rates = (np.array(each) for each in zip(*derivatives, strict=True))
-    return _RingsOfFrames(rings, frame[:samples], frame[samples:], wrt_step, wrt_rates)
-
-
-_Prediction = TypeVar("_Prediction", StripePrediction, EdgeDistances)
-
-
-def _of_frames(
-    function: Callable[..., _Prediction],
-    rings: Sequence[RingArcs],
-    frame: Int64[Array, "n"],
-    arrays: tuple[Float64[Array, "n ..."], ...],
-) -> _Prediction:
-    """A function of ring and arrays, each row with the ring of its frame."""
-    if len(rings) == 1:
-        return function(rings[0], *arrays)
-    rows = [np.flatnonzero(frame == number) for number in range(len(rings))]
-    parts = [function(ring, *(each[of] for each in arrays)) for ring, of in zip(rings, rows, strict=True)]
-    order = np.argsort(np.concatenate(rows))
-    return type(parts[0])(*(np.concatenate(columns)[order] for columns in zip(*parts, strict=True)))
-
-
-def _chained(
-    rows: Float64[Array, "n step=7"], derivatives: Float64[Array, "frame step=7 m"], frame: Int64[Array, "n"]
-) -> Float64[Array, "n m"]:
-    """Each row times the derivatives of its frame."""
-    product: Float64[Array, "n m"] = (rows[:, None] @ derivatives[frame])[:, 0]
-    return product
+def _with_zero_rows(rows: Float64[Array, "data column"], count: int) -> Float64[Array, "row column"]:
+    """The rows, and zeros for those of the prior."""
+    return np.concatenate([rows, np.zeros((count, rows.shape[1]))])
 
 
 def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlanes) -> Measurements:

@@ -20,8 +20,8 @@ from ringpose.estimate.nuisance import (
     rig_errors,
     rig_jacobian,
 )
-from ringpose.estimate.residuals import PARAMETERS, RATES, STILL, Prior, Rates, Residuals, ring_residuals
-from ringpose.geometry.ring import CURVATURE, LIFT, SHIFT, TILT_ALONG, TILT_INWARD, TURN, RingArcs
+from ringpose.estimate.residuals import PARAMETERS, RATES, STILL, Prior, Residuals, ring_residuals
+from ringpose.geometry.ring import CURVATURE, LIFT, SHIFT, TILT_ALONG, TILT_INWARD, TURN, Rates, RingArcs
 from ringpose.geometry.robust import huber_weights, redescending_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
@@ -217,7 +217,7 @@ class _Problem:
     def __init__(self, measured: Measurements, observations: Observations, rig: Rig, prior: Prior) -> None:
         self._measured, self._observations, self._rig, self._prior = measured, observations, rig, prior
         self.errors = rig_errors(rig, prior.assumptions.stability)
-        motion = prior.assumptions.motion if measured.times_s(measured.stamp_s).any() else None
+        motion = prior.assumptions.motion if observations.moving else None
         self.rate_sds = np.zeros(0) if motion is None else rate_sds(motion)
 
     def residuals(self, arcs: RingArcs, rates: Rates) -> Residuals:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.rotations import cross, tilt_basis
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, Int64
 
 STEP = ("tilt_inward", "tilt_along", "lift_m", "shift_m", "turn_rad", "curvature", "half_band_m")
 """Increments of `RingArcs`.
@@ -45,11 +45,14 @@ MIN_RATE = 1e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingArcs:
-    """The edges of a ring's face as two arcs about one centre, in the camera frame."""
+    """The edges of a ring's face as two arcs about one centre, in the camera frame.
 
-    origin: Float64[Array, "xyz=3"]
+    A moving ring has an origin and axes for each of several instants; `at_rows` selects that of each row of an array.
+    """
+
+    origin: Float64[Array, "*instant xyz=3"]
     """On the middle of the face, in metres."""
-    axes: Float64[Array, "3 xyz=3"]
+    axes: Float64[Array, "*instant 3 xyz=3"]
     """Unit vectors: inward (towards the centre), along the face, and the normal towards the camera."""
     curvature: float
     """Inverse of the mean radius in 1/m; negative if the centre is on the other side."""
@@ -57,9 +60,9 @@ class RingArcs:
     """Half of the outer minus the inner radius."""
 
     @property
-    def normal(self) -> Float64[Array, "xyz=3"]:
+    def normal(self) -> Float64[Array, "*instant xyz=3"]:
         """Unit normal of the ring's plane, towards the camera."""
-        normal: Float64[Array, "xyz=3"] = self.axes[2]
+        normal: Float64[Array, "*instant xyz=3"] = self.axes[..., 2, :]
         return normal
 
     @property
@@ -105,30 +108,41 @@ class RingArcs:
         )
 
     def after(
-        self, time_s: float, velocity_m_s: Float64[Array, "xyz=3"], rate_rad_s: Float64[Array, "xyz=3"]
+        self,
+        time_s: float | Float64[Array, "*instant"],
+        velocity_m_s: Float64[Array, "xyz=3"],
+        rate_rad_s: Float64[Array, "xyz=3"],
     ) -> "RingArcs":
         """The ring after a rigid motion at constant rates: c + v t, and rotated by exp([w] t) about its centre.
 
         Eq. (8.1) of ringpose-method(7); a rotation about the normal leaves the ring as it is.
         """
-        if time_s == 0.0 or not (velocity_m_s.any() or rate_rad_s.any()):
-            return self
-        axes = self.axes @ rotation_by(rate_rad_s * time_s).T
+        time = np.asarray(time_s)[..., None]
+        axes = self.axes @ rotation_by(rate_rad_s * time).swapaxes(-1, -2)
         return RingArcs(
-            origin=self.origin + velocity_m_s * time_s + self.lever_m * (self.axes[0] - axes[0]),
+            origin=self.origin + velocity_m_s * time + self.lever_m * (self.axes[0] - axes[..., 0, :]),
             axes=axes,
             curvature=self.curvature,
             half_band_m=self.half_band_m,
         )
 
+    def at_rows(self, instant: Int64[Array, "row"]) -> "RingArcs":
+        """The ring at the instant of each row."""
+        return RingArcs(
+            origin=self.origin[instant],
+            axes=self.axes[instant],
+            curvature=self.curvature,
+            half_band_m=self.half_band_m,
+        )
 
-def rotation_by(vector_rad: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
-    """Rotation matrix of a rotation vector (Rodrigues)."""
-    angle = float(np.sqrt(vector_rad @ vector_rad))
-    x, y, z = vector_rad.tolist()
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+def rotation_by(vector_rad: Float64[Array, "*shape 3"]) -> Float64[Array, "*shape 3 3"]:
+    """Rotation matrices of rotation vectors (Rodrigues)."""
+    angle = np.sqrt((vector_rad * vector_rad).sum(axis=-1))[..., None, None]
+    skew = np.zeros((*vector_rad.shape, 3))
+    skew[..., [2, 0, 1], [1, 2, 0]], skew[..., [1, 2, 0], [2, 0, 1]] = vector_rad, -vector_rad
     # sin(a)/a and (1 - cos(a))/a^2, regular at 0
-    rotation: Float64[Array, "3 3"] = (
+    rotation: Float64[Array, "*shape 3 3"] = (
         np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (skew @ skew)
     )
     return rotation
@@ -140,40 +154,44 @@ class MotionDerivatives(NamedTuple):
     Rates: velocity x, y, z of the centre, and angular velocities about the inward axis and the axis along the face.
     """
 
-    wrt_step: Float64[Array, "step=7 step=7"]
-    wrt_rates: Float64[Array, "step=7 rate=5"]
+    wrt_step: Float64[Array, "*instant step=7 step=7"]
+    wrt_rates: Float64[Array, "*instant step=7 rate=5"]
 
 
-def motion_derivatives(before: RingArcs, moved: RingArcs, time_s: float) -> MotionDerivatives:
+def motion_derivatives(
+    before: RingArcs, moved: RingArcs, time_s: float | Float64[Array, "*instant"]
+) -> MotionDerivatives:
     """Derivatives of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
 
     The origin moves by o_k = o + v t + l (i - i_k), with the lever l and the inward axes i and i_k before and after. A
     displacement s along the face turns the ring by s / R, as it does not change the ring otherwise.
     """
-    inward, along, normal = moved.axes
-    lever_m, curvature = before.lever_m, before.curvature
+    lever_m, curvature, time = before.lever_m, before.curvature, np.asarray(time_s)[..., None]
     turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
-    components = np.array([normal, inward, curvature * along])  # of a displacement: LIFT, SHIFT, TURN
+    components = moved.axes[..., [2, 0, 1], :] * np.array([[1.0], [1.0], [curvature]])  # LIFT, SHIFT, TURN
     displaced = [LIFT, SHIFT, TURN]
 
-    wrt_step = np.eye(len(STEP))
-    wrt_step[displaced] = 0.0
-    wrt_step[TURN, TURN] = 1.0
-    wrt_step[displaced, LIFT] = components @ before.normal
-    wrt_step[displaced, SHIFT] = components @ before.axes[0]
-    wrt_step[displaced, TURN] += lever_m * (components @ turned[1])
-    wrt_step[displaced, TILT_INWARD] = -lever_m * (components @ turned[2])
+    wrt_step = np.zeros((*time.shape[:-1], len(STEP), len(STEP)))
+    wrt_step[..., range(len(STEP)), range(len(STEP))] = 1.0
+    wrt_step[..., displaced, LIFT] = components @ before.axes[2]
+    wrt_step[..., displaced, SHIFT] = components @ before.axes[0]
+    wrt_step[..., displaced, TURN] += lever_m * _dot(components, turned[..., [1], :])
+    wrt_step[..., displaced, TILT_INWARD] = -lever_m * _dot(components, turned[..., [2], :])
     if abs(before.mean_radius_m) < MAX_LEVER_M:
-        wrt_step[displaced, CURVATURE] = -(lever_m**2) * (components @ turned[0])
+        wrt_step[..., displaced, CURVATURE] = -(lever_m**2) * _dot(components, turned[..., [0], :])
 
-    wrt_rates = np.zeros((len(STEP), 5))
-    wrt_rates[displaced, :3] = time_s * components
-    for column, axis in ((3, before.axes[0]), (4, before.axes[1])):
-        normal_turn, inward_turn = time_s * cross(axis, normal), time_s * cross(axis, inward)
-        wrt_rates[TILT_INWARD, column], wrt_rates[TILT_ALONG, column] = inward @ normal_turn, along @ normal_turn
-        wrt_rates[displaced, column] = -lever_m * (components @ inward_turn)
-        wrt_rates[TURN, column] += along @ inward_turn
+    wrt_rates = np.zeros((*time.shape[:-1], len(STEP), 5))
+    wrt_rates[..., displaced, :3] = time[..., None] * components
+    # about an axis a the normal n turns by a x n, the inward axis i by a x i; along = n x i
+    inward, along, normal = (time * (moved.axes[..., axis, :] @ before.axes[:2].T) for axis in range(3))
+    wrt_rates[..., TILT_INWARD, 3:], wrt_rates[..., TILT_ALONG, 3:] = along, -inward
+    wrt_rates[..., LIFT, 3:], wrt_rates[..., TURN, 3:] = lever_m * along, (1.0 - lever_m * curvature) * normal
     return MotionDerivatives(wrt_step, wrt_rates)
+
+
+def _dot(first: Float64[Array, "*first xyz=3"], second: Float64[Array, "*second xyz=3"]) -> Float64[Array, "*product"]:
+    product: Float64[Array, "*product"] = (first * second).sum(axis=-1)
+    return product
 
 
 def ring_arcs(
@@ -221,9 +239,9 @@ def predicted_stripes(
 
     q . P = 1 is the ring's plane, so that ring and light plane are met at the same depth.
     """
-    inward, along, normal = arcs.axes
-    distance_m = float(normal @ arcs.origin)
-    plane = normal / distance_m
+    distances_m = (arcs.axes @ arcs.origin[..., None])[..., 0]
+    distance_m = distances_m[..., 2:]
+    plane = arcs.axes[..., 2, :] / distance_m
     image_line = light_normal - light_distance_m[:, None] * plane
     denominator = image_line[:, 1]
     rays = np.ones((len(x), 3))
@@ -231,16 +249,18 @@ def predicted_stripes(
     rays[:, 1] = (image_line[:, 0] * x + image_line[:, 2]) / -denominator
     y_wrt_plane = (light_distance_m / denominator)[:, None] * rays
 
-    plane_wrt_step = np.zeros((3, len(STEP)))  # q = n / (n . origin)
-    plane_wrt_step[:, TILT_INWARD] = (inward - float(inward @ arcs.origin) * plane) / distance_m
-    plane_wrt_step[:, TILT_ALONG] = (along - float(along @ arcs.origin) * plane) / distance_m
-    plane_wrt_step[:, LIFT] = -plane / distance_m
+    # q = n / (n . origin): dq = (a - (a . origin) q) / (n . origin) for a tilt along a, -q / (n . origin) for a lift
+    y_wrt_axes = (arcs.axes @ y_wrt_plane[:, :, None])[..., 0]
+    y_wrt_depth = (y_wrt_plane * plane).sum(axis=1)[:, None]
+    y_wrt_step = np.zeros((len(x), len(STEP)))
+    y_wrt_step[:, [TILT_INWARD, TILT_ALONG]] = (y_wrt_axes - distances_m * y_wrt_depth)[:, :2] / distance_m
+    y_wrt_step[:, [LIFT]] = -y_wrt_depth / distance_m
     return StripePrediction(
         rays=rays,
         slope=image_line[:, 0] / -denominator,
-        y_wrt_step=y_wrt_plane @ plane_wrt_step,
+        y_wrt_step=y_wrt_step,
         y_wrt_light_normal=rays / -denominator[:, None],
-        y_wrt_light_distance=(rays @ plane) / denominator,
+        y_wrt_light_distance=(rays * plane).sum(axis=1) / denominator,
     )
 
 
@@ -291,11 +311,11 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     Eq. (5.2), with x inward and y along the face from the origin, in the form that is regular at curvature 0:
     |P - c| - 1/k = (k (x^2 + y^2) - 2 x) / (1 + h), h = k |P - c| = hypot(1 - k x, k y).
     """
-    inward, along, normal = arcs.axes
-    ray_inward, ray_along, ray_normal = arcs.axes @ rays.T
-    depth = float(arcs.origin @ normal) / ray_normal
-    x = depth * ray_inward - float(arcs.origin @ inward)
-    y = depth * ray_along - float(arcs.origin @ along)
+    ray_inward, ray_along, ray_normal = (arcs.axes @ rays[:, :, None])[..., 0].T
+    origin_inward, origin_along, origin_normal = (arcs.axes @ arcs.origin[..., None])[..., 0].T
+    depth = origin_normal / ray_normal
+    x = depth * ray_inward - origin_inward
+    y = depth * ray_along - origin_along
     k = arcs.curvature
     square = x * x + y * y
     h_x, h_y = 1.0 - k * x, k * y
@@ -314,8 +334,8 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     jacobian[:, CURVATURE] = (square - outside_m * outside_m) / (2.0 * h)
     jacobian[:, HALF_BAND] = -edge_sign
     # P = depth r: dP/dr = depth (1 - r n^T / (n . r))
-    outward = by_x[:, None] * inward[:2] + by_y[:, None] * along[:2]
-    wrt_ray = depth[:, None] * (outward - by_lift[:, None] * normal[:2])
+    by_axes = np.stack([by_x, by_y, -by_lift], axis=1)
+    wrt_ray = depth[:, None] * (by_axes[:, None] @ arcs.axes[..., :2])[:, 0]
     return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, jacobian, wrt_ray)
 
 
@@ -343,6 +363,120 @@ def edge_points(
     )
     flat = middle + (edge_sign * arcs.half_band_m)[:, None] * outward
     return arcs.origin + flat @ arcs.axes[:2], outward @ arcs.axes[:2]
+
+
+# All that one shot sees of a moving ring
+
+
+class Rates(NamedTuple):
+    """Motion of the ring: constant rates within a shot, Eq. (8.1)."""
+
+    velocity_m_s: Float64[Array, "xyz=3"]
+    """Of the ring's centre."""
+    rate_rad_s: Float64[Array, "xyz=3"]
+    """Angular velocity across the normal."""
+
+
+class CameraDisplacements(NamedTuple):
+    """Motion of the camera itself: P = rotation P_0 + translation_m at each instant, P_0 in the camera frame at t_0."""
+
+    rotation: Float64[Array, "instant 3 3"]
+    translation_m: Float64[Array, "instant xyz=3"]
+    wrt_errors: Float64[Array, "instant 6 error"]
+    """Rotation vector (rad) and translation (m) by which errors displace what the camera sees at each instant."""
+
+
+class RingView(NamedTuple):
+    """What a shot sees of a ring: samples on stripes (ends of lines, then break points) and visible edge points."""
+
+    rays: Float64[Array, "sample xyz=3"]
+    light_normal: Float64[Array, "sample xyz=3"]
+    light_distance_m: Float64[Array, "sample"]
+    ends: int
+    """Number of the samples that are ends of lines."""
+    edge_sign: Float64[Array, "point"]
+    """-1 for a break point on the inner edge, +1 for one on the outer edge."""
+    visible_rays: Float64[Array, "visible xyz=3"]
+    visible_sign: Float64[Array, "visible"]
+    """The same of the visible edge points."""
+    instant_s: Float64[Array, "instant"]
+    """Mid exposures of the frames, from the reference time."""
+    of_sample: Int64[Array, "sample"]
+    """Index of each sample's instant."""
+    of_visible: Int64[Array, "visible"]
+    camera: CameraDisplacements | None = None
+    """None for a camera that counts as inertial."""
+
+
+class RingPrediction(NamedTuple):
+    """Of a view, with derivatives `wrt_step` by the ring's step at t_0, its rates, and errors of the camera's motion.
+
+    Rates as in `MotionDerivatives`; they and the camera's errors have no columns for a ring and a camera at rest.
+    """
+
+    stripes: StripePrediction
+    points: EdgeDistances
+    """Of the predicted stripes at the abscissae of the break points."""
+    edges: EdgeDistances
+
+
+def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
+    """What is seen of the ring `arcs` at the reference time that moves at these rates; `rates` None if it is still."""
+    of_samples, of_points, of_visible, derivatives = arcs, arcs, arcs, None
+    if rates is not None or view.camera is not None:
+        rings, derivatives = _at_instants(arcs, view, rates)
+        of_samples, of_visible = rings.at_rows(view.of_sample), rings.at_rows(view.of_visible)
+        of_points = rings.at_rows(view.of_sample[view.ends :])
+    stripes = predicted_stripes(of_samples, view.rays[:, 0], view.light_normal, view.light_distance_m)
+    points = edge_distances(of_points, stripes.rays[view.ends :], view.edge_sign)
+    edges = edge_distances(of_visible, view.visible_rays, view.visible_sign)
+    if derivatives is None:
+        return RingPrediction(stripes, points, edges)
+    of_sample = derivatives[view.of_sample]
+    return RingPrediction(
+        stripes._replace(y_wrt_step=(stripes.y_wrt_step[:, None] @ of_sample)[:, 0]),
+        points._replace(wrt_step=(points.wrt_step[:, None] @ of_sample[view.ends :])[:, 0]),
+        edges._replace(wrt_step=(edges.wrt_step[:, None] @ derivatives[view.of_visible])[:, 0]),
+    )
+
+
+def _at_instants(
+    arcs: RingArcs, view: RingView, rates: Rates | None
+) -> tuple[RingArcs, Float64[Array, "instant step=7 parameter"]]:
+    """The ring at each instant in the camera frame of that instant, and the derivatives of its increments.
+
+    They are increments along the ring's own axes, which a motion of the camera leaves as they are.
+    """
+    velocity_m_s, rate_rad_s = (np.zeros(3), np.zeros(3)) if rates is None else rates
+    rings = arcs.after(view.instant_s, velocity_m_s, rate_rad_s)
+    derivatives = motion_derivatives(arcs, rings, view.instant_s)
+    columns = [derivatives.wrt_step] if rates is None else list(derivatives)
+    if view.camera is not None:
+        rotation = view.camera.rotation
+        rings = RingArcs(
+            origin=(rotation @ rings.origin[..., None])[..., 0] + view.camera.translation_m,
+            axes=rings.axes @ rotation.swapaxes(-1, -2),
+            curvature=arcs.curvature,
+            half_band_m=arcs.half_band_m,
+        )
+        columns.append(displacement_increments(rings) @ view.camera.wrt_errors)
+    return rings, np.concatenate(columns, axis=-1)
+
+
+def displacement_increments(rings: RingArcs) -> Float64[Array, "*instant step=7 6"]:
+    """Increments (`STEP`) by a small displacement of the camera frame: rotation vector (rad), translation (m).
+
+    P becomes P + turn x P + shift. A displacement along the face is the turn by which the place slides back.
+    """
+    axes, origin = rings.axes, rings.origin
+    jacobian = np.zeros((*origin.shape[:-1], len(STEP), 6))
+    # a . (turn x n) = turn . (n x a), with along = n x inward
+    jacobian[..., TILT_INWARD, :3], jacobian[..., TILT_ALONG, :3] = axes[..., 1, :], -axes[..., 0, :]
+    jacobian[..., TURN, :3] = axes[..., 2, :]
+    of_origin = np.concatenate([np.cross(origin[..., None, :], axes), axes], axis=-1)  # a . (turn x o + shift)
+    jacobian[..., LIFT, :], jacobian[..., SHIFT, :] = of_origin[..., 2, :], of_origin[..., 0, :]
+    jacobian[..., TURN, :] += rings.curvature * of_origin[..., 1, :]
+    return jacobian
 
 
 # Parameters of the records

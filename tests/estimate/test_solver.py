@@ -79,7 +79,8 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
 def test_a_plane_behind_the_camera_is_no_start(noisy):
     rig, measured = noisy
     observations = measured.observations(rig.lasers)
-    behind = observations._replace(light_distance_m=-observations.light_distance_m)
+    view = observations.view
+    behind = observations._replace(view=view._replace(light_distance_m=-view.light_distance_m))
 
     assert initial_guess(measured, behind, Prior()) is None
 
