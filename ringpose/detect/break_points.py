@@ -17,7 +17,6 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
-from ringpose.estimate.consistency import curvature_alone
 from ringpose.estimate.hypotheses import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
@@ -129,7 +128,7 @@ def without_outliers(points: BreakPoints, rig: Rig, assumptions: Assumptions = I
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         best = explain(measurements_of(points, rig), rig, prior, labelled=points.labelled, edges_named=False)
-    if best is not None and straight(*curvature_alone(best.estimate)):
+    if best is not None and straight(*best.estimate.curvature_alone):
         return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:
         points = points.with_edges_exchanged()

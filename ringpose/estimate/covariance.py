@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.nuisance import rate_sds
 from ringpose.estimate.residuals import PARAMETERS
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.ring import (
@@ -156,13 +155,13 @@ def ring_velocity(estimate: Estimate) -> RingVelocity | None:
     The rates are q = -M^-1 (B^T W r + C step) with M = 1 + B^T W B and C = B^T W J, so that their covariance is
     M^-1 + M^-1 C N^-1 C^T M^-1, in the standard deviations of their prior.
     """
-    motion, count = estimate.prior.assumptions.motion, len(estimate.rate_deviations)
-    if motion is None or not count:
+    scale = estimate.residuals.rate_sds
+    count = len(scale)
+    if not count:
         return None
     weighted = estimate.nuisance.T * estimate.weights
     inverse = np.linalg.inv(weighted @ estimate.nuisance + np.eye(len(weighted)))
     gain = (inverse @ (weighted @ estimate.residuals.jacobian))[:count]
-    scale = rate_sds(motion)
     covariance = (inverse[:count, :count] + gain @ estimate.inverse @ gain.T) * scale[:, None] * scale
     to_basis = np.eye(count)  # angular velocities from the arcs' axes to the tilt basis of the normal
     to_basis[3:, 3:] = tilt_basis(estimate.arcs.normal) @ estimate.arcs.axes[:2].T

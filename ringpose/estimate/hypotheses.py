@@ -16,14 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.consistency import (
-    chi2,
-    curvature_alone,
-    edge_residuals,
-    fails_chi2_test,
-    largest_reduction,
-    stripe_rows,
-)
 from ringpose.estimate.covariance import (
     CENTER,
     GRASP,
@@ -37,7 +29,7 @@ from ringpose.estimate.covariance import (
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.residuals import PARAMETERS, Prior, at_reference_time
-from ringpose.estimate.solver import OUTLIER_SIGMAS, Estimate, estimate_ring, log_determinant, predicted_residuals
+from ringpose.estimate.solver import OUTLIER_SIGMAS, Estimate, estimate_ring, predicted_residuals
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
@@ -51,6 +43,9 @@ PARAMETER_PENALTY = 4.0
 
 OUTLIER_PENALTY = 12.0
 """Penalty for any rejection: a factor of 400 in likelihood."""
+
+ALARM_SIGMAS = 3.7
+"""Limit of the chi-squared test as a normal quantile: one shot in ten thousand exceeds it by chance."""
 
 SUSPICIOUS_REDUCTION = 20.0
 """Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""
@@ -137,8 +132,8 @@ class Solved(NamedTuple):
     @property
     def score(self) -> float:
         """Penalised chi-squared, visible edges included by their mean: less is better."""
-        total = chi2(self.estimate, self.hypothesis.measured) + self.hypothesis.penalty
-        edges = edge_residuals(self.estimate, self.hypothesis.measured)
+        total = self.estimate.chi2 + self.hypothesis.penalty
+        edges = self.estimate.edge_residuals
         if not len(edges):
             return total
         return total + EDGE_NUMBERS * max(float(np.minimum(edges**2, OUTLIER_SIGMAS**2).mean()) - 1.0, 0.0)
@@ -215,9 +210,9 @@ def _better_side(
     """The best explanation, with inner and outer edges as they are named or exchanged."""
     best = _explained(measured, rig, prior, labelled)
     if best is not None:
-        curvature, sd = curvature_alone(best.estimate)
+        curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
-        compared = len(best.estimate.rate_deviations) and not len(measured.edges.edge) and not edges_named
+        compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
     other = _explained(measured.with_edges_exchanged(), rig, prior, labelled)
@@ -235,7 +230,7 @@ def _side_score(explanation: Explanation) -> float:
     """Penalised chi-squared, and that of a negative curvature, which puts the centre on the wrong side."""
     estimate = explanation.estimate
     variance = float(estimate.inverse[CURVATURE, CURVATURE])
-    score = chi2(estimate, explanation.measured) + explanation.penalty
+    score = estimate.chi2 + explanation.penalty
     return score + min(estimate.arcs.curvature, 0.0) ** 2 / variance
 
 
@@ -243,7 +238,7 @@ def _explained(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -
     """The best explanation with inner and outer edges as they are named."""
     estimate = estimate_ring(measured, rig, prior)
     if estimate is not None and len(measured.edges.edge):
-        measured = replace(measured, edges=inflate_sigma(measured.edges, edge_residuals(estimate, measured)))
+        measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
         estimate = estimate_ring(measured, rig, prior, estimate.arcs)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
@@ -256,7 +251,7 @@ def _explained(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -
         wider = 0.0
         if everything is not None and hypothesis.flag & WIDER:
             # the likelihood of a wider prior: what it explains, less all that it could have explained
-            wider = max(log_determinant(estimate) - log_determinant(everything.estimate), 0.0)
+            wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
         tried.append(Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate))
     if everything is None and not tried:
         return None
@@ -269,7 +264,7 @@ def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, lis
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
     best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, tried) or near[0], tried)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
-    if fails_chi2_test(best.estimate, best.hypothesis.measured):
+    if fails_chi2_test(best.estimate):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
         best = everything or best
         remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
@@ -286,11 +281,7 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
     differing = frozenset[str]().union(*(differing_quantities(best.estimate, each.estimate) for each in rivals))
     reduction = nan
     if everything is not None:
-        before, after = (
-            chi2(everything.estimate, everything.hypothesis.measured),
-            chi2(best.estimate, hypothesis.measured),
-        )
-        reduction = before - after
+        reduction = everything.estimate.chi2 - best.estimate.chi2
     flag = hypothesis.flag
     for each in rivals:  # another assignment of the lasers is possible
         flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
@@ -459,7 +450,7 @@ def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[H
     seen = measured.lasers
     for laser in seen if len(seen) > 1 else []:
         rest, name = measured.without_laser(laser), rig.lasers.names[laser]
-        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (stripe_rows(measured) - stripe_rows(rest))
+        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
         remark = f"the stripe of laser {name} contradicts the others and was left out"
         rejected = (Rejection(what="stripe", laser=name),)
         yield Hypothesis(rest, prior, PoseFlag.STRIPE_REJECTED, remark, penalty, rejected, laser)
@@ -537,10 +528,25 @@ def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
 
 def _is_suspicious(solved: Solved) -> bool:
     """Whether the ring fails the chi-squared test, or would fit much better without one of its numbers."""
-    estimate, measured = solved.estimate, solved.hypothesis.measured
-    if fails_chi2_test(estimate, measured):
+    estimate = solved.estimate
+    if fails_chi2_test(estimate):
         return True
-    edges = estimate.weights[stripe_rows(measured) :][: len(measured.edges.edge)]
-    if len(edges) and float((edges == 0).mean()) > REJECTED_SHARE:
+    weights = estimate.edge_weights
+    if len(weights) and float((weights == 0).mean()) > REJECTED_SHARE:
         return True
-    return largest_reduction(estimate, measured) > SUSPICIOUS_REDUCTION
+    return estimate.largest_reduction > SUSPICIOUS_REDUCTION
+
+
+def fails_chi2_test(estimate: Estimate) -> bool:
+    """Whether the residuals of stripes, break points and priors exceed the quantile of chi-squared.
+
+    Visible edges are too many, and their errors too correlated, to be added to these few numbers.
+    """
+    dof = estimate.degrees_of_freedom
+    return dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
+
+
+def chi2_quantile(degrees_of_freedom: int, sigmas: float) -> float:
+    """Quantile of chi-squared at the probability of a normal quantile (Wilson and Hilferty 1931)."""
+    spread = 2.0 / (9.0 * degrees_of_freedom)
+    return degrees_of_freedom * (1.0 - spread + sigmas * sqrt(spread)) ** 3

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.estimate.consistency import chi2, degrees_of_freedom
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors, edge_jacobian
 from ringpose.estimate.residuals import Prior
@@ -34,8 +33,8 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
         time_s = measured.times_s(measured.stamp_s)
         wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(arcs.normal, arcs.center))
     empty = np.zeros((rows, 0))
-    wrt_rig = empty if estimate.rig is None else estimate.rig[:rows]
-    wrt_form = empty if estimate.form is None else estimate.form[:rows]
+    wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
+    wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
     own = edge_jacobian(estimate.residuals, measured)[:rows] if len(measured.edges.edge) else np.zeros((rows, 0))
     residual = estimate.residuals.residual[:rows]
 
@@ -56,11 +55,11 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
         ),
         nuisance_parameters=(
             *(() if errors is None else errors.parameters),
-            *(() if estimate.form is None else FORM_PARAMETERS),
+            *(() if estimate.fixed.form is None else FORM_PARAMETERS),
         ),
         square_root=np.asarray(triangle)[count:, count:],
-        degrees_of_freedom=degrees_of_freedom(estimate, measured),
-        chi2=chi2(estimate, measured),
+        degrees_of_freedom=estimate.degrees_of_freedom,
+        chi2=estimate.chi2,
     )
 
 

@@ -166,6 +166,11 @@ class Measurements:
         isolated = self.points.stamp_s[self.points.isolated]
         return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
 
+    @property
+    def stripe_numbers(self) -> int:
+        """Number of measured numbers of stripes and break points."""
+        return 2 * len(self.lines.laser) + len(self.points.laser) + int(self.points.isolated.sum())
+
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """The measurements with these break points only."""
         points = {each.name: getattr(self.points, each.name)[keep] for each in fields(Points)}

@@ -9,16 +9,17 @@ and the common errors of the points of a visible edge (`Edges.common`) are treat
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
-from ringpose.estimate.residuals import Residuals
-from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, RingArcs, polar_angles
+from ringpose.estimate.residuals import Prior, Residuals
+from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import MotionPrior, RigStability
+from ringpose.types.assumptions import RigStability
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.rig import Rig
 
@@ -137,6 +138,37 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     return root
 
 
+class FixedColumns(NamedTuple):
+    """Derivatives by common errors that are evaluated once, near the solution."""
+
+    rig: Float64[Array, "row parameter"] | None
+    """In the parameters' own units; None if the rig counts as exact."""
+    form: Float64[Array, "row amplitude"] | None
+    """In metres; None for a perfect ring."""
+    columns: Float64[Array, "row error"]
+    """Of the rig's errors, the form and the visible edges, in standard deviations."""
+    edge_errors: int
+    """Number of those of visible edges, the last ones."""
+
+
+def fixed_columns(
+    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
+) -> FixedColumns:
+    """Derivatives by the errors of rig, form and visible edges."""
+    by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
+    errors = rig_errors(rig, prior.assumptions.stability)
+    if errors is not None:
+        by_rig = rig_jacobian(residuals, measured, observations, errors, rig)
+        columns.append(by_rig @ errors.root)
+    if prior.assumptions.ring_tolerance_m > 0.0:
+        form = form_jacobian(residuals, measured)
+        columns.append(form_sd_m(prior.assumptions.ring_tolerance_m) * form)
+    if len(measured.edges.edge):
+        columns.append(edge_jacobian(residuals, measured))
+    edge_errors = measured.edges.common.shape[1] if len(measured.edges.edge) else 0
+    return FixedColumns(by_rig, form, np.concatenate(columns, axis=1), edge_errors)
+
+
 def rig_jacobian(
     residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
 ) -> Float64[Array, "row parameter"]:
@@ -163,24 +195,23 @@ def rig_jacobian(
 
 
 def mean_ray_jacobian(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors | None, rig: Rig
+    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
 ) -> Float64[Array, "xy=2 error"]:
-    """Derivatives of the mean of the predicted break points by the rig's errors of unit variance, for a fixed ring.
+    """Derivatives of the mean of the predicted break points by rates and errors of the rig, for a fixed ring.
 
     The abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
     """
+    y_wrt_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * residuals.rate_sds
+    wrt_rates = np.array([np.zeros_like(y_wrt_rates), y_wrt_rates])
+    errors = rig_errors(rig, prior.assumptions.stability)
     if errors is None:
-        return np.zeros((2, 0))
+        return wrt_rates
     points = slice(residuals.ends, None)
     x_wrt_rig = _ray_wrt_rig(observations.view.rays[points, :2], errors, rig)[:, 0]
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
     y_wrt_rig = _ordinate_wrt_planes(residuals, laser, errors)[points] + residuals.slope[:, None] * x_wrt_rig
-    return np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
-
-
-def rate_sds(prior: MotionPrior) -> Float64[Array, "rate=5"]:
-    """Standard deviations of velocity and angular velocity, as the rates' columns of the residuals."""
-    return np.array([prior.speed_sd_m_s] * 3 + [prior.rate_sd_rad_s] * 2)
+    wrt_rig = np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
+    return np.concatenate([wrt_rates, wrt_rig], axis=1)
 
 
 def form_sd_m(tolerance_m: float) -> float:
@@ -188,7 +219,7 @@ def form_sd_m(tolerance_m: float) -> float:
     return tolerance_m / sqrt(len(FORM_ORDERS))
 
 
-def form_jacobian(residuals: Residuals, measured: Measurements, arcs: RingArcs) -> Float64[Array, "row amplitude=18"]:
+def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row amplitude=18"]:
     """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
 
     An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
@@ -196,7 +227,7 @@ def form_jacobian(residuals: Residuals, measured: Measurements, arcs: RingArcs) 
     """
     isolated = np.flatnonzero(measured.points.isolated)
     rays = residuals.stripes.rays
-    angle = polar_angles(arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
+    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
     edge = [np.full(residuals.ends, -1), measured.points.edge, measured.points.edge[isolated], measured.edges.edge]
     of_edge = np.concatenate(edge)
     shape = np.column_stack([wave(order * angle) for order in FORM_ORDERS for wave in (np.cos, np.sin)])

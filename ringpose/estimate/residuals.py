@@ -6,6 +6,7 @@ break points along their lines (b), the ordinates of break points without a line
 """
 
 from dataclasses import replace
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ from ringpose.geometry.ring import (
     predicted_view,
 )
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.assumptions import Assumptions
+from ringpose.types.assumptions import Assumptions, MotionPrior
 from ringpose.types.rig import LaserPlanes
 from ringpose.types.ring import KnownRadii
 
@@ -47,9 +48,14 @@ EXPECTED_HALF_BAND_M, HALF_BAND_SD_M = 0.015, 0.015
 """Prior on half the width of the face if only one edge was seen: faces in launcher manuals are 0.03 m wide."""
 
 
-RATES = 5
-"""Velocity of the ring's centre, and angular velocities about its inward axis and about the axis along its face."""
+MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
+"""Bounds of the plane's distance; beyond them the iteration has diverged."""
 
+MAX_CURVATURE = 20.0
+"""Bound in 1/m; beyond it the iteration has diverged."""
+
+MAX_TILT_RAD = 0.7
+"""Largest tilt in one iteration."""
 
 STILL = Rates(np.zeros(3), np.zeros(3))
 
@@ -77,6 +83,12 @@ class OrdinateScale(NamedTuple):
 class Residuals(NamedTuple):
     """The whitened residuals, their Jacobian, and the predictions that the nuisance parameters need."""
 
+    arcs: RingArcs
+    """The ring at the reference time ..."""
+    rates: Rates
+    """... and its motion, at which they are linearised."""
+    rate_sds: Float64[Array, "rate"]
+    """Standard deviations of the rates by their prior; empty if the ring is still or all rows are of one instant."""
     residual: Float64[Array, "row"]
     jacobian: Float64[Array, "row step=7"]
     ends: int
@@ -96,12 +108,27 @@ class Residuals(NamedTuple):
     """1 / standard deviation of that distance."""
     ordinates: OrdinateScale
     wrt_rates: Float64[Array, "row rate"]
-    """Derivatives by the rates (`RATES`); no columns if all rows are of one instant."""
+    """Derivatives by the rates: velocity of the ring's centre, and angular velocities about its inward axis and about
+    the axis along its face. No columns for a still ring."""
     wrt_camera: Float64[Array, "row error"]
     """Derivatives by the errors of the camera's motion; no columns for a camera at rest."""
     y_wrt_rates: Float64[Array, "sample rate"]
     """Derivatives of the predicted ordinates by the rates."""
     y_wrt_camera: Float64[Array, "sample error"]
+
+    @property
+    def stripe_rows(self) -> int:
+        """Number of residuals of stripes and break points, which come before those of visible edges."""
+        return self.data_rows - len(self.edge_scale)
+
+    @property
+    def rate_deviations(self) -> Float64[Array, "rate"]:
+        """The rates in standard deviations of their prior."""
+        if not len(self.rate_sds):
+            return self.rate_sds
+        values = np.concatenate([self.rates.velocity_m_s, self.arcs.axes[:2] @ self.rates.rate_rad_s])
+        deviations: Float64[Array, "rate"] = values / np.maximum(self.rate_sds, np.finfo(float).tiny)
+        return deviations
 
     @property
     def slope(self) -> Float64[Array, "point"]:
@@ -121,8 +148,8 @@ def ring_residuals(
 
     With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
     """
-    moving = prior.assumptions.motion is not None and observations.moving
-    stripes, points, edges = predicted_view(arcs, observations.view, rates if moving else None)
+    sds = rate_sds(prior.assumptions.motion) if observations.moving else np.zeros(0)
+    stripes, points, edges = predicted_view(arcs, observations.view, rates if len(sds) else None)
     ends = observations.view.ends
     # a: whitened distances of the lines' ends from the predicted lines
     above = observations.view.rays[:, 1] - stripes.rays[:, 1]
@@ -149,8 +176,11 @@ def ring_residuals(
 
     residual, wrt_all = (np.concatenate(each) for each in zip(*blocks, strict=True))
     prior_residual, prior_jacobian = _prior_residuals(arcs, prior)  # d
-    rate_columns = slice(PARAMETERS, PARAMETERS + RATES * moving)
+    rate_columns = slice(PARAMETERS, PARAMETERS + len(sds))
     return Residuals(
+        arcs=arcs,
+        rates=rates,
+        rate_sds=sds,
         residual=np.concatenate([residual, prior_residual]),
         jacobian=np.concatenate([wrt_all[:, :PARAMETERS], prior_jacobian]),
         ends=ends,
@@ -167,6 +197,38 @@ def ring_residuals(
         y_wrt_rates=stripes.y_wrt_step[:, rate_columns],
         y_wrt_camera=stripes.y_wrt_step[:, rate_columns.stop :],
     )
+
+
+def rate_sds(prior: MotionPrior | None) -> Float64[Array, "rate"]:
+    """Standard deviations of velocity and angular velocity, as the rates' columns of the residuals; empty if still."""
+    return np.zeros(0) if prior is None else np.array([prior.speed_sd_m_s] * 3 + [prior.rate_sd_rad_s] * 2)
+
+
+def moved_residuals(
+    residuals: Residuals,
+    step: Float64[Array, "step=7"],
+    rate_step: Float64[Array, "rate"],
+    measured: Measurements,
+    observations: Observations,
+    prior: Prior,
+) -> Residuals | None:
+    """The residuals after a step of the ring, and of its rates in their standard deviations.
+
+    A step longer than `MAX_TILT_RAD` is shortened as a whole. None if the ring is then not in front of the camera, or
+    has an impossible size. The angular velocity stays across the normal.
+    """
+    arcs, rates = residuals.arcs, residuals.rates
+    largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
+    moved = arcs.moved(step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step)
+    depth_m = -float(arcs.axes[2] @ moved.origin)
+    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
+    if not (possible and all(map(isfinite, step.tolist()))):
+        return None
+    if len(rate_step):
+        change = rate_step * residuals.rate_sds
+        across = arcs.axes[:2] @ rates.rate_rad_s + change[3:]
+        rates = Rates(rates.velocity_m_s + change[:3], across @ moved.axes[:2])
+    return ring_residuals(moved, measured, observations, prior, rates)
 
 
 def _with_zero_rows(rows: Float64[Array, "data column"], count: int) -> Float64[Array, "row column"]:

@@ -11,7 +11,7 @@ from math import degrees, hypot, nan, sqrt
 
 import numpy as np
 
-from ringpose.estimate.consistency import chi2_quantile
+from ringpose.estimate.hypotheses import chi2_quantile
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import light_plane_bases, rig_errors, rig_jacobian, total_covariance
 from ringpose.estimate.residuals import PARAMETERS
@@ -284,7 +284,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
     errors = rig_errors(rig, TYPICAL_STABILITY)
     if errors is None:
         return None
-    residuals, rates = estimate.residuals, len(estimate.rate_deviations)
+    residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
     of_rig = estimate.mean_ray_wrt_nuisance.shape[1]
     own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
     by_rig = rig_jacobian(residuals, measured, measured.observations(rig.lasers), errors, rig)
@@ -293,7 +293,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
     prior = np.zeros((eliminated, rows.shape[1]))
     diagonal = range(eliminated)
     prior[diagonal, diagonal] = np.concatenate([np.full(PARAMETERS, sqrt(RIDGE)), np.ones(own.shape[1])])
-    prior[PARAMETERS : PARAMETERS + rates, -1] = -estimate.rate_deviations
+    prior[PARAMETERS : PARAMETERS + rates, -1] = -residuals.rate_deviations
     triangle = np.linalg.qr(np.concatenate([prior, np.sqrt(estimate.weights)[:, None] * rows]), mode="r")
     return PlaneEvidence(
         parameters=errors.parameters,

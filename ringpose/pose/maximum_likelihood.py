@@ -7,7 +7,6 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from ringpose.estimate.consistency import chi2, curvature_alone, degrees_of_freedom
 from ringpose.estimate.covariance import (
     CURVATURE_OUT,
     EDGE_ON_BELOW,
@@ -187,7 +186,7 @@ def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
     ends of a single stripe alone may be those of any surface.
     """
-    curvature, sd = curvature_alone(best.estimate)
+    curvature, sd = best.estimate.curvature_alone
     if best.prior.radii is None and not abs(curvature) > CURVED_SIGMAS * sd:
         return ALL_WEAK, "the edges may be straight: the shot does not show that it is a ring"
     if len(best.measured.edges.edge):
@@ -225,7 +224,7 @@ def _unverified(best: Explanation) -> PoseFlag:
     """Flags of what the pose assumes without a check by the shot itself: its side, the radius, the rig."""
     flags = PoseFlag(0) if best.side_known else PoseFlag.SIDE_UNKNOWN
     if best.prior.radii is not None:
-        curvature, sd = curvature_alone(best.estimate)
+        curvature, sd = best.estimate.curvature_alone
         flags |= PoseFlag.RADIUS_UNVERIFIED if not sd < VERIFIED_BELOW * curvature else PoseFlag(0)
     if len(best.measured.lines.laser) < REDUNDANT_STRIPES:
         flags |= PoseFlag.RIG_UNCHECKED
@@ -254,8 +253,7 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
     if best.flag & PoseFlag.INCONSISTENT:
-        dof = degrees_of_freedom(estimate, best.measured)
-        covariance = covariance * max(chi2(estimate, best.measured) / dof, 1.0)
+        covariance = covariance * max(estimate.chi2 / estimate.degrees_of_freedom, 1.0)
         for other in best.competing:
             difference = difference_from(other, quantities(other), estimate, found)
             covariance = covariance + np.outer(difference, difference)
