@@ -28,8 +28,8 @@ from ringpose.estimate.covariance import (
 )
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.residuals import PARAMETERS, Prior, at_reference_time
-from ringpose.estimate.solver import OUTLIER_SIGMAS, Estimate, estimate_ring, predicted_residuals
+from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
+from ringpose.estimate.solver import OUTLIER_SIGMAS, at_reference_time, estimate_ring, predicted_residuals
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior

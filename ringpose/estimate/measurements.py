@@ -96,11 +96,8 @@ class Observations(NamedTuple):
     """Block-diagonal, of the lines' ordinates."""
     sigma_x: Float64[Array, "point"]
     """Standard deviations of the break points' abscissae."""
-
-    @property
-    def moving(self) -> bool:
-        """Whether the frames have different times, so that a motion can show."""
-        return len(self.view.instant_s) > 1 or bool(self.view.instant_s.any())
+    moving: bool
+    """Whether there are times from which a motion can be estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,7 +150,7 @@ class Measurements:
             of_sample=instant[: len(laser)],
             of_visible=instant[len(laser) :],
         )
-        return Observations(view=view, whitening=whitening, sigma_x=self.points.sigma_x)
+        return Observations(view, whitening, self.points.sigma_x, moving=bool(instant_s.any()))
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""

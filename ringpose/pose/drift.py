@@ -14,8 +14,7 @@ import numpy as np
 from ringpose.estimate.hypotheses import chi2_quantile
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import light_plane_bases, rig_errors, rig_jacobian, total_covariance
-from ringpose.estimate.residuals import PARAMETERS
-from ringpose.estimate.solver import RIDGE, Estimate
+from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate
 from ringpose.geometry.rotations import angle_between, tilted
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability

@@ -7,8 +7,8 @@ import pytest
 
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior, ring_residuals
-from ringpose.estimate.solver import estimate_ring
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import estimate_ring, ring_residuals
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import NoPose, RingPose
