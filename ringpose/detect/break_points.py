@@ -20,6 +20,7 @@ from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_C
 from ringpose.estimate.hypotheses import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels import ends as kernels
@@ -118,7 +119,9 @@ class BreakPointsOnRing(NamedTuple):
     rejected: tuple[Rejection, ...]
 
 
-def without_outliers(points: BreakPoints, rig: Rig, assumptions: Assumptions = IDEAL) -> BreakPointsOnRing:
+def without_outliers(
+    points: BreakPoints, rig: Rig, assumptions: Assumptions = IDEAL, camera: CameraMotion | None = None
+) -> BreakPointsOnRing:
     """The break points by the best explanation of their ring: inner and outer edge named, wrong ones left out.
 
     They are judged before the ring's edges are searched, since a wrong end misleads that search. A rejected end is
@@ -127,7 +130,8 @@ def without_outliers(points: BreakPoints, rig: Rig, assumptions: Assumptions = I
     """
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
-        best = explain(measurements_of(points, rig), rig, prior, labelled=points.labelled, edges_named=False)
+        measured = measurements_of(points, rig, camera=camera)
+        best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False)
     if best is not None and straight(*best.estimate.curvature_alone):
         return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:

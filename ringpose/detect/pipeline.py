@@ -19,6 +19,7 @@ from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32
@@ -55,16 +56,19 @@ def detect(
     predicted: BreakPoints | None = None,
     background: Frame | None = None,
     assumptions: Assumptions | None = None,
+    camera: CameraMotion | None = None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
     With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
     whole frames are searched. If the prediction is `labelled`, it assigns the stripes of frames with several lasers on.
     `background`: a frame without lasers of an earlier shot, for a shot without one: it is subtracted, but the edges
-    that it shows are not measured again. `assumptions`: None for the usual ones about this shot.
+    that it shows are not measured again. `assumptions`: None for the usual ones about this shot. `camera`: its motion,
+    if a robot moves it; then a ring at rest moves in the images, too.
     """
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
+    still = assumptions.motion is None and camera is None
     images = laser_images(shot, len(rig.lasers.names), background)
     lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
@@ -78,13 +82,13 @@ def detect(
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
     assigned = predicted is not None and predicted.labelled
-    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, assigned=assigned)
+    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, camera, assigned=assigned)
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
-        on_ring = _found(stripes, images, shot, rig, assumptions)
+        on_ring = _found(stripes, images, shot, rig, assumptions, camera)
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, assumptions.motion is None, on_ring.motion)
+        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
     if isinstance(found, BreakPoints) and (ring_edges is None or int(found.seen.any(axis=1).sum()) == 1):
         if not ends_clear(found):
             found = NoBreakPoints.NO_RING
@@ -200,6 +204,7 @@ def _found(
     shot: Shot,
     rig: Rig,
     assumptions: Assumptions,
+    camera: CameraMotion | None,
     *,
     assigned: bool = False,
 ) -> _Found:
@@ -216,12 +221,13 @@ def _found(
         return _Found(face)
     saturation_dn = images[0].saturation_dn
     points = break_points(face, tracks, images, rig, saturation_dn)
-    motion = None if assumptions.motion is None else ring_motion(points, shot, rig)
+    still = assumptions.motion is None and camera is None
+    motion = None if still else ring_motion(points, shot, rig)
     if motion is not None:
         unmoved = [_without_moved_background(image, motion) for image in images]
         if unmoved != images:
             points = break_points(face, tracks, unmoved, rig, saturation_dn)
-    return _Found(*without_outliers(points, rig, assumptions), motion)
+    return _Found(*without_outliers(points, rig, assumptions, camera), motion)
 
 
 def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:

@@ -34,11 +34,12 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
     empty = np.zeros((rows, 0))
     wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
     wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
+    wrt_camera = estimate.fixed.camera[:rows]
     own = edge_jacobian(estimate.residuals, measured)[:rows] if len(measured.edges.edge) else np.zeros((rows, 0))
     residual = estimate.residuals.residual[:rows]
 
     # z - h(x) = r falls by -J dx: the derivative of the prediction h is minus that of the residual
-    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, wrt_form, -residual[:, None]], axis=1)
+    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, wrt_form, wrt_camera, -residual[:, None]], axis=1)
     whitened = -columns * np.sqrt(estimate.weights[:rows])[:, None]
     count = own.shape[1]
     prior = np.eye(count, whitened.shape[1])
@@ -55,10 +56,12 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
         nuisance_parameters=(
             *(() if errors is None else errors.parameters),
             *(() if estimate.fixed.form is None else FORM_PARAMETERS),
+            *(() if measured.camera is None else measured.camera.mount.uncertain),
         ),
         square_root=np.asarray(triangle)[count:, count:],
         degrees_of_freedom=estimate.degrees_of_freedom,
         chi2=estimate.chi2,
+        camera_motion="none" if measured.camera is None else "robot_poses",
     )
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import undistort
 from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
@@ -125,6 +126,8 @@ class Measurements:
     """Whether every break point has a covariance; otherwise the pose is reported without."""
     reference_s: float = math.nan
     """The instant at which the ring is estimated, t_0; NaN if the stamps are unknown."""
+    camera: CameraMotion | None = None
+    """Motion of the camera by the poses of a robot that carries it; None if the camera counts as inertial."""
 
     def observations(self, planes: LaserPlanes) -> Observations:
         """The view of the ring by ends of lines, break points and visible edge points, and the errors of these."""
@@ -149,6 +152,7 @@ class Measurements:
             instant_s=instant_s,
             of_sample=instant[: len(laser)],
             of_visible=instant[len(laser) :],
+            camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
         return Observations(view, whitening, self.points.sigma_x, moving=bool(instant_s.any()))
 
@@ -200,7 +204,12 @@ class Measurements:
         return replace(self, lines=replace(self.lines, laser=lines), points=replace(self.points, laser=points))
 
 
-def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoints | None = None) -> Measurements:
+def measurements_of(
+    break_points: BreakPoints,
+    rig: Rig,
+    ring_edges: RingEdgePoints | None = None,
+    camera: CameraMotion | None = None,
+) -> Measurements:
     """The measurements of a detection; NaN where a point cannot be undistorted."""
     lines = _lines(break_points, rig.camera)
     laser, edge = np.nonzero(break_points.seen)
@@ -233,6 +242,7 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         edges=_edges(ring_edges, rig.camera),
         has_covariances=has_covariances,
         reference_s=float(stamps.mean()) if len(stamps) else math.nan,
+        camera=camera,
     )
 
 

@@ -140,7 +140,7 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
 def fixed_columns(
     residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
 ) -> FixedColumns:
-    """Derivatives by the errors of rig, form and visible edges."""
+    """Derivatives by the errors of rig, form, mount and visible edges."""
     by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
     errors = rig_errors(rig, prior.assumptions.stability)
     if errors is not None:
@@ -149,10 +149,14 @@ def fixed_columns(
     if prior.assumptions.ring_tolerance_m > 0.0:
         form = form_jacobian(residuals, measured)
         columns.append(form_sd_m(prior.assumptions.ring_tolerance_m) * form)
+    if residuals.wrt_camera.shape[1] and measured.camera is not None:
+        variance = measured.camera.mount.covariance
+        uncertain = np.diag(variance) > 0
+        columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
     if len(measured.edges.edge):
         columns.append(edge_jacobian(residuals, measured))
     edge_errors = measured.edges.common.shape[1] if len(measured.edges.edge) else 0
-    return FixedColumns(by_rig, form, np.concatenate(columns, axis=1), edge_errors)
+    return FixedColumns(by_rig, form, residuals.wrt_camera, np.concatenate(columns, axis=1), edge_errors)
 
 
 def rig_jacobian(

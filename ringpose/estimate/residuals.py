@@ -97,10 +97,9 @@ class Residuals(NamedTuple):
     """Derivatives by the rates: velocity of the ring's centre, and angular velocities about its inward axis and about
     the axis along its face. No columns for a still ring."""
     wrt_camera: Float64[Array, "row error"]
-    """Derivatives by the errors of the camera's motion; no columns for a camera at rest."""
+    """Derivatives by the mount's parameters (`Mount.uncertain`); no columns for a camera at rest."""
     y_wrt_rates: Float64[Array, "sample rate"]
     """Derivatives of the predicted ordinates by the rates."""
-    y_wrt_camera: Float64[Array, "sample error"]
 
     @property
     def stripe_rows(self) -> int:
@@ -125,8 +124,10 @@ class FixedColumns(NamedTuple):
     """In the parameters' own units; None if the rig counts as exact."""
     form: Float64[Array, "row amplitude"] | None
     """In metres; None for a perfect ring."""
+    camera: Float64[Array, "row parameter"]
+    """By the mount's parameters, in their own units."""
     columns: Float64[Array, "row error"]
-    """Of the rig's errors, the form and the visible edges, in standard deviations."""
+    """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
     edge_errors: int
     """Number of those of visible edges, the last ones."""
 

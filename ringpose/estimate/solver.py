@@ -334,7 +334,6 @@ def ring_residuals(
         wrt_rates=_with_zero_rows(wrt_all[:, rate_columns], len(prior_residual)),
         wrt_camera=_with_zero_rows(wrt_all[:, rate_columns.stop :], len(prior_residual)),
         y_wrt_rates=stripes.y_wrt_step[:, rate_columns],
-        y_wrt_camera=stripes.y_wrt_step[:, rate_columns.stop :],
     )
 
 

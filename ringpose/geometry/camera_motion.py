@@ -1,14 +1,15 @@
-"""The motion of a camera that a robot carries, from the robot's poses (ringpose-method(7), section 10)."""
+"""The motion of a camera that a robot carries, from the robot's poses (ringpose-method(7), sections 8 and 10)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import rotation_by
+from ringpose.geometry.ring import CameraDisplacements, rotation_by
 from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.robot import Mount, RobotPoses
+from ringpose.types.robot import MOUNT_PARAMETERS, Mount, RobotPoses
 
 MAX_GAP_S = 1.0
 """Longest time between two poses of the robot within which its motion is interpolated."""
@@ -76,6 +77,55 @@ class CameraMotion:
         after = int(np.searchsorted(stamps_s, time_s, side="right"))
         gap_s = stamps_s[after] - stamps_s[after - 1]
         return f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated"
+
+    def displacements(self, reference_s: float, instant_s: Float64[Array, "instant"]) -> CameraDisplacements | None:
+        """How the camera is displaced at instants after `reference_s`; None if the robot's poses do not cover them.
+
+        Its errors are the mount's parameters that have a variance (`Mount.uncertain`), in their own units.
+        """
+        return _displacements(self, reference_s, tuple(instant_s.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _displacements(
+    camera: CameraMotion, reference_s: float, instant_s: tuple[float, ...]
+) -> CameraDisplacements | None:
+    found = _displaced(camera, reference_s, instant_s)
+    if found is None:
+        return None
+    columns, mount = [np.zeros((len(instant_s), 6, 0))], camera.mount
+    for number, sd in enumerate(np.sqrt(np.diag(mount.covariance)).tolist()):
+        if sd == 0.0:
+            continue
+        # by differences of one standard deviation: between two poses of the robot its twist is constant, so that the
+        # derivative with respect to the delay would be zero there
+        ends = []
+        for offset in (sd, -sd):
+            error = offset * np.eye(len(MOUNT_PARAMETERS))[number]
+            matrix = mount.tool_from_camera.copy()
+            matrix[:3, :3], matrix[:3, 3] = rotation_by(error[:3]) @ matrix[:3, :3], matrix[:3, 3] + error[3:6]
+            with_error = replace(mount, tool_from_camera=matrix, delay_s=mount.delay_s + float(error[6]))
+            ends.append(_displaced(replace(camera, mount=with_error), reference_s, instant_s))
+        ahead, behind = ends
+        if ahead is None or behind is None:
+            return None
+        turned = ahead[0] @ behind[0].swapaxes(-1, -2)
+        turn = np.array([rotation_vector(each) for each in turned])
+        shift = ahead[1] - (turned @ behind[1][..., None])[..., 0]
+        columns.append(np.concatenate([turn, shift], axis=1)[..., None] / (2.0 * sd))
+    return CameraDisplacements(*found, np.concatenate(columns, axis=-1))
+
+
+def _displaced(
+    camera: CameraMotion, reference_s: float, instant_s: tuple[float, ...]
+) -> tuple[Float64[Array, "instant 3 3"], Float64[Array, "instant 3"]] | None:
+    """R and t of P = R P_0 + t, from the camera frame at the reference time to that at each instant."""
+    states = [camera.at(reference_s + each) for each in (0.0, *instant_s)]
+    first, moved = states[0], [each for each in states[1:] if each is not None]
+    if first is None or len(moved) < len(instant_s):
+        return None
+    rotations = np.array([each.rotation.T @ first.rotation for each in moved])
+    return rotations, np.array([each.rotation.T @ (first.origin_m - each.origin_m) for each in moved])
 
 
 def _logarithm(

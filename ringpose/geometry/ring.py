@@ -383,7 +383,7 @@ class CameraDisplacements(NamedTuple):
     rotation: Float64[Array, "instant 3 3"]
     translation_m: Float64[Array, "instant xyz=3"]
     wrt_errors: Float64[Array, "instant 6 error"]
-    """Rotation vector (rad) and translation (m) by which errors displace what the camera sees at each instant."""
+    """Rotation vector (rad) and translation (m) by which errors displace what is seen; zero at t_0."""
 
 
 class RingView(NamedTuple):

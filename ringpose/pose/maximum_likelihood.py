@@ -23,6 +23,7 @@ from ringpose.estimate.information import prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
@@ -63,18 +64,22 @@ def most_likely_pose(
     assumptions: Assumptions = IDEAL,
     lasers_on: Bool[Array, "laser"] | None = None,
     rejected: Sequence[Rejection] = (),
+    camera: CameraMotion | None = None,
 ) -> PoseResult:
     """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
     The radii of a catalogue's ring are used if the shot identifies it with high probability. `lasers_on`: which lasers
     were on in the shot, to report those whose stripe is missing; None if unknown. `rejected`: by the detector.
+    `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
     """
-    measured = measurements_of(break_points, rig, ring_edges)
+    measured = measurements_of(break_points, rig, ring_edges, camera)
     if not len(measured.points.x):
         return PoseResult(pose=NoPose.TOO_FEW_BREAK_POINTS)
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
         return PoseResult(pose=NoPose.UNTRIANGULATED)
-    assumptions, untimed = _timed(break_points, assumptions)
+    if camera is not None and measured.observations(rig.lasers).view.camera is None:
+        return PoseResult(pose=NoPose.NO_ROBOT_POSES)
+    assumptions, untimed = _timed(break_points, assumptions, moving=camera is not None)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
     explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
@@ -166,7 +171,9 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     )
 
 
-def _timed(break_points: BreakPoints, assumptions: Assumptions) -> tuple[Assumptions, tuple[PoseFlag, str] | None]:
+def _timed(
+    break_points: BreakPoints, assumptions: Assumptions, *, moving: bool
+) -> tuple[Assumptions, tuple[PoseFlag, str] | None]:
     """The assumptions, and flags with their reason where a motion cannot be estimated although it is assumed.
 
     Stripes that were taken one after the other need stamps of their own.
@@ -174,7 +181,8 @@ def _timed(break_points: BreakPoints, assumptions: Assumptions) -> tuple[Assumpt
     seen = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
     stamps = [] if break_points.stamp_s is None else break_points.stamp_s[seen].tolist()
     distinct = len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))
-    if assumptions.motion is None or not break_points.labelled or distinct or int(seen.sum()) == 1:
+    moving = moving or assumptions.motion is not None  # the camera or the target
+    if not moving or not break_points.labelled or distinct or int(seen.sum()) == 1:
         return assumptions, None
     return replace(assumptions, motion=None), (ALL_WEAK | PoseFlag.VELOCITY_WEAK, NOT_TIMED)
 

@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ringpose.estimate.covariance import standard_deviation
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import USUAL, AssumptionOptions
@@ -36,12 +37,14 @@ def pose_line(
     frame: PoseFrame = PoseFrame.CAMERA,
     known: KnownRadii | Sequence[Ring] | None = None,
     options: AssumptionOptions = USUAL,
+    camera: CameraMotion | None = None,
 ) -> PoseLine:
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
     `known` are the ring's radii, or the catalogue that it belongs to. `options` state what
-    is assumed. The frame `tool` needs the rig's mount; without
-    it vectors and record are in the camera frame.
+    is assumed. The frame `tool` needs the rig's mount; without it vectors and record are in the camera frame. `camera`:
+    its motion by the poses of the robot that carries it, which is removed within the shot; velocity and assumptions
+    about the motion are then relative to the robot's base. None for a camera that counts as inertial.
     """
     assumptions = options.about_shot(rig.stability, still=source.still)
     if rig.tool_from_camera is None:
@@ -51,7 +54,7 @@ def pose_line(
     if isinstance(source, Shot):
         from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
 
-        source = detect(source, rig, assumptions=assumptions)
+        source = detect(source, rig, assumptions=assumptions, camera=camera)
         detected_s = perf_counter()
         stage_s["detect"] = detected_s - start_s
     points = source.break_points
@@ -67,7 +70,9 @@ def pose_line(
             stage_s=stage_s,
             rig=rig.sha256,
         )
-    result = pose_result(points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected)
+    result = pose_result(
+        points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected, camera
+    )
     rejected = result.rejected or source.rejected
     pose, velocity = result.pose, result.velocity
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:

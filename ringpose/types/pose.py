@@ -27,6 +27,9 @@ class NoPose(Enum):
     AMBIGUOUS = "what was seen has several explanations with neither the ring's plane nor a grasp point in common"
     UNDETERMINED = "neither the ring's plane nor a point to grasp is determined by what was seen"
     SINGULAR = "the equations for the ring are numerically singular: what was seen contradicts itself or is degenerate"
+    NO_ROBOT_POSES = (
+        "the robot's poses do not cover the shot, or have gaps: give them from before its first to after its last frame"
+    )
     NOT_FINITE = "the solution misses the break points that it came from, as when the ring lies along a light plane"
 
 
@@ -162,7 +165,7 @@ class RingMeasurement:
 
     linearized_at: LinearizationPoint
     nuisance_parameters: tuple[str, ...]
-    """Common errors that several shots share: parameters of the rig, in their own units."""
+    """Common errors that several shots share: parameters of rig, ring form and mount, in their own units."""
     square_root: Float64[Array, "row column"]
     """Upper-trapezoidal QR factor of the whitened rows [J, J_q, z - h]; columns: `MEASURED_PARAMETERS`,
     `nuisance_parameters`, residual."""
