@@ -122,7 +122,7 @@ def observation(
         target=rows[:, -1],
         of_ring=min(len(rows), count),
     )
-    return observed if camera is None else _in_base(observed, camera)
+    return observed if camera is None else _in_base(observed, camera, common.of_mount)
 
 
 def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Array, "5"]:
@@ -132,8 +132,11 @@ def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Ar
     return np.concatenate([camera.rotation.T @ velocity, rates])
 
 
-def _in_base(observed: Observation, camera: CameraState) -> Observation:
-    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera."""
+def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Observation:
+    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera.
+
+    `of_mount`: whether the last common errors are those of the mount, which act within the shot, too.
+    """
     arcs = observed.arcs
     arcs = RingArcs(
         origin=camera.origin_m + camera.rotation @ arcs.origin,
@@ -150,8 +153,11 @@ def _in_base(observed: Observation, camera: CameraState) -> Observation:
     wrt_errors[LIFT], wrt_errors[SHIFT] = moved_m @ normal, moved_m @ inward
     # a displacement along the face is the turn by which the place slides back
     wrt_errors[TURN] = np.cross(turn, inward) @ along + arcs.curvature * (moved_m @ along)
-    common = np.concatenate([observed.wrt_common, -observed.wrt_step @ wrt_errors], axis=1)
-    return replace(observed, arcs=arcs, wrt_common=common)
+    by_errors = -observed.wrt_step @ wrt_errors
+    if of_mount:
+        within, others = observed.wrt_common[:, -len(turn) :], observed.wrt_common[:, : -len(turn)]
+        return replace(observed, arcs=arcs, wrt_common=np.concatenate([others, within + by_errors], axis=1))
+    return replace(observed, arcs=arcs, wrt_common=np.concatenate([observed.wrt_common, by_errors], axis=1))
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
