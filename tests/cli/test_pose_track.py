@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from forked import Forked
+from ros_messages import fits
 from schemas import validated
 
 from ringpose.cli.main import main
@@ -117,3 +119,76 @@ def test_options_that_contradict_each_other_are_wrong_usage(rig, detections, cap
     assert streams.out == ""
     assert streams.err.count("\n") == 1
     assert key_word in streams.err
+
+
+@pytest.fixture
+def mounted(tmp_path, rig, detections) -> tuple[Path, Path]:
+    """The rig file with a mount of known errors, and a detection whose frames have stamps."""
+    mount = {"tool_from_camera": np.eye(4).tolist(), "covariance": (1e-8 * np.eye(6)).tolist(), "delay_sd_s": 0.001}
+    rig.write_text(yaml.safe_dump({**yaml.safe_load(rig.read_text()), "mount": mount}))
+    record = json.loads(detections.read_text().splitlines()[0])
+    record["break_points"]["stamp_s"] = [1.7e9, 1.7e9 + 0.1, 1.7e9 + 0.2]
+    shots = tmp_path / "detections.jsonl"
+    shots.write_text(json.dumps(record) + "\n")
+    return rig, shots
+
+
+def robot_poses(file: Path, begin_s: float, end_s: float) -> Path:
+    """Poses of a robot at rest."""
+    pose = {"position_m": [1.0, 0.2, 0.3], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    stamps_s = 1.7e9 + np.arange(begin_s, end_s, 0.1)
+    file.write_text("".join(json.dumps({"stamp_s": each, "base_from_tool": pose}) + "\n" for each in stamps_s.tolist()))
+    return file
+
+
+def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_base(mounted, tmp_path, capsys):
+    rig, shots = mounted
+    robot, words = robot_poses(tmp_path / "robot.jsonl", -1.0, 1.0), ["pose", str(shots), "--rig", str(rig)]
+    assert main(words) == 0
+    (alone,) = lines(capsys)
+
+    assert main([*words, "--robot-poses", str(robot)]) == 0
+    (record,) = lines(capsys)
+    assert main([*words, "--robot-poses", str(robot), "--track"]) == 0
+    (track,) = lines(capsys)
+
+    assert validated(record)["measurement"]["camera_motion"] == "robot_poses"
+    assert "mount.delay" in record["measurement"]["nuisance_parameters"]
+    np.testing.assert_allclose(record["pose"]["grasp_m"], alone["pose"]["grasp_m"], atol=1e-4)
+    assert (validated(track)["frame"], track["camera"]) == ("base", "robot_poses")
+    away_m = np.array(track["grasp"]["point_m"]) - [1.0, 0.2, 0.3] - alone["pose"]["grasp_m"]
+    assert np.abs(away_m[[0, 2]]).max() < 5e-4  # y runs along the face, on which the point is chosen anew
+
+
+def test_a_shot_that_the_robot_poses_do_not_cover_has_no_pose_and_a_reason(mounted, tmp_path, capsys):
+    rig, shots = mounted
+    robot = robot_poses(tmp_path / "robot.jsonl", 5.0, 6.0)
+
+    assert main(["pose", str(shots), "--rig", str(rig), "--robot-poses", str(robot)]) == 3
+
+    (record,) = lines(capsys)
+    assert record["pose"] is None
+    assert "robot" in record["reason"]
+
+
+def test_poses_are_written_as_messages_of_ros(mounted, capsys):
+    rig, shots = mounted
+    assert main(["pose", str(shots), "--rig", str(rig)]) == 0
+    (record,) = lines(capsys)
+
+    assert main(["pose", str(shots), "--rig", str(rig), "--format", "ros"]) == 0
+
+    (message,) = lines(capsys)
+    assert fits(message["pose"], "geometry_msgs/PoseWithCovarianceStamped")
+    assert fits(message["twist"], "geometry_msgs/TwistWithCovarianceStamped")
+    assert list(message["pose"]["pose"]["pose"]["position"].values()) == record["pose"]["center_m"]
+    stamp = message["pose"]["header"]["stamp"]
+    assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(record["pose_stamp_s"], abs=1e-6)
+    assert message["status"] == record["status"]
+
+
+def test_the_newest_lines_state_how_many_were_skipped(rig, detections, capsys):
+    assert main(["pose", str(detections), "--rig", str(rig), "--newest"]) == 0
+
+    records = lines(capsys)
+    assert len(records) + sum(validated(record)["lines_skipped"] for record in records) == 3
