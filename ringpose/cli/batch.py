@@ -24,11 +24,33 @@ Jobs = Annotated[
 ]
 
 
+MAX_UNNAMED = 20
+"""Problems in a row that are reported each; further ones of names and lines that cannot be read are only counted, as
+random data has many lines."""
+
+
 class Batch:
     """The highest exit status of the inputs processed so far."""
 
     def __init__(self) -> None:
         self.status = 0
+        self._in_a_row, self._unreported = 0, 0
+
+    def _report(self, problem: DataError | NoInputError) -> None:
+        """Report a problem on stderr; a file that exists is always named."""
+        self.record_status(problem.status)
+        self._in_a_row += 1
+        is_line = isinstance(problem, NoInputError) or problem.location.startswith("standard input")
+        if self._in_a_row > MAX_UNNAMED and is_line:
+            self._unreported += 1
+        else:
+            messages.error(problem)
+
+    def _report_count(self) -> None:
+        """Report how many problems were only counted, once a valid input or the end has come."""
+        if self._unreported:
+            messages.echo(f"{self._unreported} further lines or names cannot be read; give names or records")
+        self._in_a_row, self._unreported = 0, 0
 
     @contextmanager
     def guarded(self) -> Iterator[None]:
@@ -38,16 +60,15 @@ class Batch:
         """
         try:
             yield
+            self._report_count()
         except (DataError, NoInputError) as problem:
-            messages.error(problem)
-            self.record_status(problem.status)
+            self._report(problem)
 
     def valid_inputs(self, items: "Iterable[Input | Problem]") -> "Iterator[Input]":
         """Yield the inputs in order; report those that are errors on stderr."""
         for item in items:
             if isinstance(item, DataError | NoInputError):
-                messages.error(item)
-                self.record_status(item.status)
+                self._report(item)
             else:
                 yield item
 
@@ -76,6 +97,7 @@ class Batch:
 
     def finish(self) -> None:
         """Exit the command with the highest status."""
+        self._report_count()
         raise typer.Exit(self.status)
 
 

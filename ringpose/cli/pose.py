@@ -34,6 +34,7 @@ from ringpose.cli.options import (
 )
 from ringpose.cli.pose_jobs import SingleShot, parallel_lines
 from ringpose.cli.track_options import (
+    STDIN,
     Format,
     GripperRadial,
     GripperTilt,
@@ -41,7 +42,10 @@ from ringpose.cli.track_options import (
     Newest,
     OutputFormat,
     PredictFor,
+    RobotPosesFile,
     TrackSettings,
+    camera_motion,
+    live_camera_motion,
     record_writer,
     track_writer,
 )
@@ -54,6 +58,7 @@ if TYPE_CHECKING:
     from ringpose.capture.tracked_sequence import TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
+    from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.pipeline import Tracker
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
@@ -105,6 +110,7 @@ def pose(
     lost_after: LostAfter = None,
     gripper_radial_m: GripperRadial = None,
     gripper_tilt_deg: GripperTilt = None,
+    robot_poses: RobotPosesFile = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
     brief: Brief = False,
@@ -133,8 +139,12 @@ def pose(
     rig_of_shots, batch = read_rig(rig), Batch()
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
-    tracker = settings.tracker(rig_of_shots, assumed, None) if track else None
-    stream = _Stream(rig_of_shots, method, frame, known, assumed, tracker)
+    is_live_robot = camera is not None and robot_poses == STDIN
+    motion = None if is_live_robot else camera_motion(robot_poses, rig, inputs)
+    tracker = settings.tracker(rig_of_shots, assumed, motion) if track else None
+    stream = _Stream(rig_of_shots, method, frame, known, assumed, tracker, motion)
+    if is_live_robot:
+        stream.motion_until = live_camera_motion(rig)
     lines: AbstractContextManager[Iterator[PoseLine]]
     if jobs > 1:
         single = SingleShot(rig_of_shots, channel, method, frame, known, assumed)
@@ -214,6 +224,7 @@ class _Stream:
         known: "KnownRadii | Sequence[Ring] | None",
         assumed: "AssumptionOptions",
         tracker: "Tracker | None",
+        camera: "CameraMotion | None",
     ) -> None:
         from ringpose.pose.drift import DriftMonitor
 
@@ -221,7 +232,10 @@ class _Stream:
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
+        self.motion_until: Callable[[float], CameraMotion] | None = None
+        """The motion of the camera up to a stamp, for robot poses that arrive meanwhile."""
         self._method, self._frame, self._known, self._assumed = method, frame, known, assumed
+        self._tracker, self._camera = tracker, camera
         if tracker is not None:
             from ringpose.capture import tracked_sequence
             from ringpose.track.shots import ShotTracker
@@ -233,14 +247,19 @@ class _Stream:
         from ringpose.pose.record import pose_line
         from ringpose.types.image import Shot
 
+        if self.motion_until is not None and isinstance(source, Shot):
+            self._camera = self.motion_until(source.mid_exposure_s(-1))
+            if self._tracker is not None:
+                self._tracker.camera = self._camera
         start_s, detect_s = perf_counter(), 0.0
         detection = self._detected(source) if isinstance(source, Shot) else source
         if isinstance(source, Shot):
             detect_s = perf_counter() - start_s
         if self.pictures is not None:
             self.pictures.keep(source, detection)
-        rig, frame = self.monitor.rig, self._frame
-        line = pose_line(detection, rig, method=self._method, frame=frame, known=self._known, options=self._assumed)
+        line = pose_line(
+            detection, self.monitor.rig, self._method, self._frame, self._known, self._assumed, self._camera
+        )
         stages_s = {"detect": detect_s, **line.stage_s} if isinstance(source, Shot) else line.stage_s
         return replace(line, latency_s=line.latency_s + detect_s, stage_s=stages_s)
 
@@ -251,7 +270,7 @@ class _Stream:
         assumptions = self._assumed.about_shot(rig.stability, still=shot.still)
         if self.shots is not None:
             return self.shots.detected(shot, rig, assumptions)
-        return detect(shot, rig, assumptions=assumptions)
+        return detect(shot, rig, assumptions=assumptions, camera=self._camera)
 
 
 def _recorded_lines(

@@ -10,7 +10,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.assumption_options import MaxRate, MaxSpeed, assumption_options
-from ringpose.cli.options import Inputs, OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options import OptionalRigFile, Quiet, Verbose, finite
 from ringpose.cli.track_options import (
     Format,
     GripperRadial,
@@ -32,6 +32,13 @@ if TYPE_CHECKING:
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
 
+Inputs = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="INPUT...",
+        help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
+    ),
+]
 Rate = Annotated[
     float | None,
     typer.Option(
@@ -77,31 +84,52 @@ def track(
     batch.finish()
 
 
-def _added(item: "Input", tracker: "Tracker", batch: "Batch") -> "Attempt | None":
-    """Add a record to the track; None if it is not a record of this track, which is reported on stderr."""
-    from ringpose.errors import DataError, NoInputError
-    from ringpose.files.poses import pose_line_of
+class _Records:
+    """Adds records to a track; what concerns all records of a stream is reported once, on stderr."""
 
-    attempt = None
-    with batch.guarded():
-        if isinstance(item, Path):
-            if not item.exists():
-                raise NoInputError(str(item), "does not exist")
-            raise DataError(str(item), "is not a file of pose records", "give the output of ringpose pose")
-        line = pose_line_of(item.values, item.location)
-        try:
-            attempt = tracker.add(line, time())
-        except DataError as problem:
-            raise DataError(f"{item.location}: {problem.location}", problem.found, problem.remedy) from problem
-    return attempt
+    def __init__(self, tracker: "Tracker", batch: "Batch") -> None:
+        self._tracker, self._batch = tracker, batch
+        self._reported: set[str] = set()
+
+    def added(self, item: "Input", at_rate: bool = False) -> "Attempt | None":
+        """What became of a record; None if it is not a record of this track, which is reported."""
+        from ringpose.errors import DataError, NoInputError
+        from ringpose.files.poses import pose_line_of
+
+        attempt = None
+        with self._batch.guarded():
+            if isinstance(item, Path):
+                if not item.exists():
+                    raise NoInputError(str(item), "does not exist")
+                raise DataError(str(item), "is not a file of pose records", "give the output of ringpose pose")
+            line, now_s = pose_line_of(item.values, item.location), time()
+            try:
+                attempt = self._tracker.add(line, now_s)
+            except DataError as problem:
+                raise DataError(f"{item.location}: {problem.location}", problem.found, problem.remedy) from problem
+            if line.pose is not None and line.measurement is None:
+                self._report_once(f"{item.location}: has no measurement", "leave out --brief of ringpose pose")
+            age_s = now_s - attempt.stamp_s
+            if at_rate and age_s > self._tracker.options.lost_after_s:
+                found = f"{item.location}: is {age_s:.3g} s old by this computer's clock, so that the track is lost"
+                self._report_once(found, "leave out --rate for recorded poses, or set the clock")
+        return attempt
+
+    def _report_once(self, found: str, remedy: str) -> None:
+        from ringpose.cli import messages
+
+        if remedy not in self._reported:
+            self._reported.add(remedy)
+            messages.echo(f"{found}; {remedy} (reported once)")
 
 
 def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", quiet: bool) -> "Iterator[TrackLine]":
     """A line after each record."""
     from ringpose.cli.progress import with_progress
 
+    records = _Records(tracker, batch)
     for item in with_progress(items, "records", quiet):
-        attempt = _added(item, tracker, batch)
+        attempt = records.added(item)
         if attempt is not None:
             yield tracker.line_of(attempt)
 
@@ -110,8 +138,9 @@ def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", rate_
     """Lines at a fixed rate of this computer's clock; a thread reads the records meanwhile."""
     from ringpose.cli.ticks import Ticks
 
+    records = _Records(tracker, batch)
     for arrived in Ticks(items, 1.0 / rate_hz):
         for item in arrived:
-            _added(item, tracker, batch)
+            records.added(item, at_rate=True)
         now_s = time()
         yield tracker.line_at(now_s, now_s + 1.0 / rate_hz)

@@ -57,13 +57,13 @@ class RobotPoseStream:
         self._changed = threading.Condition()
         threading.Thread(target=self._read, name="robot poses", daemon=True).start()
 
-    def until(self, stamp_s: float, patience_s: float) -> RobotPoses | None:
+    def until(self, stamp_s: float, patience_s: float) -> RobotPoses:
         """The poses so far, once there is one at `stamp_s` or later, for which it waits at most `patience_s`."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._ended or (len(self._poses) > 1 and self._poses[-1].stamp_s >= stamp_s), patience_s
             )
-            return _joined(list(self._poses)) if len(self._poses) > 1 else None
+            return _joined(list(self._poses))
 
     def _read(self) -> None:
         try:
@@ -90,9 +90,9 @@ class RobotPoseStream:
 
 def _joined(poses: Sequence[RobotPose]) -> RobotPoses:
     return RobotPoses(
-        stamp_s=np.array([pose.stamp_s for pose in poses]),
-        position_m=np.array([pose.position_m for pose in poses]),
-        rotation=np.array([pose.rotation for pose in poses]),
+        stamp_s=np.array([pose.stamp_s for pose in poses], dtype=np.float64),
+        position_m=np.array([pose.position_m for pose in poses], dtype=np.float64).reshape(-1, 3),
+        rotation=np.array([pose.rotation for pose in poses], dtype=np.float64).reshape(-1, 3, 3),
     )
 
 

@@ -40,6 +40,8 @@ class CameraMotion:
         Between two poses the tool moves at a constant twist: T(s) = T_0 exp(s log(T_0^-1 T_1)) on SE(3).
         """
         poses, mount = self.poses, self.mount
+        if len(poses.stamp_s) < 2:
+            return None
         time_s = stamp_s + mount.delay_s
         after = int(np.searchsorted(poses.stamp_s, time_s, side="right"))
         after = min(after, len(poses.stamp_s) - 1)
@@ -70,6 +72,8 @@ class CameraMotion:
     def why_not_at(self, stamp_s: float) -> str:
         """Why `at` has no camera for this stamp."""
         stamps_s, time_s = self.poses.stamp_s, stamp_s + self.mount.delay_s
+        if len(stamps_s) < 2:
+            return "there are no poses of the robot yet"
         if time_s < stamps_s[0]:
             return f"the robot's poses begin {stamps_s[0] - time_s:.3g} s after it"
         if time_s > stamps_s[-1]:

@@ -14,6 +14,7 @@ from ringpose.types.assumptions import RigStability
 from ringpose.types.covariance import ParameterCovariance, laser_parameters
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import PlaneCorrection, Rig
+from ringpose.types.robot import MOUNT_PARAMETERS, Mount
 
 NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
 """Of a rig that counts as exact."""
@@ -28,15 +29,20 @@ class CommonErrors:
 
     names: tuple[str, ...]
     root: Float64[Array, "parameter error"]
+    of_mount: bool = False
+    """Whether the last errors are those of the camera's mount (`CameraState.displacement_root`)."""
 
 
-def common_errors(line: PoseLine, measurement: RingMeasurement, rig: Rig | None) -> CommonErrors:
+def common_errors(
+    line: PoseLine, measurement: RingMeasurement, rig: Rig | None, mount: Mount | None = None
+) -> CommonErrors:
     """The nuisance parameters of a record, with the priors that it states: calibration, stability, form of the ring.
 
-    Raises `DataError` if the record needs a rig file that is not given, or names a parameter without a prior.
+    Those of the camera's mount have the errors of `mount`. Raises `DataError` if the record needs a rig file or a mount
+    that is not given, or names a parameter without a prior.
     """
     priors = line.priors or Priors()
-    names = measurement.nuisance_parameters
+    names = tuple(name for name in measurement.nuisance_parameters if name not in MOUNT_PARAMETERS)
     if not priors.rig_covariance:
         rig = None
     elif rig is None or rig.covariance is None:
@@ -47,8 +53,27 @@ def common_errors(line: PoseLine, measurement: RingMeasurement, rig: Rig | None)
     else:
         found = _common_errors_of_stream(names, assumed.stability, assumed.ring_tolerance_m, rig)
     if isinstance(found, str):
-        raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior")
-    return found
+        remedy = "give the output of ringpose pose unchanged"
+        raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior", remedy)
+    if names == measurement.nuisance_parameters:
+        return found
+    if mount is None:
+        raise DataError(line.shot, "was measured with robot poses", "give --robot-poses, and --rig with its mount")
+    return _with_mount(found, measurement.nuisance_parameters, mount)
+
+
+def _with_mount(others: CommonErrors, names: tuple[str, ...], mount: Mount) -> CommonErrors:
+    """The errors with those of the mount, whose independent errors are the columns of its root and the delay."""
+    of_mount = np.zeros((len(MOUNT_PARAMETERS), len(MOUNT_PARAMETERS)))
+    of_mount[:6, :6], of_mount[6, 6] = mount.root, mount.delay_sd_s
+    errors = others.root.shape[1]
+    root = np.zeros((len(names), errors + len(MOUNT_PARAMETERS)))
+    for row, name in enumerate(names):
+        if name in MOUNT_PARAMETERS:
+            root[row, errors:] = of_mount[MOUNT_PARAMETERS.index(name)]
+        else:
+            root[row, :errors] = others.root[others.names.index(name)]
+    return CommonErrors(names=names, root=root, of_mount=True)
 
 
 def _common_errors(

@@ -122,7 +122,7 @@ def observation(
         target=rows[:, -1],
         of_ring=min(len(rows), count),
     )
-    return observed if camera is None else _in_base(observed, camera)
+    return observed if camera is None else _in_base(observed, camera, common.of_mount)
 
 
 def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Array, "5"]:
@@ -132,8 +132,11 @@ def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Ar
     return np.concatenate([camera.rotation.T @ velocity, rates])
 
 
-def _in_base(observed: Observation, camera: CameraState) -> Observation:
-    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera."""
+def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Observation:
+    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera.
+
+    `of_mount`: whether the last common errors are those of the mount, which act within the shot, too.
+    """
     arcs = observed.arcs
     arcs = RingArcs(
         origin=camera.origin_m + camera.rotation @ arcs.origin,
@@ -150,19 +153,31 @@ def _in_base(observed: Observation, camera: CameraState) -> Observation:
     wrt_errors[LIFT], wrt_errors[SHIFT] = moved_m @ normal, moved_m @ inward
     # a displacement along the face is the turn by which the place slides back
     wrt_errors[TURN] = np.cross(turn, inward) @ along + arcs.curvature * (moved_m @ along)
-    common = np.concatenate([observed.wrt_common, -observed.wrt_step @ wrt_errors], axis=1)
-    return replace(observed, arcs=arcs, wrt_common=common)
+    by_errors = -observed.wrt_step @ wrt_errors
+    if of_mount:
+        within, others = observed.wrt_common[:, -len(turn) :], observed.wrt_common[:, : -len(turn)]
+        return replace(observed, arcs=arcs, wrt_common=np.concatenate([others, within + by_errors], axis=1))
+    return replace(observed, arcs=arcs, wrt_common=np.concatenate([observed.wrt_common, by_errors], axis=1))
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
-    """From the centre to the place on the face whose distance from the centre the shot determines best."""
+    """From the centre to the place on the face where the shot determines best how far the ring extends.
+
+    Seen along the ray to a place P, the ring extends farther along e, outward, by e . (dc + offset dt) + dr, as the
+    origin of the in-plane coordinates tilts with the plane, less (e . P) / (n . P) times the height doffset - P . dt by
+    which the plane rises there.
+    """
     at, count = measurement.linearized_at, len(MEASURED_PARAMETERS)
     rows = measurement.square_root[:, :count] * _BROAD
     covariance = np.linalg.inv(rows.T @ rows + np.eye(count)) * _BROAD * _BROAD[:, None]
-    # variance of e . dc + dr over the directions e in the ring's plane
-    direction = np.stack([np.cos(_PLACES_RAD), np.sin(_PLACES_RAD)])
-    weights = np.concatenate([direction, np.full((2, len(_PLACES_RAD)), 0.5)])
-    variance = (weights * (covariance[3:7, 3:7] @ weights)).sum(axis=0)
-    best = direction[:, int(np.argmin(variance))]
-    place: Float64[Array, "xyz=3"] = 0.5 * (at.radius_inner_m + at.radius_outer_m) * best @ tilt_basis(at.normal)
+    basis, offset_m = tilt_basis(at.normal), float(at.normal @ at.center_m)
+    radius_m = 0.5 * (at.radius_inner_m + at.radius_outer_m)
+    outward = np.stack([np.cos(_PLACES_RAD), np.sin(_PLACES_RAD)])
+    place_m = (basis @ at.center_m)[:, None] + radius_m * outward
+    slope = (outward * place_m).sum(axis=0) / offset_m
+    wrt_tilt, half = offset_m * outward + slope * place_m, np.full((2, len(_PLACES_RAD)), 0.5)
+    weights = np.concatenate([wrt_tilt, -slope[None], outward, half])
+    variance = (weights * (covariance[: len(weights), : len(weights)] @ weights)).sum(axis=0)
+    best = outward[:, int(np.argmin(variance))]
+    place: Float64[Array, "xyz=3"] = radius_m * best @ basis
     return place

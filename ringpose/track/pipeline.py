@@ -203,7 +203,8 @@ class Tracker:
 
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None
-        common = common_errors(line, line.measurement, self._rig)
+        mount = None if self.camera is None else self.camera.mount
+        common = common_errors(line, line.measurement, self._rig, mount)
         if self._common is None or not _alike(self._common, common):
             if self._common is not None and common.names != self._common.names:
                 found = "has other nuisance parameters than the records before"

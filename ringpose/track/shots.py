@@ -39,6 +39,7 @@ class ShotTracker:
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
+        """Its camera's motion, if it has one, is that within the shots, too."""
         self._background: Frame | None = None
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None
@@ -51,7 +52,9 @@ class ShotTracker:
         """What the shot shows, searched near the prediction if there is one, else everywhere."""
         predicted = self.prediction(shot, rig)
         background = self._usable_background(shot, rig)
-        found = detect(shot, rig, predicted=predicted, background=background, assumptions=assumptions)
+        found = detect(
+            shot, rig, predicted=predicted, background=background, assumptions=assumptions, camera=self._tracker.camera
+        )
         points = found.break_points
         if isinstance(points, BreakPoints):
             self._seen = points.seen

@@ -1,6 +1,7 @@
 """`ringpose track`: records in, records or messages out; bad input, rates, slow readers."""
 
 import hashlib
+import io
 import json
 import math
 import os
@@ -15,9 +16,11 @@ import numpy as np
 import pytest
 import yaml
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
+from ros_messages import fits
 from schemas import validated
 from small_rig import SMALL_RIG
 
+from ringpose.cli.batch import MAX_UNNAMED
 from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
@@ -148,6 +151,52 @@ def test_records_without_a_measurement_are_reported_in_their_line(capsys, tmp_pa
     assert status == 0
     assert [record["fusion_status"] for record in records] == ["fused", "none", "fused"]
     assert validated(records[1])["pose"] is not None
+    assert records[1]["reason"] == "not estimated"
+    assert records[0]["reason"] is None
+
+
+def test_poses_without_measurements_are_reported_once(capsys, tmp_path, rig, detections):
+    main(["pose", str(detections), "--rig", str(rig), "--brief"])
+    file = tmp_path / "poses.jsonl"
+    file.write_text(capsys.readouterr().out)
+
+    status, records, messages = tracked(capsys, file)
+
+    assert (status, len(records), len(messages)) == (3, 3, 1)
+    assert f"{file}:1" in messages[0]
+    assert "--brief" in messages[0]
+    assert {record["fusion_status"] for record in records} == {"none"}
+
+
+def test_old_records_at_a_rate_are_reported_once(capsys, poses):
+    status, records, messages = tracked(capsys, poses, "--rate", 1000)
+
+    assert (status, len(messages)) == (3, 1)
+    assert "--rate" in messages[0]
+    assert {record["validity"] for record in records} == {"lost"}
+
+
+def test_a_ring_at_an_impossible_distance_is_rejected(capsys, tmp_path, lines):
+    record = json.loads(lines[1])
+    record["measurement"]["linearized_at"]["center_m"][2] = 1e20
+    file = tmp_path / "poses.jsonl"
+    file.write_text("".join([lines[0], line_of(record), lines[2]]))
+
+    _, records, _ = tracked(capsys, file)
+
+    assert [record["fusion_status"] for record in records] == ["fused", "rejected_covariance", "fused"]
+    assert "ring" in records[1]["reason"]
+
+
+def test_lines_of_random_data_are_reported_up_to_a_limit_and_counted(capsys, monkeypatch, tmp_path, lines):
+    stream = io.StringIO("".join([*(f"no such file {number}\n" for number in range(100)), lines[0]]))
+    monkeypatch.setattr(sys, "stdin", stream)
+
+    status, records, messages = tracked(capsys, "-")
+
+    assert (status, len(records)) == (66, 1)
+    assert len(messages) == MAX_UNNAMED + 1
+    assert str(100 - MAX_UNNAMED) in messages[-1]
 
 
 def test_without_any_measurement_there_is_no_track_and_the_status_tells(capsys, tmp_path, lines):
@@ -173,34 +222,6 @@ def test_messages_of_ros_have_the_fields_of_their_definitions(capsys, poses):
     for record in records[1:]:
         assert fits(record["pose"], "geometry_msgs/PoseWithCovarianceStamped")
         assert fits(record["twist"], "geometry_msgs/TwistWithCovarianceStamped")
-
-
-MESSAGES = {
-    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\nPoseWithCovariance pose",
-    "PoseWithCovariance": "Pose pose\nfloat64[36] covariance",
-    "Pose": "Point position\nQuaternion orientation",
-    "Point": "float64 x\nfloat64 y\nfloat64 z",
-    "Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
-    "geometry_msgs/TwistWithCovarianceStamped": "std_msgs/Header header\nTwistWithCovariance twist",
-    "TwistWithCovariance": "Twist twist\nfloat64[36] covariance",
-    "Twist": "Vector3  linear\nVector3  angular",
-    "Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-}
-"""The definitions in common_interfaces and rcl_interfaces of ROS 2 (Jazzy), without comments."""
-
-
-def fits(value, kind: str) -> bool:
-    """Whether a value has exactly the fields of a message, with their types."""
-    if kind == "float64[36]":
-        return len(value) == 36 and all(isinstance(each, float) for each in value)
-    if kind in ("int32", "uint32"):
-        return isinstance(value, int) and 0 <= value < 2**31
-    if kind in ("float64", "string"):
-        return isinstance(value, float if kind == "float64" else str)
-    fields = dict(reversed(line.split()[:2]) for line in MESSAGES[kind].splitlines())
-    return list(value) == list(fields) and all(fits(value[name], fields[name]) for name in fields)
 
 
 def test_a_pose_of_ros_is_that_of_the_record(capsys, poses):
@@ -276,14 +297,15 @@ def test_a_slow_reader_gets_the_newest_line(lines):
         first = os.read(descriptor, 1 << 20)
         time.sleep(1.0)
         os.read(descriptor, 1 << 20)  # the line that has waited in the pipe meanwhile
-        newest = os.read(descriptor, 1 << 20).splitlines()[0]
-        delay_s = time.time() - json.loads(newest)["stamp_s"]
+        newest = json.loads(os.read(descriptor, 1 << 20).splitlines()[0])
+        delay_s = time.time() - newest["stamp_s"]
         process.stdin.close()
         process.stdout.read()
         process.wait(timeout=20)
 
     assert first
     assert delay_s < 0.25
+    assert validated(newest)["lines_skipped"] > 10
 
 
 @pytest.mark.slow
@@ -372,6 +394,28 @@ def test_bad_robot_poses_are_reported_in_one_line(capsys, tmp_path, mounted, tex
     assert (status, records, len(messages)) == (65, [], 1)
     assert str(robot) in messages[0]
     assert word in messages[0]
+
+
+def test_a_measurement_between_robot_poses_that_are_far_apart_is_rejected_with_a_reason(capsys, tmp_path, mounted):
+    rig, poses = mounted
+    robot = tmp_path / "robot.jsonl"
+    robot.write_text(robot_pose(START_S - 1.0) + robot_pose(START_S + 2.0))
+
+    _, records, _ = tracked(capsys, poses, "--rig", rig, "--robot-poses", robot)
+
+    assert {record["fusion_status"] for record in records} == {"rejected_covariance"}
+    assert "3 s apart" in records[0]["reason"]
+
+
+def test_robot_poses_are_read_from_standard_input(capsys, monkeypatch, mounted):
+    rig, poses = mounted
+    text = "".join(robot_pose(START_S + 0.2 * number) for number in range(-1, 8))
+    monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+
+    status, records, _ = tracked(capsys, poses, "--rig", rig, "--robot-poses", "-")
+
+    assert (status, {record["frame"] for record in records}) == (0, {"base"})
+    assert tracked(capsys, "-", "--rig", rig, "--robot-poses", "-")[0] == 2
 
 
 def test_robot_poses_need_the_rig_file(capsys, tmp_path, poses):

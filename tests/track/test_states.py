@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from moving_rings import Motion, Shots, measured
-from ring_scenes import Ring
+from moving_rings import Motion, Shots, drawn_motion, measured, record
+from ring_scenes import RIGS, Ring
 
 from ringpose.geometry.ring import RingArcs, ring_arcs
-from ringpose.track.common_errors import CommonErrors
+from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.observation import observation
 from ringpose.track.states import (
     MOVING,
@@ -143,3 +143,17 @@ def test_a_measurement_described_for_the_other_side_predicts_the_same_rows(ring,
 def _signed(step) -> np.ndarray:
     """The same increments for arcs with reversed inward and along axes and the opposite curvature."""
     return np.concatenate([step * np.array([-1, -1, 1, -1, 1, -1, 1]), np.zeros(7)])[None]
+
+
+@pytest.mark.parametrize(("sigma_px", "line_px"), [(0.3, 0.02), (0.03, 0.1)])
+def test_a_measurement_is_described_about_the_place_where_the_ring_was_seen(rng, sigma_px, line_px):
+    for _ in range(8):
+        motion = drawn_motion(rng, speed_m_s=0.0, rate_deg_s=0.0)
+        shots = Shots(sigma_px=sigma_px, line_px=line_px, frame_s=0.0)
+        line = record(motion, 0.0, shots, rng)
+        seen_m = motion.ring.break_points_m(RIGS["B"].lasers).reshape(-1, 3).mean(axis=0) - motion.ring.center_m
+
+        observed = observation(line, line.measurement, common_errors(line, line.measurement, None), 1.0)
+
+        cosine = -observed.arcs.axes[0] @ seen_m / np.linalg.norm(seen_m)
+        assert np.degrees(np.arccos(cosine)) < 15.0

@@ -1,0 +1,194 @@
+"""`ringpose pose --track`: shots in, track records out; the track chooses the lasers of a live camera."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from forked import Forked
+from ros_messages import fits
+from schemas import validated
+
+from ringpose.cli.main import main
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+RATE_HZ = 30.0
+
+START_S = 1_700_000_000.0
+
+SCENE = f"""\
+ringpose: scene/1
+rig: rig.yaml
+sequence: all                    # one view a frame: the target moves between frames
+start_s: {START_S}
+stripe_dn: 170
+sensor: {{pixel_m: 9.0e-6}}
+ring: {{radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}}
+body: {{size_m: [1.6, 1.6, 1.0]}}
+lights: {{dim: {{ambient_w_m2: 0.3}}}}
+trajectory:
+- {{name: moving, center_m: [-0.582, -0.02, 0.5], pitch_rad: 0.0, yaw_rad: 0.0, light: dim}}
+period_s: {1 / RATE_HZ}
+motion:
+  angular_velocity_rad_s: [0.01, 0.008, 0.0]
+  velocity_m_s: [0.01, 0.0, 0.02]
+  center_of_mass_m: [0, 0, -0.5]
+  inertia_kg_m2: [1, 1, 1]
+  shots: 60
+"""
+
+
+@pytest.fixture
+def served(tmp_path, monkeypatch, forker):
+    """The URI of a moving target in simulated time, which waits for the client."""
+    monkeypatch.chdir(tmp_path)
+    Path("rig.yaml").write_text((EXAMPLES / "scene-rig.yaml").read_text())
+    Path("scene.yaml").write_text(SCENE)
+    words = ["simulate", "serve", "--images", "tcp://127.0.0.1:0", "scene.yaml", "--clock", "lockstep"]
+    words += ["--rate", str(RATE_HZ), "--truth", "truth.jsonl"]
+    job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
+    with Forked(forker, job) as process:
+        yield json.loads(process.stdout.readline())["camera"]
+        process.kill()
+
+
+def lines(capsys) -> list[dict]:
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+@pytest.mark.slow
+def test_a_live_track_switches_to_all_lasers_in_every_frame_and_follows_the_target(served, capsys):
+    assert main(["pose", "--track", "--rig", "rig.yaml", "--camera", served, "--count", "16"]) == 0
+
+    records = [validated(record) for record in lines(capsys)]
+    truths = [json.loads(line) for line in Path("truth.jsonl").read_text().splitlines()]
+    assert {record["fusion_status"] for record in records} == {"fused"}
+    frames = np.diff([record["stamp_s"] for record in records]) * RATE_HZ
+    np.testing.assert_allclose(frames, np.round(frames), atol=0.3)
+    assert frames[-14:].round().tolist().count(1.0) >= 11  # a pose a frame, with a frame without lasers in ten
+    squares = []
+    for record in records[3:]:
+        number = (record["stamp_s"] - START_S) * RATE_HZ
+        truth = [np.interp(number, range(len(truths)), [each["center_m"][k] for each in truths]) for k in range(3)]
+        error_m = np.array(record["pose"]["center_m"]) - truth
+        squares.append(error_m @ np.linalg.solve(record["pose"]["covariance"]["center"], error_m))
+        assert record["validity"] == "valid"
+    assert max(squares) < 25.0
+    assert np.linalg.norm(error_m) < 0.004
+
+
+@pytest.mark.slow
+def test_recorded_shots_give_one_track_record_each_which_is_that_of_the_command_track(served, capsys):
+    words = ["--camera", served, "--sequence", "all", "--count", "6"]
+    assert main(["capture", *words, "--output", "session", "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["pose", "session", "--rig", "rig.yaml"]) == 0
+    Path("poses.jsonl").write_text(capsys.readouterr().out)
+    assert main(["track", "poses.jsonl", "--rig", "rig.yaml"]) == 0
+    separate = lines(capsys)
+
+    assert main(["pose", "session", "--rig", "rig.yaml", "--track"]) == 0
+
+    together = lines(capsys)
+    assert [record["shot"] for record in together] == [record["shot"] for record in separate]
+    apart_m = np.subtract(together[-1]["grasp"]["point_m"], separate[-1]["grasp"]["point_m"])
+    assert np.abs(apart_m).max() < 2e-4  # bands hold the same stripes; weak light behind them is not searched
+
+
+@pytest.mark.parametrize(
+    ("words", "key_word"),
+    [
+        (["--predict-for", "1"], "--track"),
+        (["--track", "--method", "paper"], "--method"),
+        (["--track", "--frame", "tool"], "--frame"),
+        (["--track", "--max-speed", "0"], "--max-speed"),
+        (["--track", "--lost-after", "1"], "--lost-after"),
+        (["--track", "--gripper-tilt-deg", "1"], "--gripper-radial-m"),
+        (["--method", "paper", "--max-rate", "3"], "--max-rate"),
+        (["--method", "paper-constrained", "--ring-tolerance", "0.001"], "--ring-tolerance"),
+    ],
+    ids=lambda words: " ".join(words) if isinstance(words, list) else "",
+)
+def test_options_that_contradict_each_other_are_wrong_usage(rig, detections, capsys, words, key_word):
+    assert main(["pose", str(detections), "--rig", str(rig), *words]) == 2
+
+    streams = capsys.readouterr()
+    assert streams.out == ""
+    assert streams.err.count("\n") == 1
+    assert key_word in streams.err
+
+
+@pytest.fixture
+def mounted(tmp_path, rig, detections) -> tuple[Path, Path]:
+    """The rig file with a mount of known errors, and a detection whose frames have stamps."""
+    mount = {"tool_from_camera": np.eye(4).tolist(), "covariance": (1e-8 * np.eye(6)).tolist(), "delay_sd_s": 0.001}
+    rig.write_text(yaml.safe_dump({**yaml.safe_load(rig.read_text()), "mount": mount}))
+    record = json.loads(detections.read_text().splitlines()[0])
+    record["break_points"]["stamp_s"] = [1.7e9, 1.7e9 + 0.1, 1.7e9 + 0.2]
+    shots = tmp_path / "detections.jsonl"
+    shots.write_text(json.dumps(record) + "\n")
+    return rig, shots
+
+
+def robot_poses(file: Path, begin_s: float, end_s: float) -> Path:
+    """Poses of a robot at rest."""
+    pose = {"position_m": [1.0, 0.2, 0.3], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    stamps_s = 1.7e9 + np.arange(begin_s, end_s, 0.1)
+    file.write_text("".join(json.dumps({"stamp_s": each, "base_from_tool": pose}) + "\n" for each in stamps_s.tolist()))
+    return file
+
+
+def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_base(mounted, tmp_path, capsys):
+    rig, shots = mounted
+    robot, words = robot_poses(tmp_path / "robot.jsonl", -1.0, 1.0), ["pose", str(shots), "--rig", str(rig)]
+    assert main(words) == 0
+    (alone,) = lines(capsys)
+
+    assert main([*words, "--robot-poses", str(robot)]) == 0
+    (record,) = lines(capsys)
+    assert main([*words, "--robot-poses", str(robot), "--track"]) == 0
+    (track,) = lines(capsys)
+
+    assert validated(record)["measurement"]["camera_motion"] == "robot_poses"
+    assert "mount.delay" in record["measurement"]["nuisance_parameters"]
+    np.testing.assert_allclose(record["pose"]["grasp_m"], alone["pose"]["grasp_m"], atol=1e-4)
+    assert (validated(track)["frame"], track["camera"]) == ("base", "robot_poses")
+    away_m = np.array(track["grasp"]["point_m"]) - [1.0, 0.2, 0.3] - alone["pose"]["grasp_m"]
+    assert np.abs(away_m[[0, 2]]).max() < 5e-4  # y runs along the face, on which the point is chosen anew
+
+
+def test_a_shot_that_the_robot_poses_do_not_cover_has_no_pose_and_a_reason(mounted, tmp_path, capsys):
+    rig, shots = mounted
+    robot = robot_poses(tmp_path / "robot.jsonl", 5.0, 6.0)
+
+    assert main(["pose", str(shots), "--rig", str(rig), "--robot-poses", str(robot)]) == 3
+
+    (record,) = lines(capsys)
+    assert record["pose"] is None
+    assert "robot" in record["reason"]
+
+
+def test_poses_are_written_as_messages_of_ros(mounted, capsys):
+    rig, shots = mounted
+    assert main(["pose", str(shots), "--rig", str(rig)]) == 0
+    (record,) = lines(capsys)
+
+    assert main(["pose", str(shots), "--rig", str(rig), "--format", "ros"]) == 0
+
+    (message,) = lines(capsys)
+    assert fits(message["pose"], "geometry_msgs/PoseWithCovarianceStamped")
+    assert fits(message["twist"], "geometry_msgs/TwistWithCovarianceStamped")
+    assert list(message["pose"]["pose"]["pose"]["position"].values()) == record["pose"]["center_m"]
+    stamp = message["pose"]["header"]["stamp"]
+    assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(record["pose_stamp_s"], abs=1e-6)
+    assert message["status"] == record["status"]
+
+
+def test_the_newest_lines_state_how_many_were_skipped(rig, detections, capsys):
+    assert main(["pose", str(detections), "--rig", str(rig), "--newest"]) == 0
+
+    records = lines(capsys)
+    assert len(records) + sum(validated(record)["lines_skipped"] for record in records) == 3
