@@ -72,6 +72,27 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
     return images
 
 
+def repeated_image(shot: Shot, images: list[LaserImage]) -> LaserImage | None:
+    """A frame with several lasers on that shows the stripes of `images`, of one laser each, once more; None without."""
+    lasers = {laser for image in images for laser in image.lasers}
+    if not all(image.labelled for image in images):
+        return None
+    for number, mask in enumerate(shot.lasers.tolist()):
+        shown = tuple(laser for laser in sorted(lasers) if mask >> laser & 1)
+        if len(shown) > 1:
+            background = _background(shot, number, 0)
+            return LaserImage(
+                lit=shot.images[number],
+                dark=None if background is None else shot.images[background],
+                saturation_dn=shot.saturation_dn,
+                lasers=shown,
+                stamp_s=shot.mid_exposure_s(number),
+                dark_stamp_s=math.nan if background is None else shot.mid_exposure_s(background),
+                usual_full_dn=shot.merged_full_dn,
+            )
+    return None
+
+
 def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
     """The first of the images with the most lasers on."""
     on = [mask.bit_count() for mask in shot.lasers.tolist()]
