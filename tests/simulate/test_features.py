@@ -9,15 +9,16 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, RingForm, drawn_common_errors
+from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, drawn_common_errors
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.target import RingForm
 
 EXACT = Deviations(noise=False)
-STILL_FORM = RingForm(np.zeros((2, 3, 2)), np.zeros((3, 2)))
+STILL_FORM = RingForm(radial_m=np.zeros((2, 3, 2)), axial_m=np.zeros((3, 2)))
 
 
 @pytest.fixture
