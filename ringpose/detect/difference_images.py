@@ -49,27 +49,28 @@ def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[L
     nearest in time, because the ambient light on a tumbling target changes. `earlier`: a frame without lasers for a
     shot that has none.
     """
-    images, covered, saturation_dn = [], 0, shot.saturation_dn
+    images, covered = [], 0
     masks: list[int] = shot.lasers.tolist()
     for number in sorted(range(len(masks)), key=lambda each: (masks[each].bit_count(), each)):
         mask = masks[number]
         new = mask & ~covered & ((1 << count) - 1)
         if new:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
-            dark, dark_stamp_s = _background(shot, number, mask & covered, earlier)
-            images.append(
-                LaserImage(
-                    lit=shot.images[number],
-                    dark=dark,
-                    saturation_dn=saturation_dn,
-                    lasers=lasers,
-                    stamp_s=shot.mid_exposure_s(number),
-                    dark_stamp_s=dark_stamp_s,
-                    usual_full_dn=shot.merged_full_dn,
-                )
-            )
+            images.append(_laser_image(shot, number, lasers, mask & covered, earlier))
             covered |= mask
     return images
+
+
+def repeated_image(shot: Shot, images: list[LaserImage]) -> LaserImage | None:
+    """A frame with several lasers on that shows the stripes of `images`, of one laser each, once more; None without."""
+    lasers = {laser for image in images for laser in image.lasers}
+    if not all(image.labelled for image in images):
+        return None
+    for number, mask in enumerate(shot.lasers.tolist()):
+        shown = tuple(laser for laser in sorted(lasers) if mask >> laser & 1)
+        if len(shown) > 1:
+            return _laser_image(shot, number, shown, 0, None)
+    return None
 
 
 def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
@@ -79,14 +80,21 @@ def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
     return image
 
 
-def _background(
-    shot: Shot, number: int, also_on: int, earlier: Frame | None
-) -> tuple[UInt[Array, "row column"] | None, float]:
-    """The frame nearest in time in which exactly the lasers `also_on` are on, and its stamp; None and NaN without."""
+def _laser_image(shot: Shot, number: int, lasers: tuple[int, ...], also_on: int, earlier: Frame | None) -> LaserImage:
+    """A frame with the background nearest in time in which exactly the lasers `also_on` are on, if there is one."""
+    dark, dark_stamp_s = None, math.nan
     same = [each for each, mask in enumerate(shot.lasers.tolist()) if mask == also_on]
     if same:
         nearest = min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number]))
-        return shot.images[nearest], shot.mid_exposure_s(nearest)
-    if earlier is not None and also_on == earlier.lasers:
-        return earlier.image, earlier.stamp_s + earlier.exposure_s / 2
-    return None, math.nan
+        dark, dark_stamp_s = shot.images[nearest], shot.mid_exposure_s(nearest)
+    elif earlier is not None and also_on == earlier.lasers:
+        dark, dark_stamp_s = earlier.image, earlier.stamp_s + earlier.exposure_s / 2
+    return LaserImage(
+        lit=shot.images[number],
+        dark=dark,
+        saturation_dn=shot.saturation_dn,
+        lasers=lasers,
+        stamp_s=shot.mid_exposure_s(number),
+        dark_stamp_s=dark_stamp_s,
+        usual_full_dn=shot.merged_full_dn,
+    )

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
-from ringpose.detect.difference_images import LaserImage, laser_images
+from ringpose.detect.difference_images import LaserImage, laser_images, repeated_image
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face, surface_in_front
 from ringpose.detect.ring_edges import detect_ring_edges
@@ -23,15 +23,17 @@ from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
-from ringpose.types.arrays import Array, Bool, Float64, Int32
+from ringpose.types.arrays import Array, Bool, Float64, Int32, Int64
 from ringpose.types.assumptions import USUAL, Assumptions
 from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     UNLABELLED,
+    BreakPointFlag,
     BreakPoints,
     Detection,
     NoBreakPoints,
     Rejection,
+    RingEdgePoints,
     Segments,
     Stripes,
     joined_stripes,
@@ -91,11 +93,10 @@ def detect(
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
-    if isinstance(found, BreakPoints) and (ring_edges is None or int(found.seen.any(axis=1).sum()) == 1):
-        if not ends_clear(found):
-            found = NoBreakPoints.NO_RING
-        elif ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
-            found = NoBreakPoints.HIDDEN_BY_SATURATION
+    if isinstance(found, BreakPoints):
+        found = _confirmed(found, ring_edges, images)
+    if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
+        found = with_repetition(found, images, shot, rig, on_ring.motion)
     missing = ring_edges is None and edges and source is StripeSource.CENTERS
     return Detection(
         shot=shot.name,
@@ -110,6 +111,18 @@ def detect(
         rejected=(*on_ring.rejected, *_missing_edges(found, shot, missing)) if isinstance(found, BreakPoints) else (),
         advice=exposure_advice(found, shot, images),
     )
+
+
+def _confirmed(
+    found: BreakPoints, ring_edges: RingEdgePoints | None, images: list[LaserImage]
+) -> BreakPoints | NoBreakPoints:
+    """The break points, unless without visible edges, or on a single stripe, they are not enough to show a ring."""
+    if ring_edges is None or int(found.seen.any(axis=1).sum()) == 1:
+        if not ends_clear(found):
+            return NoBreakPoints.NO_RING
+        if ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
+            return NoBreakPoints.HIDDEN_BY_SATURATION
+    return found
 
 
 def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
@@ -192,6 +205,69 @@ def _joined_segments(parts: list[Segments]) -> Segments:
         support=np.concatenate([part.support for part in parts]),
         stamp_s=np.concatenate([stamps_of(part) for part in parts]),
     )
+
+
+def with_repetition(
+    found: BreakPoints, images: list[LaserImage], shot: Shot, rig: Rig, motion: RingMotion | None = None
+) -> BreakPoints:
+    """The break points with those of a frame with several lasers on, which shows the same stripes at another time.
+
+    Its stripes are searched and assigned to lasers near those found. What was not measured the first time is left out.
+    """
+    image = repeated_image(shot, images)
+    bands = None if image is None else predicted_bands(found, image.lasers, rig.camera)
+    if image is None or bands is None:
+        return found
+    image = image if motion is None else _without_moved_background(image, motion)
+    stripes = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
+    if not len(stripes.piece):
+        return found
+    stripes = replace(stripes, laser=_nearest_lasers(stripes, found, image.lasers, rig.camera))
+    tracks = stripe_line_segments(stripes, rig.camera)
+    face = ring_face(tracks, (), rig)
+    if face is None:
+        return found
+    again = break_points(face, tracks, [image], rig, shot.saturation_dn)
+    far_px = np.nansum(np.abs(again.position_px - found.position_px))
+    if np.nansum(np.abs(again.position_px[:, ::-1] - found.position_px)) < far_px:
+        again = again.with_edges_exchanged()
+    unclear = again.flags & int(BreakPointFlag.UNCLEAR | BreakPointFlag.CLIPPED) != 0
+    kept = found.seen & ~unclear & (np.abs(again.position_px - found.position_px).max(axis=-1) < BEYOND_ENDS_PX)
+    with_line = np.isfinite(found.face_start_px)
+    return replace(
+        found,
+        repeated=replace(
+            again,
+            position_px=np.where(kept[..., None], again.position_px, np.nan),
+            covariance_px2=np.where(kept[..., None, None], again.covariance_px2, np.nan),
+            face_start_px=np.where(with_line, again.face_start_px, np.nan),
+            face_end_px=np.where(with_line, again.face_end_px, np.nan),
+            face_sigma_px=np.where(with_line, again.face_sigma_px, np.nan),
+            labelled=True,
+        ),
+    )
+
+
+NEAREST_SHARE = 0.3
+"""Largest distance of a repeated stripe from its first place, as a share of the distance between stripes."""
+
+
+def _nearest_lasers(
+    stripes: Stripes, found: BreakPoints, lasers: Sequence[int], camera: Camera
+) -> Int64[Array, "piece"]:
+    """The laser of each piece by the nearest line on the face; `UNLABELLED` for those that are not clearly near one."""
+    lines = undistorted_rays(np.stack([found.face_start_px, found.face_end_px], axis=1), camera)
+    start, end = project(lines, camera).swapaxes(0, 1)
+    count = len(stripes.laser)
+    centers = np.bincount(stripes.piece, minlength=count)
+    middle = np.stack([np.bincount(stripes.piece, part, count) / centers for part in stripes.position_px.T], axis=1)
+    known = [laser for laser in lasers if np.isfinite(start[laser, 0])]
+    slope = (end - start)[known, 1] / (end - start)[known, 0]
+    away_px = np.abs(start[known, 1] + slope * (middle[:, :1] - start[known, 0]) - middle[:, 1:])
+    ranked = np.sort(away_px, axis=1)
+    between_px = ranked[:, 1] if len(known) > 1 else np.full(count, np.inf)
+    near = ranked[:, 0] < np.minimum(BAND_PX, NEAREST_SHARE * between_px)
+    return np.where(near, np.array(known, dtype=np.int64)[away_px.argmin(axis=1)], UNLABELLED)
 
 
 def _missing_edges(points: BreakPoints, shot: Shot, missing: bool) -> tuple[Rejection, ...]:

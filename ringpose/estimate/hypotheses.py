@@ -337,7 +337,7 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
     for a common ring. Visible edges are further evidence.
     """
-    measured = solved.hypothesis.measured
+    measured = solved.hypothesis.measured.once()
     if len(measured.edges.edge):
         return []
     found = []
@@ -359,7 +359,7 @@ def single_stripe_estimates(
     Assumed radii are not used: with them the length of one stripe determines the angle at which it crosses the face,
     but not to which side.
     """
-    for laser in measured.lines.laser.tolist() if len(measured.lines.laser) == 2 else []:
+    for laser in measured.stripes if len(measured.stripes) == 2 else []:
         alone = measured.without_laser(laser)
         estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions)) if len(alone.points.x) else None
         if estimate is not None:
@@ -442,8 +442,8 @@ def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hy
         if len(of_laser) > 1:
             rest = measured.with_points(points.laser != laser)
             remark = f"a break point of laser {name} contradicts the others; both were left out"
-            penalty = BOTH_PENALTY + 2 * PARAMETER_PENALTY
-            yield Hypothesis(rest, prior, flag, remark, penalty, rejected, laser, both=True)
+            penalty = BOTH_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
+            yield Hypothesis(rest, prior, flag, remark, penalty, tuple(dict.fromkeys(rejected)), laser, both=True)
 
 
 def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -106,6 +106,8 @@ class Observations(NamedTuple):
     """Standard deviations of the break points' abscissae."""
     moving: bool
     """Whether there are times from which a motion can be estimated."""
+    stripe_numbers: int
+    """Number of distinct numbers of stripes and break points."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,7 +163,7 @@ class Measurements:
             of_visible=instant[len(laser) :],
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
-        return Observations(view, whitening, self.points.sigma_x, moving=bool(instant_s.any()))
+        return Observations(view, whitening, self.points.sigma_x, bool(instant_s.any()), self.stripe_numbers)
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""
@@ -176,8 +178,23 @@ class Measurements:
 
     @property
     def stripe_numbers(self) -> int:
-        """Number of measured numbers of stripes and break points."""
-        return 2 * len(self.lines.laser) + len(self.points.laser) + int(self.points.isolated.sum())
+        """Number of measured numbers of stripes and break points; one that was measured twice counts once."""
+        ends = 2 * self.points.laser + self.points.edge
+        distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
+        return 2 * len(self.stripes) + distinct
+
+    @property
+    def stripes(self) -> list[int]:
+        """The lasers with a line, in ascending order."""
+        return sorted(set(self.lines.laser.tolist()))
+
+    def once(self) -> "Measurements":
+        """The measurements without the repeated ones of stripes and break points."""
+        first = np.unique(2 * self.points.laser + self.points.edge, return_index=True)[1]
+        kept = np.unique(self.lines.laser, return_index=True)[1]
+        lines = {each.name: getattr(self.lines, each.name)[kept] for each in fields(Lines)}
+        points = {each.name: getattr(self.points, each.name)[first] for each in fields(Points)}
+        return replace(self, points=Points(**points), lines=Lines(**lines))
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """The measurements with these break points only."""
@@ -218,15 +235,33 @@ def measurements_of(
     camera: CameraMotion | None = None,
 ) -> Measurements:
     """The measurements of a detection; NaN where a point cannot be undistorted."""
-    lines = _lines(break_points, rig.camera)
+    lines, points, has_covariances = _stripe_measurements(break_points, rig.camera)
+    if break_points.repeated is not None:
+        again = _stripe_measurements(break_points.repeated, rig.camera)
+        lines, points = _repeated_lines(lines, again[0]), _repeated_points(points, again[1])
+        has_covariances = has_covariances and again[2]
+    stamps = np.concatenate([lines.stamp_s, points.stamp_s])
+    return Measurements(
+        lines=lines,
+        points=points,
+        edges=_edges(ring_edges, rig.camera),
+        has_covariances=has_covariances,
+        reference_s=float(stamps.mean()) if len(stamps) else math.nan,
+        camera=camera,
+    )
+
+
+def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lines, Points, bool]:
+    """Lines and break points, and whether all of these have a covariance."""
+    lines = _lines(break_points, camera)
     laser, edge = np.nonzero(break_points.seen)
     covariance_px2 = break_points.covariance_px2[laser, edge]
     has_covariances = bool(np.isfinite(covariance_px2).all())
     if not has_covariances:
         unknown = ~np.isfinite(covariance_px2).all(axis=(1, 2))
         covariance_px2[unknown] = NOMINAL_SIGMA_PX**2 * np.eye(2)
-    xy = undistort(break_points.position_px[laser, edge], rig.camera)
-    ray_wrt_pixel = rays_wrt_pixel(xy, rig.camera)
+    xy = undistort(break_points.position_px[laser, edge], camera)
+    ray_wrt_pixel = rays_wrt_pixel(xy, camera)
     has_line = np.zeros(len(break_points.position_px), dtype=bool)
     has_line[lines.laser] = True
     covariance = ray_wrt_pixel @ (covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)) @ ray_wrt_pixel.swapaxes(1, 2)
@@ -242,15 +277,33 @@ def measurements_of(
         stamp_s=_stamps(break_points)[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
     )
-    stamps = np.concatenate([lines.stamp_s, points.stamp_s])
-    return Measurements(
-        lines=lines,
-        points=points,
-        edges=_edges(ring_edges, rig.camera),
-        has_covariances=has_covariances,
-        reference_s=float(stamps.mean()) if len(stamps) else math.nan,
-        camera=camera,
-    )
+    return lines, points, has_covariances
+
+
+REPEATED = 2.0
+"""Factor on the variances of what was measured twice: the same speckle and the same edge of the face make both errors
+similar, so that two measurements determine the ring no better than one. Only their difference is information."""
+
+
+def _repeated_lines(first: Lines, again: Lines) -> Lines:
+    joined = _joined(first, again)
+    twice = np.isin(joined["laser"], first.laser) & np.isin(joined["laser"], again.laser)
+    joined["whitening"] = joined["whitening"] / np.sqrt(np.where(twice, REPEATED, 1.0))[:, None, None]
+    return Lines(**joined)
+
+
+def _repeated_points(first: Points, again: Points) -> Points:
+    joined = _joined(first, again)
+    ends = [2 * points.laser + points.edge for points in (first, again)]
+    every = np.concatenate(ends)
+    variances = np.where(np.isin(every, ends[0]) & np.isin(every, ends[1]), REPEATED, 1.0)
+    joined["covariance"] = joined["covariance"] * variances[:, None, None]
+    joined["sigma_x"] = joined["sigma_x"] * np.sqrt(variances)
+    return Points(**joined)
+
+
+def _joined(first: Lines | Points, again: Lines | Points) -> dict[str, Any]:
+    return {each.name: np.concatenate([getattr(first, each.name), getattr(again, each.name)]) for each in fields(first)}
 
 
 def _stamps(break_points: BreakPoints) -> Float64[Array, "laser"]:

@@ -81,6 +81,8 @@ class Residuals(NamedTuple):
     """Number of the lines' ends: their residuals and predictions come before those of the break points."""
     data_rows: int
     """Number of residuals before those of the prior."""
+    stripe_numbers: int
+    """Number of distinct numbers of stripes and break points: a residual that is repeated counts once."""
     stripes: StripePrediction
     points: EdgeDistances
     """Of the break points from their edges."""
@@ -178,7 +180,7 @@ class Estimate(NamedTuple):
         Rows of weak priors count like measurements.
         """
         prior_rows = len(self.residuals.residual) - self.residuals.data_rows
-        return max(self.residuals.stripe_rows + prior_rows - PARAMETERS, 0)
+        return max(self.residuals.stripe_numbers + prior_rows - PARAMETERS, 0)
 
     @property
     def edge_residuals(self) -> Float64[Array, "visible"]:

@@ -96,7 +96,7 @@ def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, start: RingArc
         start = initial_guess(measured, observations, prior) if guess is None else guess
         if start is None:
             return None
-        if guess is None and len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
+        if guess is None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE:
             regularized = solve(start, prior._replace(regularize_about=start))
             start = start if regularized is None else regularized.arcs
         estimate = solve(start, prior)
@@ -324,6 +324,7 @@ def ring_residuals(
         jacobian=np.concatenate([wrt_all[:, :PARAMETERS], prior_jacobian]),
         ends=ends,
         data_rows=len(residual),
+        stripe_numbers=observations.stripe_numbers,
         stripes=stripes._replace(y_wrt_step=stripes.y_wrt_step[:, :PARAMETERS]),
         points=points,
         edges=edges,

@@ -169,10 +169,10 @@ def motion_derivatives(
     lever_m, curvature, time = before.lever_m, before.curvature, np.asarray(time_s)[..., None]
     turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
     components = moved.axes[..., [2, 0, 1], :] * np.array([[1.0], [1.0], [curvature]])  # LIFT, SHIFT, TURN
-    displaced = [LIFT, SHIFT, TURN]
+    displaced = slice(LIFT, TURN + 1)
 
     wrt_step = np.zeros((*time.shape[:-1], len(STEP), len(STEP)))
-    wrt_step[..., range(len(STEP)), range(len(STEP))] = 1.0
+    wrt_step[...] = np.eye(len(STEP))
     wrt_step[..., displaced, LIFT] = components @ before.axes[2]
     wrt_step[..., displaced, SHIFT] = components @ before.axes[0]
     wrt_step[..., displaced, TURN] += lever_m * _dot(components, turned[..., [1], :])
@@ -214,6 +214,12 @@ def ring_arcs(
     )
 
 
+def _along(axes: Float64[Array, "*row 3 3"], vectors: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+    """Components of vectors along axes, which are the same for all of them or of each row."""
+    along: Float64[Array, "n 3"] = vectors @ axes.T if axes.ndim == 2 else (axes @ vectors[..., None])[..., 0]
+    return along
+
+
 # Stripes and break points
 
 
@@ -250,7 +256,7 @@ def predicted_stripes(
     y_wrt_plane = (light_distance_m / denominator)[:, None] * rays
 
     # q = n / (n . origin): dq = (a - (a . origin) q) / (n . origin) for a tilt along a, -q / (n . origin) for a lift
-    y_wrt_axes = (arcs.axes @ y_wrt_plane[:, :, None])[..., 0]
+    y_wrt_axes = _along(arcs.axes, y_wrt_plane)
     y_wrt_depth = (y_wrt_plane * plane).sum(axis=1)[:, None]
     y_wrt_step = np.zeros((len(x), len(STEP)))
     y_wrt_step[:, [TILT_INWARD, TILT_ALONG]] = (y_wrt_axes - distances_m * y_wrt_depth)[:, :2] / distance_m
@@ -311,7 +317,7 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     Eq. (5.2), with x inward and y along the face from the origin, in the form that is regular at curvature 0:
     |P - c| - 1/k = (k (x^2 + y^2) - 2 x) / (1 + h), h = k |P - c| = hypot(1 - k x, k y).
     """
-    ray_inward, ray_along, ray_normal = (arcs.axes @ rays[:, :, None])[..., 0].T
+    ray_inward, ray_along, ray_normal = _along(arcs.axes, rays).T
     origin_inward, origin_along, origin_normal = (arcs.axes @ arcs.origin[..., None])[..., 0].T
     depth = origin_normal / ray_normal
     x = depth * ray_inward - origin_inward
@@ -335,7 +341,8 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     jacobian[:, HALF_BAND] = -edge_sign
     # P = depth r: dP/dr = depth (1 - r n^T / (n . r))
     by_axes = np.stack([by_x, by_y, -by_lift], axis=1)
-    wrt_ray = depth[:, None] * (by_axes[:, None] @ arcs.axes[..., :2])[:, 0]
+    outward = by_axes @ arcs.axes if arcs.axes.ndim == 2 else (by_axes[:, None] @ arcs.axes)[:, 0]
+    wrt_ray = depth[:, None] * outward[:, :2]
     return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, jacobian, wrt_ray)
 
 
@@ -429,7 +436,10 @@ def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingP
         of_points = rings.at_rows(view.of_sample[view.ends :])
     stripes = predicted_stripes(of_samples, view.rays[:, 0], view.light_normal, view.light_distance_m)
     points = edge_distances(of_points, stripes.rays[view.ends :], view.edge_sign)
-    edges = edge_distances(of_visible, view.visible_rays, view.visible_sign)
+    if len(view.visible_sign):
+        edges = edge_distances(of_visible, view.visible_rays, view.visible_sign)
+    else:
+        edges = EdgeDistances(np.empty(0), np.empty((0, len(STEP))), np.empty((0, 2)))
     if derivatives is None:
         return RingPrediction(stripes, points, edges)
     of_sample = derivatives[view.of_sample]

@@ -216,7 +216,7 @@ def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag
     one_missing = bool((seen.sum(axis=1)[lines | seen.any(axis=1)] < len(EDGE_SIGN)).any())
     if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
         return ALL_WEAK, "too few ends of stripes are clear to show that it is a ring"
-    return PoseFlag.GRASP_WEAK if len(best.measured.lines.laser) == 1 else PoseFlag(0), ""
+    return PoseFlag.GRASP_WEAK if len(best.measured.stripes) == 1 else PoseFlag(0), ""
 
 
 def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
@@ -246,7 +246,7 @@ def _unverified(best: Explanation) -> PoseFlag:
     if best.prior.radii is not None:
         curvature, sd = best.estimate.curvature_alone
         flags |= PoseFlag.RADIUS_UNVERIFIED if not sd < VERIFIED_BELOW * curvature else PoseFlag(0)
-    if len(best.measured.lines.laser) < REDUNDANT_STRIPES:
+    if len(best.measured.stripes) < REDUNDANT_STRIPES:
         flags |= PoseFlag.RIG_UNCHECKED
     return flags
 

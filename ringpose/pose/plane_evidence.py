@@ -217,7 +217,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
     The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
     their priors: the Schur complement of section 9.
     """
-    if estimate.regularized or len(measured.lines.laser) < REDUNDANT_STRIPES:
+    if estimate.regularized or len(measured.stripes) < REDUNDANT_STRIPES:
         return None
     errors = rig_errors(rig, TYPICAL_STABILITY)
     if errors is None:

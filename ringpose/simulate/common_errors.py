@@ -11,17 +11,7 @@ from ringpose.geometry.ring import RingArcs
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.rig import Rig
-
-
-class RingForm(NamedTuple):
-    """Deviations of a ring from circles and a plane: Fourier coefficients by order and (cosine, sine), in metres."""
-
-    radial_m: Float64[Array, "edge=2 order=3 wave=2"]
-    axial_m: Float64[Array, "order=3 wave=2"]
-
-    def any(self) -> bool:
-        """Whether there is a deviation."""
-        return bool(self.radial_m.any() or self.axial_m.any())
+from ringpose.types.target import RingForm
 
 
 class CommonErrors(NamedTuple):

@@ -27,7 +27,6 @@ from ringpose.simulate.appearance import (
 from ringpose.simulate.break_points import in_gap
 from ringpose.simulate.common_errors import (
     CommonErrors,
-    RingForm,
     drawn_common_errors,
     form_deviations,
     form_displacement,
@@ -47,7 +46,7 @@ from ringpose.types.detection import (
     joined_edge_points,
 )
 from ringpose.types.scene import RingView, Scene
-from ringpose.types.target import RingShape
+from ringpose.types.target import RingForm, RingShape
 from ringpose.types.truth import Truth
 
 _FEATURES, _COMMON = 2, 3
@@ -125,9 +124,10 @@ def common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations
     drawn = drawn_common_errors(
         scene.rig, rng, ring_tolerance_m=deviations.ring_tolerance_m, with_rig_errors=deviations.rig_errors
     )
-    if scene.ring.form is None:
+    own = scene.ring.form
+    if own is None:
         return drawn
-    form = RingForm(drawn.form.radial_m + scene.ring.form.radial_m, drawn.form.axial_m + scene.ring.form.axial_m)
+    form = RingForm(radial_m=drawn.form.radial_m + own.radial_m, axial_m=drawn.form.axial_m + own.axial_m)
     return drawn._replace(form=form)
 
 

@@ -78,6 +78,8 @@ class BreakPoints:
     """True if the lasers were switched one by one; False if the stripes were assigned by the best fit of a ring."""
     stamp_s: Float64[Array, "laser"] | None = None
     """Mid exposure of the frame that shows each laser's stripe; NaN where it was not found, None if unknown."""
+    repeated: "BreakPoints | None" = None
+    """The same ends in a frame with several lasers on, at another time; NaN where one was not measured again."""
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
@@ -92,6 +94,7 @@ class BreakPoints:
             position_px=self.position_px[:, ::-1],
             covariance_px2=self.covariance_px2[:, ::-1],
             flags=self.flags[:, ::-1],
+            repeated=None if self.repeated is None else self.repeated.with_edges_exchanged(),
         )
 
 

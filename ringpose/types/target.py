@@ -100,6 +100,10 @@ class RingForm:
     radial_m: Float64[Array, "edge=2 order=3 wave=2"]
     axial_m: Float64[Array, "order=3 wave=2"]
 
+    def any(self) -> bool:
+        """Whether there is a deviation."""
+        return bool(self.radial_m.any() or self.axial_m.any())
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Part:

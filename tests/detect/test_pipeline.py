@@ -264,3 +264,20 @@ def test_lit_edges_that_are_not_found_are_recorded(with_off_frame, monkeypatch):
     detection = detect(*with_off_frame("B_z0500_p01_normal"))
 
     assert [each.what for each in detection.rejected] == ["edge"]
+
+
+def test_a_frame_with_all_lasers_after_the_single_ones_is_a_second_measurement(rig, rng):
+    scene = DrawnScene(center_m=(0.58, 0.02, 0.5))
+
+    points = found(draw_shot(scene, rig, [*SWITCHED, 7], rng), rig)
+
+    truth = true_break_points(scene, rig)
+    assert points.repeated is not None
+    assert points.repeated.seen.all()
+    assert np.abs(points.repeated.position_px - truth).max() < 1 / 3
+    np.testing.assert_array_equal(points.repeated.stamp_s, np.full(3, 4.0005))
+
+
+@pytest.mark.parametrize("masks", [SWITCHED, [0, 7], ALL_ON], ids=["switched", "off and all", "all"])
+def test_other_sequences_have_no_second_measurement(rig, rng, masks):
+    assert found(draw_shot(DrawnScene(center_m=(0.58, 0.02, 0.5)), rig, masks, rng), rig).repeated is None

@@ -270,3 +270,46 @@ def test_stability_raises_the_normals_error_as_the_design_states(scene_of, face_
         sd_deg = np.degrees(np.sqrt(np.linalg.eigvalsh(changing[:2, :2])[-1]))
         assert sd_deg == pytest.approx(expected_deg, rel=0.5)
         assert np.trace(changing[:2, :2]) > 2 * np.trace(exact[:2, :2])
+
+
+# A second measurement of each stripe, by a frame with all lasers on
+
+AGAIN_S = STAMPS_S[-1] + PERIOD_S
+
+
+def seen_twice(scene, velocity_m_s, face_points, rng, sigma_px=0.1):
+    """Break points of a ring in steady motion by one frame for each laser, then by one with all of them."""
+    first = face_points(moving_scene(scene, velocity_m_s, np.zeros(3)), sigma_px, sigma_px / 10, rng)
+    points_m = moved(scene.ring, AGAIN_S - STAMPS_S[1], velocity_m_s, np.zeros(3)).break_points_m(scene.rig.lasers)
+    later = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+    again = replace(face_points(later, sigma_px, sigma_px / 10, rng), stamp_s=np.full(3, AGAIN_S))
+    return replace(first, stamp_s=STAMPS_S, repeated=again)
+
+
+@pytest.mark.parametrize(("speed_m_s", "flagged"), [(0.0, False), (0.05, True)])
+def test_a_frame_with_all_lasers_shows_that_a_target_that_is_assumed_still_moves(
+    scene_of, face_points, rng, speed_m_s, flagged
+):
+    scene = scene_of("B", distance_m=0.5)
+    points = seen_twice(scene, np.array([0.0, speed_m_s, 0.0]), face_points, rng)
+
+    result = pose_result(points, scene.rig)
+
+    assert bool(result.flags & PoseFlag.MOTION) == flagged
+    assert result.measurement.degrees_of_freedom == 5  # twelve distinct numbers less seven parameters
+
+
+def test_a_frame_with_all_lasers_measures_the_velocity_and_never_the_ring_better_than_a_still_shot(
+    scene_of, face_points, rng
+):
+    scene, velocity_m_s = scene_of("B", distance_m=0.5), np.array([0.01, -0.02, 0.015])
+    points = seen_twice(scene, velocity_m_s, face_points, rng)
+
+    twice = pose_result(points, scene.rig, assumptions=MOVING)
+    once = pose_result(replace(points, repeated=None), scene.rig, assumptions=MOVING)
+    still = pose_result(replace(seen_twice(scene, np.zeros(3), face_points, rng), repeated=None), scene.rig)
+
+    error = twice.velocity.center_m_s - velocity_m_s
+    assert mahalanobis_squared(error, twice.velocity.covariance[:3, :3]) < 16.3  # 99.9 %
+    assert np.trace(twice.velocity.covariance[:3, :3]) < 0.5 * np.trace(once.velocity.covariance[:3, :3])
+    assert np.linalg.eigvalsh(twice.pose.covariance - 0.9 * still.pose.covariance)[0] > -1e-9

@@ -93,6 +93,16 @@ def there_and_back(request, tmp_path):
     return through_json if request.param == "json" else lambda detection: through_file(detection, tmp_path)
 
 
+def test_a_repeated_measurement_is_read_as_it_was_written(rng, there_and_back):
+    before = full_detection(rng)
+    again = replace(break_points(rng), labelled=True)
+    before = replace(before, break_points=replace(before.break_points, repeated=again))
+
+    after = there_and_back(before)
+
+    assert same(after.break_points.repeated, again)
+
+
 def test_detection_is_read_as_it_was_written(rng, there_and_back):
     before = full_detection(rng)
 

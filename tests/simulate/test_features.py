@@ -10,7 +10,7 @@ from ringpose.errors import DataError
 from ringpose.geometry.rays import undistort
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, RingForm, drawn_common_errors
+from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, drawn_common_errors
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import target_placement
@@ -18,11 +18,10 @@ from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.motion import FreeMotion
-from ringpose.types.target import Gap
-from ringpose.types.target import RingForm as TargetRingForm
+from ringpose.types.target import Gap, RingForm
 
 EXACT = Deviations(noise=False)
-STILL_FORM = RingForm(np.zeros((2, 3, 2)), np.zeros((3, 2)))
+STILL_FORM = RingForm(radial_m=np.zeros((2, 3, 2)), axial_m=np.zeros((3, 2)))
 
 
 @pytest.fixture
@@ -342,7 +341,7 @@ def test_motion_form_and_gaps_of_the_scene_give_the_truth_of_its_images(switched
     (_, whole) = next(simulate(switched))
     left = placed(switched, view, whole.break_points_px[0, 0])
     gap = Gap(angle_rad=float(np.arctan2(left[1], left[0])), width_m=0.008, depth_m=0.01)
-    form = TargetRingForm(radial_m=np.full((2, 3, 2), 2e-4), axial_m=np.full((3, 2), 1e-4))
+    form = RingForm(radial_m=np.full((2, 3, 2), 2e-4), axial_m=np.full((3, 2), 1e-4))
     motion = FreeMotion(
         inertia_kg_m2=np.diag([3.0, 4.0, 5.0]),
         center_of_mass_m=np.array([0.0, 0.0, -1.0]),

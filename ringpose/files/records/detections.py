@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,11 @@ PROVENANCE = "provenance"
 REJECTED = "rejected"
 """Key of the rejections: a list of mappings, in an NPZ file as a JSON text."""
 
+_BREAK_POINTS = tuple(name for name in BreakPoints.__slots__ if name != "repeated")
+
 _PARTS = {
-    "break_points": BreakPoints.__slots__,
+    "break_points": _BREAK_POINTS,
+    "repeated": _BREAK_POINTS,
     "ring_edges": RingEdgePoints.__slots__,
     "stripes": Stripes.__slots__,
     "segments": Segments.__slots__,
@@ -60,6 +64,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "ambient_changed": detection.ambient_changed,
         "advice": detection.advice,
         "break_points": _part("break_points", found),
+        "repeated": _part("repeated", None if found is None else found.repeated),
         "ring_edges": _part("ring_edges", detection.ring_edges),
         REJECTED: [rejection_record(each) for each in detection.rejected],
     }
@@ -81,6 +86,8 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         raise fields.problem("schema", found, "give the output of ringpose detect")
     parts = {key: fields.fields(key) for key in _PARTS if fields.has(key)}
     points = _break_points(parts["break_points"]) if "break_points" in parts else _reason(fields)
+    if isinstance(points, BreakPoints) and "repeated" in parts:
+        points = replace(points, repeated=_break_points(parts["repeated"], len(points.position_px)))
     return Detection(
         shot=fields.text("shot"),
         stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else math.nan,
@@ -156,8 +163,8 @@ def _reason(fields: Fields) -> NoBreakPoints:
         raise fields.problem("reason", f"unknown reason {reason[:60]!r}") from None
 
 
-def _break_points(fields: Fields) -> BreakPoints:
-    position = _points(fields, "position_px", (None, 2, 2))
+def _break_points(fields: Fields, count: int | None = None) -> BreakPoints:
+    position = _points(fields, "position_px", (count, 2, 2))
     lasers = len(position)
     return BreakPoints(
         position_px=position,
