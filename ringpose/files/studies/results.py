@@ -29,7 +29,7 @@ from ringpose.files.io import read_bytes
 from ringpose.files.records import line_of, parsed_record, plain
 from ringpose.types.study import INTEGERS, SWITCHES, TEXT_COLUMNS, TEXTS, Row
 
-ROWS_PER_GROUP = 20_000
+ROWS_PER_GROUP = 5_000
 """Rows of a table that are in memory at once while it is written."""
 
 
