@@ -1,12 +1,13 @@
 """A rig, detections of a ring that is exactly known, and shots that show nothing."""
 
+import hashlib
 import json
 import math
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,31 @@ def detection(shot: str) -> dict[str, Any]:
 def line(shot: str) -> str:
     """The record as a line of JSON."""
     return json.dumps(detection(shot)) + "\n"
+
+
+_boards_found: dict[tuple[bytes, str, str], Any] = {}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _each_board_found_once() -> Iterator[None]:
+    """Search an image for a board once for all tests of the commands; the search is tested in tests/calibrate/boards.
+
+    It takes most of the time of a calibration, and the tests share the carried views.
+    """
+    import ringpose.calibrate.boards.motion
+    import ringpose.cli.calibrate.board_views
+    from ringpose.calibrate.boards.views import find_board
+
+    def found(image, board, name):
+        key = (hashlib.sha256(image.tobytes()).digest(), f"{image.shape} {image.dtype} {board}", name)
+        if key not in _boards_found:
+            _boards_found[key] = find_board(image, board, name)
+        return _boards_found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (ringpose.calibrate.boards.motion, ringpose.cli.calibrate.board_views):
+            patch.setattr(module, "find_board", found)
+        yield
 
 
 @pytest.fixture
