@@ -170,4 +170,4 @@ def serve(tmp_path, monkeypatch, loopback_address, forker):
     for process in processes:
         with process:
             process.send_signal(signal.SIGTERM)
-            assert process.wait(20) == 143
+            assert process.wait(300) == 143
