@@ -8,6 +8,9 @@ LOWEST := .venv-lowest
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
 
+# Modules that are instrumented or rewritten for the tests are kept from run to run: half of the time to collect them.
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: help demo bench-speed bench-targets compare-baseline baseline structure test test-slow test-lowest \
   check lint types layers man clean
 

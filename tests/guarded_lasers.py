@@ -1,6 +1,7 @@
 """Relay lasers with a watchdog, created from a URI as the command does."""
 
 import time
+from collections.abc import Callable
 
 from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.lasers.watchdog import WatchdogLasers
@@ -19,3 +20,11 @@ def lasers_at(uri: str) -> WatchdogLasers:
 def on_mask(relays: ServedRelays) -> int:
     """Mask of the lasers that are on now."""
     return relays.mask_at(time.monotonic())
+
+
+def fastest(measured: Callable[[], float], limit_s: float, tries: int = 5) -> float:
+    """The first time within the limit, or the shortest one: the delay of a busy machine varies."""
+    times_s: list[float] = []
+    while len(times_s) < tries and min(times_s, default=limit_s) >= limit_s:
+        times_s.append(measured())
+    return min(times_s)

@@ -30,8 +30,11 @@ def poses_before(rig, rng, shots):
         yield scene, face_points_of(scene, 0.3, 0.02, rng)
 
 
-def measured_stream(rig, scenes):
-    """The lines of a stream, as `ringpose pose` computes them, and the warnings by shot."""
+def measured_stream(rig, scenes, until=None):
+    """The lines of a stream, as `ringpose pose` computes them, and the warnings by shot.
+
+    It ends early at a warning that contains the text `until`.
+    """
     monitor, lines, warnings = DriftMonitor(rig, rig.stability), [], {}
     for number, (_, points) in enumerate(scenes):
         result = pose_result(points, monitor.rig, assumptions=replace(ASSUMED, stability=monitor.rig.stability))
@@ -50,4 +53,6 @@ def measured_stream(rig, scenes):
         lines.append(line)
         if warning is not None:
             warnings[number] = warning
+            if until is not None and until in warning:
+                break
     return lines, warnings

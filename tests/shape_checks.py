@@ -22,10 +22,14 @@ _believed: list[Any] = []
 
 def checked(stub: Callable) -> Callable:
     """The type checker that jaxtyping applies to the arguments of a call, then to its result."""
-    check, name = beartype(stub), (stub.__module__, stub.__qualname__)
+    name = (stub.__module__, stub.__qualname__)
+    check: Callable | None = None
 
-    @functools.wraps(check)
+    @functools.wraps(stub)
     def first(*args: object, **kwargs: object) -> None:
+        nonlocal check
+        if check is None:  # generating it takes a third of the time of importing a module; many are never called
+            check = beartype(stub)
         check(*args, **kwargs)
         _checks[name] += 1
         if _checks[name] == CALLS * _CHECKS_OF_A_CALL:

@@ -21,7 +21,7 @@ ENVIRONMENT = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}
 
 def run_script(script: Path, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["sh", script, folder / "out"], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=300
+        ["sh", script, folder / "out"], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=3000
     )
 
 
@@ -73,7 +73,7 @@ def started(*words: str, **options) -> "subprocess.Popen[str]":
 def controlled(lines: str, *words: str) -> Controller:
     """The output of the controller for a stream that ends."""
     process = started(*words)
-    out, stderr = process.communicate(lines, timeout=30)
+    out, stderr = process.communicate(lines, timeout=300)
     *commands, last = [json.loads(line) for line in out.splitlines()]
     assert (process.returncode, last) == (0, {"do": "hold", "why": "the stream has ended"})
     return Controller(commands, stderr.splitlines())
@@ -225,7 +225,7 @@ def test_the_controller_reports_missing_keys():
 
 def test_the_controller_accepts_invalid_utf_8():
     process = started(text=False)
-    out, stderr = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=30)
+    out, stderr = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=300)
 
     assert process.returncode == 0
     assert json.loads(out.splitlines()[0])["shot"] == "last"
@@ -298,7 +298,7 @@ def test_the_controller_holds_without_a_pose():
 def test_the_controller_names_a_stream_that_is_closed(closed, status):
     words = ["sh", "-c", f'exec "$0" "$1" {closed}', sys.executable, EXAMPLES / "controller.py"]
 
-    done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=30)
+    done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300)
 
     assert done.returncode == status
     assert done.stderr.count("\n") == 1

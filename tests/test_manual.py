@@ -72,7 +72,7 @@ def run_in_example_folder(example_folder):
             env=environment,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=1200,
         )
 
     return run

@@ -10,6 +10,7 @@ import pytest
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
+from ringpose.types.image import Shot
 
 MATRIX = np.array([[1781.3, 0.0, 803.7], [0.0, 1780.6, 596.2], [0.0, 0.0, 1.0]])
 COEFFICIENTS = np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0])
@@ -72,6 +73,16 @@ def plane_board() -> Board:
     return Board(
         kind="four_markers", dictionary="DICT_4X4_50", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01
     )
+
+
+@pytest.fixture(scope="session")
+def rendered_plane_views(shared_data, plane_board) -> list[tuple[Shot, BoardView]]:
+    """The rendered shots of the four-marker board, and the board in each; finding it takes most of a second."""
+    from ringpose.calibrate.boards.views import board_image, find_board
+    from ringpose.files.images.shots import read_shot
+
+    shots = [read_shot(path) for path in sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))]
+    return [(shot, find_board(board_image(shot), plane_board, shot.name)) for shot in shots]
 
 
 @pytest.fixture(scope="session")

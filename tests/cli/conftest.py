@@ -1,6 +1,7 @@
 """A rig, detections of a ring that is exactly known, shots that show nothing, and small studies."""
 
 import csv
+import hashlib
 import json
 import math
 import os
@@ -8,7 +9,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,33 @@ def detection(shot: str) -> dict[str, Any]:
 def line(shot: str) -> str:
     """The record as a line of JSON."""
     return json.dumps(detection(shot)) + "\n"
+
+
+_boards_found: dict[tuple[bytes, str], Any] = {}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _each_board_found_once() -> Iterator[None]:
+    """Search an image for a board once for all tests of the commands; the search is tested in tests/calibrate/boards.
+
+    It takes most of the time of a calibration, and the tests share the carried views.
+    """
+    import ringpose.calibrate.boards.motion
+    import ringpose.cli.calibrate.board_views
+    from ringpose.calibrate.boards.views import find_board
+    from ringpose.types.board import BoardView
+
+    def found(image, board, name):
+        key = (hashlib.sha256(image.tobytes()).digest(), f"{image.shape} {image.dtype} {board}")
+        if key not in _boards_found:
+            _boards_found[key] = find_board(image, board, name)
+        view = _boards_found[key]
+        return replace(view, name=name) if isinstance(view, BoardView) else view
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (ringpose.calibrate.boards.motion, ringpose.cli.calibrate.board_views):
+            patch.setattr(module, "find_board", found)
+        yield
 
 
 @pytest.fixture
@@ -145,7 +174,7 @@ def serve(tmp_path, monkeypatch, loopback_address, forker):
     for process in processes:
         with process:
             process.send_signal(signal.SIGTERM)
-            assert process.wait(20) == 143
+            assert process.wait(300) == 143
 
 
 STUDY = """\

@@ -33,7 +33,7 @@ def test_a_signal_leaves_finished_shots_and_a_valid_session(number, started):
         first = process.stdout.readline()
 
         process.send_signal(number)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=300)
 
     assert process.returncode == 128 + number
     assert (first, out, err) == ("s/a.npz\n", "", "")
@@ -61,7 +61,7 @@ def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(started):
         process.stdout.readline()
         process.stdout.close()
         said = process.stderr.read()
-        status = process.wait(timeout=30)
+        status = process.wait(timeout=300)
 
     assert (status, said) == (141, "")
     assert read_session(Path("s")).captures[0].state == "stopped"
@@ -79,7 +79,7 @@ def test_a_full_disk_keeps_what_was_finished(started, rng):
     words = ["capture", "--camera", "files:in", "--output", "s"]
 
     with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))) as process:
-        out, said = process.communicate(timeout=60)
+        out, said = process.communicate(timeout=600)
 
     assert (process.returncode, out) == (74, "s/a.npz\ns/b.npz\n")
     assert said.startswith("ringpose: s/z.npz: writing broke off: ")
@@ -93,7 +93,7 @@ def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(started):
     screen, terminal = os.openpty()
 
     with started("capture", "--camera", "files:in", "--output", "s", stderr=terminal) as process:
-        out, _ = process.communicate(timeout=60)
+        out, _ = process.communicate(timeout=600)
     shown = os.read(screen, 65536).decode()
     os.close(screen)
     os.close(terminal)

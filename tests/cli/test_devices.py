@@ -234,7 +234,7 @@ def test_no_frame_is_lost(serve, example_folder):
     devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
     words = ["capture", *devices, "--sequence", "off,1,2,3,off", "--count", "6", "--output", "s", "--quiet"]
 
-    done = subprocess.run([sys.executable, "-c", COMMAND, *words], timeout=60)
+    done = subprocess.run([sys.executable, "-c", COMMAND, *words], timeout=600)
 
     frames = len(Path("log.jsonl").read_text().splitlines())
     assert done.returncode == 0

@@ -209,7 +209,7 @@ def test_each_shot_that_can_be_read_comes_through_the_pipe(started, drawn_shot, 
         started("detect", folder, "--rig", rig) as first,
         started("pose", "-", "--rig", rig, stdin=first.stdout) as second,
     ):
-        out, said = second.communicate(timeout=60)
+        out, said = second.communicate(timeout=600)
         refused = first.stderr.read()
 
     lines = {record["shot"]: record["status"] for record in map(json.loads, out.splitlines())}

@@ -183,7 +183,7 @@ def test_the_first_shot_is_named_before_the_last_is_made(scene, started):
     process = started("simulate", scene, "--output", scene.parent / "out", "--jobs", "1")
     first = process.stdout.readline()
     process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=300)
 
     assert process.returncode == 143
     assert error == ""
@@ -199,7 +199,7 @@ def test_an_interrupt_with_several_processes_is_quiet(scene, started):
     process = started("simulate", scene, "--output", scene.parent / "out", "--jobs", "2")
     process.stdout.readline()
     process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=600)
 
     assert (process.returncode, error) == (130, "")
 

@@ -15,7 +15,7 @@ import pytest
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in
 
-DEADLINE_S = 60
+DEADLINE_S = 600
 
 
 def ended(process) -> tuple[int, str]:

@@ -137,10 +137,26 @@ def test_a_radius_that_is_wrong_is_left_out(scene, points):
     assert sigmas_off(pose, scene) < 4.0
 
 
-@pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
+OTHER_RADII = (
+    ("R1194", (0.567, 0.597)),
+    ("R597", (1.154, 1.194)),
+    ("R833", (0.567, 0.597)),
+    ("R597", (0.803, 0.833)),
+)
+
+
 @pytest.mark.parametrize(
-    ("size", "said"),
-    [("R1194", (0.567, 0.597)), ("R597", (1.154, 1.194)), ("R833", (0.567, 0.597)), ("R597", (0.803, 0.833))],
+    ("size", "said", "distance_m"),
+    [
+        pytest.param(
+            *radii,
+            distance_m,
+            id=f"{radii[0]}-said{number}-{distance_m}",
+            marks=() if (number + near) % 3 == 0 else pytest.mark.slow,  # each ring and each distance is in a fast one
+        )
+        for number, radii in enumerate(OTHER_RADII)
+        for near, distance_m in enumerate((0.25, 0.5, 1.0))
+    ],
 )
 def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, distance_m, size, said):
     scene = scene_of("B", distance_m=distance_m, size=size)
@@ -238,8 +254,14 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
     )
 
 
-@pytest.mark.parametrize("end_sigma_px", [0.3, 2.0, 8.0])
-@pytest.mark.parametrize("distance_m", [0.25, 0.5])
+@pytest.mark.parametrize(
+    ("distance_m", "end_sigma_px"),
+    [
+        (0.25, 0.3),
+        (0.5, 2.0),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.25, 2.0), (0.25, 8.0), (0.5, 0.3), (0.5, 8.0))),
+    ],
+)
 def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(
     scene_of, face_points, rng, distance_m, end_sigma_px
 ):

@@ -70,7 +70,10 @@ def test_a_wider_interval_promises_less():
     assert posterior["R597"] > 2 * posterior["wide"]
 
 
-@pytest.mark.parametrize(("rig", "distance_m"), [("A", 0.5), ("B", 0.25), ("B", 0.5)])
+@pytest.mark.parametrize(
+    ("rig", "distance_m"),
+    [("B", 0.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("A", 0.5), ("B", 0.25)))],
+)
 def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(
     ring_scene, face_points, rng, rig, distance_m
 ):

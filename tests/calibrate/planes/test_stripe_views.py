@@ -34,11 +34,7 @@ RENDERED = (
 
 
 def shot_of(path: Path, channel: int | None = None) -> Shot:
-    """An NPZ shot; or an image, one colour of it, as a shot with all lasers on."""
-    if path.suffix == ".npz":
-        with np.load(path) as stored:
-            parts = {key: stored[key] for key in ("images", "lasers", "stamp_s", "exposure_s")}
-        return Shot(name=path.stem, **parts)
+    """An image, or one colour of it, as a shot with all lasers on."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE if channel is None else cv2.IMREAD_COLOR)
     grey = image if channel is None else np.ascontiguousarray(image[..., channel])
     lasers = np.array([255], np.uint8)
@@ -52,11 +48,8 @@ def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def rendered(shared_data):
+def rendered(rendered_plane_views, plane_board):
     """Planes of the rendered views by either method, with the true camera."""
-    board = Board(
-        kind="four_markers", dictionary="DICT_4X4_50", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01
-    )
     camera = Camera(
         camera_name="rig_b",
         image_width=1600,
@@ -65,8 +58,7 @@ def rendered(shared_data):
         distortion_model="plumb_bob",
         distortion_coefficients=np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0]),
     )
-    shots = [shot_of(path) for path in sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))]
-    views = [stripe_view(shot, find_board(board_image(shot), board, shot.name), board, camera, 3) for shot in shots]
+    views = [stripe_view(shot, found, plane_board, camera, 3) for shot, found in rendered_plane_views]
     model = PlanesModel(names=("left", "middle", "right"))
     return {method: calibrate_planes(views, camera, replace(model, method=method)) for method in PlanesMethod}
 

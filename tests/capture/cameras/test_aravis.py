@@ -52,10 +52,10 @@ def test_a_frame_arrives_after_its_exposure(serve, camera):
         opened.arm(0.2)
         before_s, began_s = time.time(), time.perf_counter()
         frame = opened.trigger(0b101)
-        took_s = time.perf_counter() - began_s
+        took_s, after_s = time.perf_counter() - began_s, time.time()
 
     assert took_s > 0.2
-    assert before_s <= frame.stamp_s < before_s + 0.15
+    assert before_s <= frame.stamp_s < after_s - 0.2 + 0.02  # began before it ended, by the exposure
     assert (frame.exposure_s, frame.lasers, frame.attempts, frame.gain_db) == (0.2, 0b101, 1, 0.0)
 
 

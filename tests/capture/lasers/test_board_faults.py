@@ -42,7 +42,7 @@ def test_a_capture_whose_watchdog_is_killed_switches_off_and_ends(
         assert time_until(lambda: on_mask(relays), 10.0) < 10.0
         os.kill(watchdog_of(process), number)
         off_s = time_until(lambda: not on_mask(relays), 2.0)
-        _, message = process.communicate(timeout=30)
+        _, message = process.communicate(timeout=300)
 
     assert off_s < 0.05
     assert not on_mask(relays)
@@ -60,7 +60,7 @@ def test_an_unplugged_board_ends_the_capture_and_keeps_finished_shots(board, cap
             assert time_until(lambda: on_mask(relays), 10.0) < 10.0
         relays.unplug()
         noticed_s = time_until(lambda: read_session(tmp_path / "s").captures[0].state == "stopped", 5.0)
-        _, message = process.communicate(timeout=30)
+        _, message = process.communicate(timeout=300)
 
     assert noticed_s < 0.5
     assert process.returncode == 70
@@ -73,7 +73,7 @@ def test_an_unplugged_board_ends_the_capture_and_keeps_finished_shots(board, cap
 
 def test_a_full_disk_ends_the_capture_with_lasers_off_and_keeps_finished_shots(board, capturing, tmp_path):
     with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.05", before=FULL_AFTER_A_SHOT) as process:
-        names, message = process.communicate(timeout=60)
+        names, message = process.communicate(timeout=600)
 
     assert process.returncode == 74
     assert "writing broke off" in message

@@ -103,7 +103,7 @@ def test_a_camera_with_a_low_frame_rate_stops_at_once(identity, port):
         camera.__exit__(None, None, None)
         took_s = time.monotonic() - began_s
 
-    assert took_s < 0.5
+    assert took_s < 5.0  # half a frame's period
 
 
 def test_a_dead_camera_uses_little_processor_time(identity, port):

@@ -112,7 +112,7 @@ def test_the_tool_of_aravis_reads_the_camera(served, loopback_address, needed_pr
         [tool, "-a", loopback_address, "control", "Width", "PixelFormat", "ExposureTime"],
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=300,
     )
 
     assert [line.split(" = ")[1].split()[0] for line in done.stdout.splitlines()] == ["200", "Mono8", "5000"]
