@@ -78,7 +78,7 @@ class ConsolePage:
         self._ended = threading.Event()
         self._rows: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
         self._measured = 0
-        self._drawn_since = -1
+        self._drawn_since = self._shown_measurement = -1
         self._server = opened_server(host, port)
         self._engine = Engine(scene, self._show, self._record_shot, lambda: bool(self._server.get_clients()))
 
@@ -408,9 +408,13 @@ class ConsolePage:
         state = picture.state
         stamp = f"state {state.number}, {state.time_s:.2f} s"
         is_newest = state.number == self._state.number
+        if picture.line is None and state.number <= self._shown_measurement:
+            return
         with self._server.atomic():
             if picture.line is None:
                 self._place_target(picture)
+            elif is_newest:
+                self._shown_measurement = state.number
             if picture.line is None or is_newest:
                 self._live.show(jpeg, f"measurement camera: {stamp}")
                 self._view3d.show_image(jpeg)
