@@ -394,7 +394,15 @@ class ConsolePage:
         server, light = self._server.scene, state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         arrow = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
-        server.add_arrows("/sun", arrow, (240, 180, 40), 0.008, 0.02, 0.05, visible=light.sun_w_m2 > 0)
+        server.add_arrows(
+            "/sun",
+            arrow,
+            (240, 180, 40),
+            shaft_radius=0.008,
+            head_radius=0.02,
+            head_length=0.05,
+            visible=light.sun_w_m2 > 0,
+        )
         earth = light.earth or EARTH
         server.add_icosphere(
             "/earth", SKY_M * float(np.sin(earth.angular_radius_rad)), (70, 110, 180), subdivisions=4,
