@@ -78,7 +78,7 @@ class ConsolePage:
         self._ended = threading.Event()
         self._rows: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
         self._measured = 0
-        self._drawn_since = -1
+        self._drawn_since = self._shown_measurement = -1
         self._server = opened_server(host, port)
         self._engine = Engine(scene, self._show, self._record_shot, lambda: bool(self._server.get_clients()))
 
@@ -394,7 +394,15 @@ class ConsolePage:
         server, light = self._server.scene, state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         arrow = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
-        server.add_arrows("/sun", arrow, (240, 180, 40), 0.008, 0.02, 0.05, visible=light.sun_w_m2 > 0)
+        server.add_arrows(
+            "/sun",
+            arrow,
+            (240, 180, 40),
+            shaft_radius=0.008,
+            head_radius=0.02,
+            head_length=0.05,
+            visible=light.sun_w_m2 > 0,
+        )
         earth = light.earth or EARTH
         server.add_icosphere(
             "/earth", SKY_M * float(np.sin(earth.angular_radius_rad)), (70, 110, 180), subdivisions=4,
@@ -408,9 +416,13 @@ class ConsolePage:
         state = picture.state
         stamp = f"state {state.number}, {state.time_s:.2f} s"
         is_newest = state.number == self._state.number
+        if picture.line is None and state.number <= self._shown_measurement:
+            return
         with self._server.atomic():
             if picture.line is None:
                 self._place_target(picture)
+            elif is_newest:
+                self._shown_measurement = state.number
             if picture.line is None or is_newest:
                 self._live.show(jpeg, f"measurement camera: {stamp}")
                 self._view3d.show_image(jpeg)

@@ -132,9 +132,9 @@ def _uncertainty_values(pose: RingPose) -> dict[str, Any]:
 
 def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:
     """What is known about a shot, in words."""
-    if shot.line is None:
-        return [("pose", "not measured")]
-    texts = [("flags", ", ".join(shot.line.flag_names)), ("reason", shot.line.reason or "")]
+    line = shot.line
+    texts = [("pose", "not measured")] if line is None else []
+    texts += [] if line is None else [("flags", ", ".join(line.flag_names)), ("reason", line.reason or "")]
     if pose is not None:
         parts = (text.replace("+-", "±").partition(" ") for text in pose_texts(pose))
         texts += [

@@ -58,6 +58,19 @@ def test_a_replay_has_picture_pose_truth_and_the_errors_of_bench(data_set, one_s
     np.testing.assert_allclose(plotted["error: normal (deg)"], [np.degrees(scored["errors"]["normal_rad"])])
 
 
+def test_a_replay_has_the_track_of_each_shot(data_set, one_shot, poses, tmp_path, capsys):
+    page, tracks, rig = tmp_path / "v.html", tmp_path / "tracks.jsonl", str(data_set / "rig.yaml")
+    assert main(["track", str(poses), "--rig", rig]) == 0
+    tracks.write_text(capsys.readouterr().out)
+
+    assert main(["view", one_shot, "--rig", rig, "--tracks", str(tracks), "--html", str(page), "--quiet"]) == 0
+
+    (shot,) = data_of(page)["shots"]
+    line = json.loads(tracks.read_text().splitlines()[-1])
+    np.testing.assert_allclose(shot["track"]["center_m"], line["pose"]["center_m"], rtol=1e-12)
+    assert ["track", f"{line['validity']}, {line['fusion_status']}"] in shot["texts"]
+
+
 def test_a_replay_without_poses_shows_the_detection(data_set, one_shot, tmp_path):
     page = tmp_path / "v.html"
 
@@ -84,8 +97,10 @@ def test_names_in_a_replay_are_not_taken_for_markup(rig, picture, tmp_path):
 @pytest.mark.parametrize(
     ("words", "status", "key_word"),
     [
-        ([], 2, "--html"),
         (["--html", "v.html", "--poses", "missing"], 66, "missing"),
+        (["--html", "v.html", "--tracks", "missing"], 66, "missing"),
+        (["--html", "v.html", "--tracks", "poses.jsonl"], 65, "schema"),
+        (["--html", "v.html", "--tracks", "tracks.jsonl"], 65, "--tracks"),
         (["--html", "v.html", "--truth", "other.jsonl"], 65, "--truth"),
         (["--html", "there.html"], 73, "there.html"),
     ],
@@ -94,6 +109,9 @@ def test_what_cannot_be_shown_is_reported(rig, picture, tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     dark = picture("dark.png")
     (tmp_path / "there.html").touch()
+    (tmp_path / "poses.jsonl").write_text('{"schema": "ringpose/pose/2", "shot": "dark"}\n')
+    track = {"schema": "ringpose/track/1", "shot": "other", "stamp_s": 0.0, "validity": "lost", "fusion_status": "none"}
+    (tmp_path / "tracks.jsonl").write_text(json.dumps(track | {"frame": "camera", "pose": None, "velocity": None}))
     (tmp_path / "other.jsonl").write_text('{"shot": "other", "expect": "no_target"}\n')
 
     assert main(["view", str(dark), "--rig", str(rig), *words]) == status

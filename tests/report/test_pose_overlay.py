@@ -1,5 +1,7 @@
 """The picture of a pose: what is drawn lies where OpenCV projects the true ring."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from ringpose.report.overlay import (
     overlay,
     picture_of,
 )
-from ringpose.types.detection import Detection, NoBreakPoints, Rejection
+from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import LaserState, PoseFlag, PoseLine, RingPose
@@ -145,3 +147,39 @@ def test_picture_of_a_switched_shot_shows_the_stripes_of_all_lasers():
     picture = picture_of(Shot(name="a", images=images, lasers=lasers, stamp_s=stamps, exposure_s=stamps))
 
     assert picture[:, 0].tolist() == [0, 0, 50, 0, 60, 0, 70, 0]
+
+
+def letters(picture):
+    """Number of pixels of white letters, on black."""
+    return int((picture.min(axis=2) > 200).sum())
+
+
+def test_texts_in_a_small_picture_are_complete_and_do_not_overlap(scene):
+    pose = pose_of(scene, normal=np.full(3, np.nan), center_m=np.full(3, np.nan), grasp_m=np.full(3, np.nan))
+    line = line_of(pose, reason="the inner break point of laser left contradicts the others and was left out")
+
+    small, large = (
+        letters(overlay(np.zeros(shape, np.uint8), NO_POINTS, line, scene.rig)) for shape in ((240, 320), (990, 990))
+    )
+
+    assert small == large > 500
+
+
+def test_labels_at_the_border_are_moved_into_the_picture():
+    points_px = np.full((2, 2, 2), np.nan)
+    counts = []
+    for place in ((100.0, 100.0), (318.0, 238.0)):
+        points_px[0, 0] = place
+        points = BreakPoints(
+            position_px=points_px.copy(),
+            covariance_px2=np.full((2, 2, 2, 2), np.nan),
+            flags=np.zeros((2, 2), np.int64),
+            face_start_px=np.full((2, 2), np.nan),
+            face_end_px=np.full((2, 2), np.nan),
+            face_sigma_px=np.full((2, 2), np.nan),
+            labelled=True,
+        )
+        picture = overlay(np.zeros((240, 320), np.uint8), replace(NO_POINTS, break_points=points))
+        counts.append(int((picture[40:].max(axis=2) > 200).sum()))  # below the summary
+
+    assert counts[1] > 0.6 * counts[0]  # the marker is cut off, the label is not
