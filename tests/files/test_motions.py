@@ -192,8 +192,8 @@ def test_poses_in_scene_and_trajectory_file_are_rejected(scene_with, tmp_path):
         scene_with({"file": "poses.csv"})
 
 
-def test_features_of_a_moving_scene_are_rejected(scene_with, tmp_path, capsys):
+def test_features_of_a_moving_scene_state_that_it_moves(scene_with, tmp_path, capsys):
     scene_with({"preset": "stress"})
 
-    assert main(["simulate", str(tmp_path / "scene.yaml"), "--features"]) == 2
-    assert "--max-rate" in capsys.readouterr().err
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "--features"]) == 0
+    assert json.loads(capsys.readouterr().out)["still"] is False
