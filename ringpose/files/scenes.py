@@ -1,5 +1,6 @@
 """scene.yaml, the input of `ringpose simulate`; man/ringpose-simulate.1 documents its keys."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -224,10 +225,11 @@ def _direction(fields: Fields, key: str) -> Float64[Array, "3"]:
     return direction
 
 
-def _angle(fields: Fields, key: str, most_rad: float) -> float:
-    angle_rad = fields.number(key, least=0)
-    if angle_rad > most_rad:
-        raise fields.problem(key, f"is {angle_rad:g}, must be at most {most_rad:g}", "give radians")
+def _angle(fields: Fields, key: str, most_rad: float, *, signed: bool = False) -> float:
+    angle_rad = fields.number(key, least=-math.inf if signed else 0)
+    if abs(angle_rad) > most_rad:
+        found = f"is {angle_rad:g}, must be at most {most_rad:g}{' to either side' if signed else ''}"
+        raise fields.problem(key, found, "give radians")
     return angle_rad
 
 
@@ -334,7 +336,7 @@ def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
         raise entry.problem("light", "is missing, and there is no light 'dim'")
     if entry.has("target"):
         values["target"] = cast(TargetKind, entry.choice("target", get_args(TargetKind)))
-    values |= entry.given(("roll_rad",), lambda key: entry.number(key, least=-7, most=7))
+    values |= entry.given(("roll_rad",), lambda key: _angle(entry, key, 7.0, signed=True))
     if entry.has("groups"):
         values["groups"] = entry.fields("groups").values
         if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
@@ -356,7 +358,7 @@ def _center_m(entry: Fields) -> Float64[Array, "3"]:
 def _normal(entry: Fields) -> Float64[Array, "3"]:
     """The normal, given as a vector or by the paper's pitch and yaw; it must point towards the camera."""
     if not entry.has("normal"):
-        pitch, yaw = (entry.number(key, least=-1.5, most=1.5) for key in ("pitch_rad", "yaw_rad"))
+        pitch, yaw = (_angle(entry, key, 1.5, signed=True) for key in ("pitch_rad", "yaw_rad"))
         return facing_normal(pitch, yaw)
     if entry.has("pitch_rad") or entry.has("yaw_rad"):
         raise entry.problem("normal", "cannot be combined with pitch_rad or yaw_rad", "give one of the two")
@@ -379,7 +381,7 @@ def _approach(entry: Fields, lights: tuple[str, ...]) -> Approach:
 def _random_set(entry: Fields) -> dict[str, Any]:
     """The values that random sets of ring views and of board views have in common."""
     values: dict[str, Any] = entry.given(("count", "seed"), lambda key: entry.integer(key, least=0))
-    values |= entry.given(_ANGLES, lambda key: entry.number(key, least=0, most=1.2))
+    values |= entry.given(_ANGLES, lambda key: _angle(entry, key, 1.2))
     values |= entry.given(("offset",), lambda key: entry.number(key, least=0, most=0.5))
     if entry.has("distances_m"):
         distances_m = entry.array("distances_m", (None,))

@@ -31,8 +31,17 @@ _SHOTS, _BOARDS = 0, 1
 
 
 def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[tuple[Shot, Truth]]:
-    """The first `count` shots of a scene, or all, each as soon as it is ready; `jobs` does not change the result."""
+    """The first `count` shots of a scene, or all, each as soon as it is ready; `jobs` does not change the result.
+
+    A motion that does not cover them, or a part around the camera where a shot begins, is a `DataError` before the
+    first is rendered.
+    """
     views = ring_views(scene)[:count]
+    for view in views:
+        _check_camera(scene, view, target_placement(scene, view))
+    if views and (last := views[-1]).path is not None:
+        exposure_s = view_exposure_s(scene, illuminated_ring(scene, last, scene.sequence))
+        last.path.camera_from_target(last.begin_s + shot_begins_s(scene, exposure_s)[-1] + exposure_s)
     return in_order(partial(simulated_shot, scene, views), len(views), jobs)
 
 
@@ -46,7 +55,7 @@ def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tu
         return _exposed(scene, view.name, rendered, scene.sequence, exposure_s, number), view_truth(
             scene, view, illuminated
         )
-    begins_s = np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)
+    begins_s = shot_begins_s(scene, exposure_s)
     if scene.shots > 1 and begins_s[-1] + exposure_s > scene.period_s:
         found = f"is {scene.period_s:g} s, shorter than the {begins_s[-1] + exposure_s:.3f} s of a shot"
         raise DataError("the scene's period_s", found, "give a longer period, or set exposure_s")
@@ -56,6 +65,11 @@ def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tu
         for frame, (mask, begin_s, stamp_s) in enumerate(zip(scene.sequence, begins_s, stamps_s, strict=True))
     ]
     return _shot_of(scene, view.name, frames, still=False), moving_truth(scene, view, frames, begins_s)
+
+
+def shot_begins_s(scene: Scene, exposure_s: float) -> Float64[Array, "frame"]:
+    """Begin of each exposure of a shot since that of the first."""
+    return np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)
 
 
 def moving_frame(
@@ -146,8 +160,7 @@ def illuminated_ring(
     If an exposure is given, its middle is at that time.
     """
     placement = target_placement(scene, view, time_s)
-    if name := part_around(scene, view, placement.eye_m):
-        raise DataError(f"the scene's view {view.name}", f"has the camera inside the part {name!r}", "move it away")
+    _check_camera(scene, view, placement)
     during: tuple[Placement, ...] = (placement,)
     light = scene.lights[view.light]
     if view.path is not None:
@@ -164,6 +177,11 @@ def illuminated_ring(
         light=light,
         lasers=_lasers_on(scene, masks),
     )
+
+
+def _check_camera(scene: Scene, view: RingView, placement: Placement) -> None:
+    if name := part_around(scene, view, placement.eye_m):
+        raise DataError(f"the scene's view {view.name}", f"has the camera inside the part {name!r}", "move it away")
 
 
 def _turned(light: Light, inertial_from_camera: Float64[Array, "3 3"]) -> Light:

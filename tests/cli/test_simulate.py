@@ -165,6 +165,32 @@ def test_a_wrong_scene_is_one_line_and_its_status(scene, capsys, change, status,
     assert error.count("\n") == 1
 
 
+def test_a_camera_inside_a_part_is_rejected_before_anything_is_written(scene, capsys):
+    inside = {"name": "inside", "center_m": [0.0, 0.0, 0.05], "normal": [0, 0, -1]}
+    outside = {"name": "outside", "center_m": [-0.58, 0.0, 0.5], "normal": [0, 0, -1]}
+    block = {"name": "block", "shape": "box", "size_m": [0.4, 0.4, 0.4], "material": "black"}
+    scene.write_text(
+        yaml.safe_dump(SCENE | {"target": {"parts": [block]}, "trajectory": [outside, inside]}), encoding="utf-8"
+    )
+
+    assert simulate(scene) == 65
+    error = capsys.readouterr().err
+    assert "view inside" in error
+    assert "'block'" in error
+    assert not (scene.parent / "out").exists()
+
+
+@pytest.mark.parametrize(("key", "degrees"), [("pitch_rad", 5.0), ("yaw_rad", -8.0), ("roll_rad", 90.0)])
+def test_angles_in_degrees_are_named(scene, capsys, key, degrees):
+    view = {"name": "a", "center_m": [-0.58, 0.0, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0}
+    scene.write_text(yaml.safe_dump(SCENE | {"trajectory": [view | {key: degrees}]}))
+
+    assert simulate(scene) == 65
+    error = capsys.readouterr().err
+    assert f"trajectory[0].{key}" in error
+    assert "radians" in error
+
+
 def test_a_scene_that_is_not_there(tmp_path):
     assert main(["simulate", str(tmp_path / "none.yaml"), "--output", str(tmp_path / "out")]) == 66
 

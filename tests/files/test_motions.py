@@ -163,6 +163,19 @@ def test_a_trajectory_that_does_not_cover_the_shots_ends_with_status_65(scene_wi
 
     assert main(["simulate", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "out")]) == 65
     assert "covers 0 to 2 s" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_trajectory_that_ends_within_the_last_shot_is_rejected_before_anything_is_written(
+    scene_with, tmp_path, capsys
+):
+    (tmp_path / "poses.csv").write_text(CSV)
+    motion = {"file": "poses.csv", "shots": 2}
+    scene_with(motion, trajectory=None, period_s=1.98, exposure_s=0.01, stripe_dn=None, sequence="off,all,off")
+
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "out")]) == 65
+    assert "covers 0 to 2 s" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_trajectory_file_excludes_other_keys_of_the_motion(scene_with):
@@ -179,8 +192,8 @@ def test_poses_in_scene_and_trajectory_file_are_rejected(scene_with, tmp_path):
         scene_with({"file": "poses.csv"})
 
 
-def test_features_of_a_moving_scene_are_rejected(scene_with, tmp_path, capsys):
+def test_features_of_a_moving_scene_state_that_it_moves(scene_with, tmp_path, capsys):
     scene_with({"preset": "stress"})
 
-    assert main(["simulate", str(tmp_path / "scene.yaml"), "--features"]) == 2
-    assert "--max-rate" in capsys.readouterr().err
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "--features"]) == 0
+    assert json.loads(capsys.readouterr().out)["still"] is False

@@ -87,8 +87,9 @@ def simulate(
         write_features(seeded, scene, deviations, count, output, force=force)
         return
     processes = jobs or len(os.sched_getaffinity(0))
+    shots = simulated(seeded, count, processes)  # checks the motion before anything is written
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
-    for shot, truth in with_progress(simulated(seeded, count, processes), "shots", quiet):
+    for shot, truth in with_progress(shots, "shots", quiet):
         records.write_name(folder.add(shot, truth))
         if verbose:
             messages.echo(

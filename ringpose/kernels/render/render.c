@@ -151,9 +151,8 @@ static void may_shade(const Scene *scene, const Hits *hits, const Beam *beam, do
     for (int i = 0; i < scene->target.parts; i++) {
         const Part *part = scene->target.part + i;
         const Vector to = minus(part->center, middle);
-        const double along = dot(to, axis), aside2 = dot(to, to) - along * along, both = part->radius + radius;
-        const double within = both + greater(along + both, 0) * spread;
-        if (along > -both && along < reach + both && aside2 < within * within) choice->part[choice->count++] = i;
+        if (dot(to, axis) < reach + part->radius + radius && !bundle_misses(part, middle, radius, axis, spread))
+            choice->part[choice->count++] = i;
     }
 }
 
@@ -478,23 +477,14 @@ static void parts_near(const Scene *scene, const PixelRays *rays, const int64_t 
     const Vector axis = unit((Vector){(left + right) / 2, (top + bottom) / 2, 1});
     for (int i = 0; i < 4; i++)
         cosine = lesser(cosine, dot(axis, unit((Vector){i % 2 ? left : right, i / 2 ? top : bottom, 1})));
-    const double half = acos(cosine) + scene->light.angle_per_px, cos_half = cos(half), sin_half = sin(half);
-    for (int i = 0; i < scene->target.parts; i++) {
-        const Part *part = scene->target.part + i;
-        for (int k = 0; k < 3; k++) {
+    const double half = acos(lesser(cosine, 1)) + scene->light.angle_per_px;
+    for (int i = 0; i < scene->target.parts; i++)
+        for (int k = 0; k < (scene->times == 1 ? 1 : 3); k++) {
             const Stand *stand = scene->stand + k * (scene->times - 1) / 2;
-            const Vector to = rotated(stand->rotation, minus(part->center, stand->eye));
-            const double distance = sqrt(dot(to, to)), ahead = dot(to, axis);
-            const double aside = sqrt(greater(distance * distance - ahead * ahead, 0));
-            /* distance of the centre from the cone's mantle */
-            const double off = aside * cos_half - ahead * sin_half;
-            if (distance <= part->radius || (off <= part->radius && ahead > -part->radius)) {
-                choice->part[choice->count++] = i;
-                break;
-            }
-            if (scene->times == 1) break;
+            if (bundle_misses(scene->target.part + i, stand->eye, 0, rotated_back(stand->rotation, axis), half)) continue;
+            choice->part[choice->count++] = i;
+            break;
         }
-    }
 }
 
 static double reversed(int number, int base) {

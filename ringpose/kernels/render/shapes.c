@@ -10,6 +10,26 @@ static int is_aligned(const Part *part) {
     return part->rotation[0] == 1 && part->rotation[4] == 1 && part->rotation[8] == 1;
 }
 
+int bundle_misses(const Part *part, Vector middle, double radius, Vector axis, double spread) {
+    const Vector to = minus(part->center, middle);
+    const double along = dot(to, axis), both = part->radius + radius, aside2 = dot(to, to) - along * along;
+    const double within = both + greater(along + both, 0) * tan(spread);
+    if (along < -both || aside2 > within * within) return 1;
+    if (part->kind == BOX) return 0;
+    /* where the bundle is within the heights of the surface: distances from its axis */
+    const Vector o = rotated(part->rotation, minus(middle, part->origin)), d = rotated(part->rotation, axis);
+    const double steep = fabs(d.z) - spread;
+    if (steep < 0.1) return 0;
+    const double one = (part->low.z - o.z) / d.z, other = (part->high.z - o.z) / d.z;
+    const double first = greater(lesser(one, other), 0), last = greater(greater(one, other), 0);
+    const double margin = (radius + last * tan(spread)) / steep;
+    if (greater(one, other) < -radius / steep) return 1;
+    const double x = o.x + first * d.x, y = o.y + first * d.y, dx = (last - first) * d.x, dy = (last - first) * d.y;
+    const double square = dx * dx + dy * dy, share = square > 0 ? lesser(greater(-(x * dx + y * dy) / square, 0), 1) : 0;
+    const double nearest = hypot(x + share * dx, y + share * dy), farthest = greater(hypot(x, y), hypot(x + dx, y + dy));
+    return nearest - margin > part->high.x || farthest + margin < part->low.x;
+}
+
 /* Rays in the frame of a part, which may hit it; `ray` is the number of each in the rays of the target. */
 typedef struct {
     int count;
@@ -429,6 +449,17 @@ static void complete_revolution(const Target *target, const Part *part, int piec
     }
 }
 
+/* Copies the rays of the hits from `first` on. */
+VECTOR_LOOP static void copy_hits(const Rays *restrict rays, int first, Hits *restrict hits) {
+    const int count = hits->count, all = first == 0 && count == rays->count;
+    for (int i = first; i < count; i++) {
+        const int k = all ? i : hits->ray[i];
+        hits->ox[i] = rays->ox[k], hits->oy[i] = rays->oy[k], hits->oz[i] = rays->oz[k];
+        hits->dx[i] = rays->dx[k], hits->dy[i] = rays->dy[k], hits->dz[i] = rays->dz[k];
+        hits->best[i] = rays->best[k];
+    }
+}
+
 void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted, Hits *hits) {
     uint8_t rest[BLOCK];
     hits->count = 0;
@@ -437,17 +468,16 @@ void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted
         if (!rest[i]) continue;
         const int number = rays->part[i], face = (int)rays->face[i], first = hits->count;
         const Part *part = target->part + number;
-        const int surface = (int)part->first_surface + face;
         for (int k = i; k < rays->count; k++) {
-            if (!rest[k] || rays->part[k] != number || rays->face[k] != face) continue;
-            const int at = hits->count++;
-            rest[k] = 0;
-            hits->part[at] = number;
-            hits->surface[at] = surface;
-            hits->ray[at] = k;
-            hits->ox[at] = rays->ox[k], hits->oy[at] = rays->oy[k], hits->oz[at] = rays->oz[k];
-            hits->dx[at] = rays->dx[k], hits->dy[at] = rays->dy[k], hits->dz[at] = rays->dz[k];
-            hits->best[at] = rays->best[k];
+            hits->ray[hits->count] = k;
+            const int same = rest[k] & (rays->part[k] == number) & (rays->face[k] == face);
+            rest[k] &= !same;
+            hits->count += same;
+        }
+        copy_hits(rays, first, hits);
+        for (int k = first; k < hits->count; k++) {
+            hits->part[k] = number;
+            hits->surface[k] = (int)part->first_surface + face;
         }
         if (part->kind == BOX)
             complete_box(target, part, face, first, hits->count, hits);

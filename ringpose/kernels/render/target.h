@@ -93,7 +93,7 @@ typedef struct {
 /* Where rays hit surfaces, sorted by surface. */
 typedef struct {
     int count;
-    int32_t ray[BLOCK]; /* its number in the rays */
+    int32_t ray[BLOCK + 1]; /* its number in the rays; one more is written */
     double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK]; /* the ray */
     double best[BLOCK];                                                      /* where it meets the flat surface */
     int32_t part[BLOCK], surface[BLOCK], second[BLOCK]; /* second: where the print has the second coating */
@@ -129,6 +129,10 @@ static inline Vector rotated_back(const double m[9], Vector a) {
     return (Vector){m[0] * a.x + m[3] * a.y + m[6] * a.z, m[1] * a.x + m[4] * a.y + m[7] * a.z,
                     m[2] * a.x + m[5] * a.y + m[8] * a.z};
 }
+
+/* Whether all rays of a bundle miss a part, as far as its bounds show; the bundle begins within a sphere, and its
+   directions differ from the axis, a unit vector, by at most the angle `spread`. */
+int bundle_misses(const Part *part, Vector middle, double radius, Vector axis, double spread);
 
 /* Nearest intersections of the rays with the chosen parts; parts that no ray can hit cost little. */
 void intersect(const Target *target, const Choice *choice, Rays *rays);
