@@ -61,7 +61,7 @@ def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], s
     return 2 * sum(courses) > len(courses)
 
 
-def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Array, "row"]]:
+def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Array, "offset"]]:
     """The image that shows the ambient light, and the rows about a stripe's line in which to look at it."""
     return (image.lit, FLANK_ROWS) if image.dark is None else (image.dark, np.array([-1.0, 0.0, 1.0]))
 

@@ -18,7 +18,7 @@ from ringpose.estimate.covariance import (
     second_order_bias_m,
     with_second_order,
 )
-from ringpose.estimate.hypotheses import Explanation, explain
+from ringpose.estimate.hypotheses import RADIUS_SIGMAS, Explanation, explain
 from ringpose.estimate.information import prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
@@ -40,8 +40,9 @@ from ringpose.types.ring import KnownRadii, Ring
 RIG_SUSPECT = PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT | PoseFlag.RING_FORM | PoseFlag.MOTION
 """Flags of an explanation for which an error of the rig is an alternative."""
 
-VERIFIED_BELOW = 0.01
-"""Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified."""
+VERIFIED_BELOW = 0.01 / RADIUS_SIGMAS
+"""Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified: an
+error of 1 % then contradicts the shot. With 1 % here, radii up to 4 % off were neither contradicted nor flagged."""
 
 ALL_WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
 """Flags of all quantities: of a pose whose ring may not be one, or whose errors are not known."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import SMALL_RIG
+from small_rig import SERVED_RIG, SMALL_RIG
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
@@ -13,6 +13,7 @@ from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.cli.main import main
 from ringpose.files.images.shots import read_shot
+from ringpose.files.rigs import read_rig
 from ringpose.types.image import Frame, Shot
 from ringpose.types.sequence import parsed_sequence
 
@@ -98,6 +99,28 @@ def test_an_empty_image_is_exposed_longer_and_a_white_one_shorter():
 
     assert wanted_exposures(shot, 3, None).longest_s == pytest.approx(0.04)
     assert wanted_exposures(white, 3, None).longest_s == pytest.approx(0.0025)
+
+
+def test_a_ring_hidden_by_saturated_light_is_exposed_shorter_and_not_as_long_again(rig_of_scene):
+    scene = Scene((40.0, 60.0, 50.0))
+    shot = next(captured_shots(scene, SimulatedLasers(3), Procedure(steps=STEPS, exposure_s=0.01), ["-"]))
+    images = shot.images.copy()
+    images[:, :60] = FULL_DN
+    control = ExposureControl(rig_of_scene, 3, 1e-5, 0.1)
+
+    assert not control.accepts(replace(shot, images=images))
+    assert control.exposures is not None
+    assert control.exposures.longest_s == pytest.approx(0.0025)
+
+    dim = replace(shot, exposure_s=np.full(len(STEPS), 0.0025))
+    assert not control.accepts(dim)  # its stripes alone suggest four times the exposure
+    assert 0.0025 < control.exposures.longest_s < 0.01
+
+
+@pytest.fixture
+def rig_of_scene(tmp_path):
+    (tmp_path / "rig.yaml").write_text(SERVED_RIG)
+    return read_rig(tmp_path / "rig.yaml")
 
 
 def test_exposures_stay_within_the_limits():

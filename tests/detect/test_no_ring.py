@@ -8,7 +8,7 @@ from ring_scenes import RIGS, break_points_of, pixels_of
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.difference_images import LaserImage
-from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
+from ringpose.detect.saturation import exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 
@@ -69,6 +69,18 @@ def test_saturated_light_beside_half_of_the_ends_hides_them(saturated_ends, hidd
     image = image if with_background else replace(image, dark=None)
 
     assert hidden_by_saturation(points, [image], 255) is hidden
+
+
+@pytest.mark.parametrize("with_background", [True, False])
+@pytest.mark.parametrize(("share", "hidden"), [(0.0, False), (0.3, False), (0.7, True)])
+def test_stripes_seen_only_where_the_light_does_not_saturate_are_no_face(share, hidden, with_background):
+    points, image = faces(0)
+    dark = image.lit.copy()
+    dark[:, 175:] = 255
+    dark[:, : int(share * 250) - 75 if share > 0.3 else 0] = 255
+    image = replace(image, lit=dark, dark=dark if with_background else None)
+
+    assert saturated_along_stripes(points, [image], 255) is hidden
 
 
 def test_a_shorter_exposure_is_suggested_only_if_something_is_saturated():

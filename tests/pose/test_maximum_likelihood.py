@@ -117,6 +117,18 @@ def test_no_break_point_is_a_reason(scene_of, face_points):
     assert estimate_pose(without(face_points(scene, 0.3, 0.01), *every), scene.rig) is NoPose.TOO_FEW_BREAK_POINTS
 
 
+@pytest.mark.parametrize("wrong", [0.97, 0.98, 1.02, 1.03])
+@pytest.mark.parametrize("distance_m", [0.3, 0.5, 1.0])
+def test_a_radius_that_is_wrong_by_more_than_one_percent_is_named(scene_of, face_points, distance_m, wrong):
+    scene = scene_of("B", distance_m=distance_m)
+    points = face_points(scene, POINT_PX / 3, LINE_PX / 3)
+    known = KnownRadii(radius_m=wrong * KNOWN.radius_m, sd_m=KNOWN.sd_m)
+
+    pose = estimate_pose(points, scene.rig, known=known)
+
+    assert pose.flags & (PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED)
+
+
 def test_visible_edges_make_the_center_far_better_known(scene_of, face_points, visible_edges):
     scene = scene_of("B", distance_m=0.5)
     points = face_points(scene, POINT_PX, LINE_PX)

@@ -68,7 +68,8 @@ static void measure_noise(Columns *columns, const double *residual_variance, dou
     double spread = clear < 4 ? 0 : median_deviation(beyond, clear);
     columns->within = gain * median(within, faces);
     columns->beyond = fmin(outside, fmax(columns->within, minimum)); /* more is light on what lies behind the edge */
-    columns->clutter = fmax(spread * spread, outside - columns->beyond);
+    /* the residuals of the sections contain stripes beside the line, which hardly change the amplitude on it */
+    columns->clutter = clear < 4 ? outside - columns->beyond : spread * spread;
 }
 
 int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const EndParams *params, Columns *columns) {
