@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
+from functools import partial
 from time import perf_counter, time
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -122,9 +123,7 @@ def pose(
     quiet: Quiet = False,
 ) -> None:
     """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
-    from ringpose.capture.source import CaptureRequest
     from ringpose.cli.batch import Batch
-    from ringpose.cli.live import live_lines
     from ringpose.files.rigs import read_rig, require_mount
 
     _check_source(inputs, camera, lasers)
@@ -147,13 +146,16 @@ def pose(
         stream.motion_until = live_camera_motion(rig)
     lines: AbstractContextManager[Iterator[PoseLine]]
     if jobs > 1:
-        single = SingleShot(rig_of_shots, channel, method, frame, known, assumed)
+        single = SingleShot(rig_of_shots, channel, method, frame, known, assumed, motion)
         lines = nullcontext(
             parallel_lines(inputs or [], single, jobs, batch, lambda: stream.monitor.rig, stream.measured)
         )
     elif camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
     else:
+        from ringpose.capture.source import CaptureRequest
+        from ringpose.cli.live import live_lines
+
         request = CaptureRequest(
             camera=camera,
             lasers=lasers,
@@ -234,6 +236,9 @@ class _Stream:
         self.shots = None
         self.motion_until: Callable[[float], CameraMotion] | None = None
         """The motion of the camera up to a stamp, for robot poses that arrive meanwhile."""
+        tolerance_m = getattr(known, "tolerance_m", None)  # of a ring of the catalogue
+        if tolerance_m is not None:
+            assumed = replace(assumed, ring_tolerance_m=tolerance_m)
         self._method, self._frame, self._known, self._assumed = method, frame, known, assumed
         self._tracker, self._camera = tracker, camera
         if tracker is not None:
@@ -300,10 +305,15 @@ def _writer(
     """Writes the record of a pose line, or of the track that it continues."""
     from ringpose.errors import NO_POSE
     from ringpose.files.poses import pose_record
-    from ringpose.files.ros import ros_messages
+
+    record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
+    if output_format is Format.ROS:
+        from ringpose.files.ros import ros_messages
+
+        record = ros_messages
 
     def pose_written(line: "PoseLine") -> None:
-        write(ros_messages(line) if output_format is Format.ROS else pose_record(line, brief))
+        write(record(line))
         if line.pose is None:
             batch.record_status(NO_POSE)
 

@@ -9,6 +9,7 @@ from ringpose.types.options import Method, PoseFrame
 if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
     from ringpose.files.inputs import Input
+    from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
@@ -27,6 +28,7 @@ class SingleShot:
     frame: PoseFrame
     known: "KnownRadii | Sequence[Ring] | None"
     options: "AssumptionOptions"
+    camera: "CameraMotion | None" = None
 
     def __call__(self, item: "Input") -> "tuple[Input, PoseLine]":
         """The input with its pose line."""
@@ -34,7 +36,15 @@ class SingleShot:
         from ringpose.pose.record import pose_line
 
         source = read_source(item, self.rig, self.channel)
-        line = pose_line(source, self.rig, method=self.method, frame=self.frame, known=self.known, options=self.options)
+        line = pose_line(
+            source,
+            self.rig,
+            method=self.method,
+            frame=self.frame,
+            known=self.known,
+            options=self.options,
+            camera=self.camera,
+        )
         return item, line
 
 

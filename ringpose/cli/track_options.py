@@ -126,11 +126,11 @@ PATIENCE_S = 0.2
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
     """The motion of the camera, all of whose poses are read first; `inputs`: the arguments that may also be `-`."""
+    if robot_poses is None:
+        return None
     from ringpose.files.robot_poses import read_mount_with_errors, read_robot_poses
     from ringpose.geometry.camera_motion import CameraMotion
 
-    if robot_poses is None:
-        return None
     if rig is None:
         raise UsageError("--robot-poses", "needs the mount of the camera", "give the rig file with --rig")
     if robot_poses == STDIN and STDIN in (inputs or ()):

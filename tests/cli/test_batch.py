@@ -21,6 +21,7 @@ from ringpose.geometry.rotations import tilted
 from ringpose.simulate.features import drawn_features
 from ringpose.types.assumptions import NOISE_ONLY
 from ringpose.types.options import Method, PoseFrame
+from ringpose.types.rig import PlaneCorrection
 from ringpose.types.scene import Approach
 
 
@@ -132,7 +133,7 @@ def test_pictures_cannot_be_drawn_by_several_processes(carried_data, tmp_path, c
 def test_shots_after_a_correction_of_the_rig_are_measured_again_with_it(carried_data):
     shots = sorted((carried_data / "rig_b" / "shots").glob("*.npz"))[:2]
     given = read_rig(carried_data / "rig_b" / "rig.yaml")
-    corrected = replace(given, moved_planes={"left": np.eye(3)})
+    corrected = replace(given, moved_planes={"left": PlaneCorrection(change=np.zeros(3), covariance=np.eye(3))})
     rigs, measured = [given, corrected], []
     work = SingleShot(rig=given, channel=None, method=Method.ML, frame=PoseFrame.CAMERA, known=None, options=NOISE_ONLY)
 
@@ -140,7 +141,7 @@ def test_shots_after_a_correction_of_the_rig_are_measured_again_with_it(carried_
         measured.append(source.name)
         return replace(work(shots[1])[1], reason="with the corrected rig")
 
-    found = list(parallel_lines(shots, work, 1, Batch(), lambda: rigs.pop(0), measure))
+    found = list(parallel_lines(list(map(str, shots)), work, 1, Batch(), lambda: rigs.pop(0), measure))
 
     assert [line.shot for line in found] == [shot.stem for shot in shots]
     assert measured == [shots[1].stem]

@@ -68,10 +68,10 @@ def test_brief_lines_have_no_measurement(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "--brief"])
     brief = pose_lines(capsys.readouterr().out)
 
-    times = {"latency_s": None, "stage_s": None, "measurement": None}
-    assert all("measurement" in line for line in full)
-    assert not any("measurement" in line for line in brief)
-    assert [line | times for line in brief] == [line | times for line in full]
+    differing = {"latency_s": None, "stage_s": None, "measurement": None, "plane_evidence": None}
+    assert all("measurement" in line and "plane_evidence" in line for line in full)
+    assert not any("measurement" in line or "plane_evidence" in line for line in brief)
+    assert [line | differing for line in brief] == [line | differing for line in full]
 
 
 def test_shot_without_break_points_is_a_line_with_its_reason(rig, picture, capsys):
