@@ -19,7 +19,7 @@ import ringpose.cli.capture
 import ringpose.cli.pose
 import ringpose.cli.simulate.serve
 import ringpose.files.images.sessions
-import ringpose.files.scenes
+import ringpose.files.scenes.scene
 import ringpose.simulate.pipeline
 import ringpose.simulate.serve.virtual_device
 from ringpose.cli.main import run

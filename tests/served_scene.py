@@ -4,7 +4,7 @@ from pathlib import Path
 
 from small_rig import SERVED_RIG
 
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.types.scene import Scene
 
 SCENE = """\

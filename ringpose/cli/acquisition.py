@@ -100,7 +100,7 @@ def _simulated(scene_file: Path, request: CaptureRequest) -> Source:
     """The scene's own camera; each shot is its next view."""
     from ringpose.capture.cameras.driver import CameraDescription
     from ringpose.capture.cameras.simulated import SimulatedCamera
-    from ringpose.files.scenes import read_scene
+    from ringpose.files.scenes.scene import read_scene
     from ringpose.simulate.pipeline import SceneFrames
     from ringpose.simulate.sensor import saturation_dn
 

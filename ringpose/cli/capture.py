@@ -9,8 +9,8 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.capture_checks import check_devices, list_devices
-from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
-from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
+from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose
+from ringpose.cli.options.devices import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
 
 if TYPE_CHECKING:
     from ringpose.capture.source import Source

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options import Force, OutputFile
+from ringpose.cli.options.common import Force, OutputFile
 from ringpose.types.options import CameraFormat
 
 CameraInput = Annotated[

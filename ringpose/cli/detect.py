@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.assumption_options import (
+from ringpose.cli.batch import Jobs
+from ringpose.cli.options.assumptions import (
     MaxRate,
     MaxSpeed,
     RigStabilityFactor,
@@ -13,8 +14,7 @@ from ringpose.cli.assumption_options import (
     Still,
     assumption_options,
 )
-from ringpose.cli.batch import Jobs
-from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:

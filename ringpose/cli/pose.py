@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.assumption_options import (
+from ringpose.cli.batch import Jobs
+from ringpose.cli.options.assumptions import (
     MaxRate,
     MaxSpeed,
     RigStabilityFactor,
@@ -18,10 +19,7 @@ from ringpose.cli.assumption_options import (
     Still,
     assumption_options,
 )
-from ringpose.cli.batch import Jobs
-from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
-from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile, known_ring
-from ringpose.cli.options import (
+from ringpose.cli.options.common import (
     Force,
     ImageChannel,
     OptionalInputs,
@@ -33,8 +31,17 @@ from ringpose.cli.options import (
     RigFile,
     Verbose,
 )
-from ringpose.cli.pose_jobs import SingleShot, parallel_lines
-from ringpose.cli.track_options import (
+from ringpose.cli.options.devices import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
+from ringpose.cli.options.known_ring import (
+    RadiusInner,
+    RadiusOuter,
+    RadiusSd,
+    RingName,
+    RingOptions,
+    RingsFile,
+    known_ring,
+)
+from ringpose.cli.options.track import (
     STDIN,
     Format,
     GripperRadial,
@@ -50,6 +57,7 @@ from ringpose.cli.track_options import (
     record_writer,
     track_writer,
 )
+from ringpose.cli.pose_jobs import SingleShot, parallel_lines
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 
@@ -304,11 +312,11 @@ def _writer(
 ) -> "Callable[[PoseLine], None]":
     """Writes the record of a pose line, or of the track that it continues."""
     from ringpose.errors import NO_POSE
-    from ringpose.files.poses import pose_record
+    from ringpose.files.records.poses import pose_record
 
     record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
     if output_format is Format.ROS:
-        from ringpose.files.ros import ros_messages
+        from ringpose.files.records.ros import ros_messages
 
         record = ros_messages
 

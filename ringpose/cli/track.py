@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.assumption_options import MaxRate, MaxSpeed, assumption_options
-from ringpose.cli.options import OptionalRigFile, Quiet, Verbose, finite
-from ringpose.cli.track_options import (
+from ringpose.cli.options.assumptions import MaxRate, MaxSpeed, assumption_options
+from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options.track import (
     Format,
     GripperRadial,
     GripperTilt,
@@ -94,7 +94,7 @@ class _Records:
     def added(self, item: "Input", at_rate: bool = False) -> "Attempt | None":
         """What became of a record; None if it is not a record of this track, which is reported."""
         from ringpose.errors import DataError, NoInputError
-        from ringpose.files.poses import pose_line_of
+        from ringpose.files.records.poses import pose_line_of
 
         attempt = None
         with self._batch.guarded():

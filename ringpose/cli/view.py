@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options import Force, ImageChannel, Inputs, Quiet, RigFile
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def view(
     from ringpose.files import atomic, records
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.poses import pose_line_of
+    from ringpose.files.records.poses import pose_line_of
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
     from ringpose.files.sources import path_of_input
@@ -124,10 +124,10 @@ def _track_line_of(record: "Mapping[str, Any]", location: str) -> "PoseLine":
 
     A track in another frame than the camera's is not drawn.
     """
-    from ringpose.files.poses import SCHEMA as POSE_SCHEMA
-    from ringpose.files.poses import pose_line_of
+    from ringpose.files.records.poses import SCHEMA as POSE_SCHEMA
+    from ringpose.files.records.poses import pose_line_of
+    from ringpose.files.records.tracks import SCHEMA
     from ringpose.files.schema import Fields
-    from ringpose.files.tracks import SCHEMA
 
     fields = Fields(location, record)
     if fields.text("schema") != SCHEMA:

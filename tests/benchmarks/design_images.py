@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ringpose.bench.design.maps import Place, place_result, scene_at
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.record import pose_line
 from ringpose.simulate.features import drawn_features

@@ -32,12 +32,12 @@ from benchmarks.stripe_images import (
 
 from ringpose.bench.speed import POSES_PER_ROUND, median_times_s, one_core, solve_pnp
 from ringpose.cli.bench.speed import start_calls
-from ringpose.cli.options import PoseFrame
+from ringpose.cli.options.common import PoseFrame
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
-from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
-from ringpose.files.scenes import read_scene
+from ringpose.files.records.poses import pose_record
+from ringpose.files.scenes.scene import read_scene
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.pose.record import pose_line
 from ringpose.simulate.pipeline import illuminated_ring, moving_frame, render_ring_view

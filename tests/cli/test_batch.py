@@ -16,7 +16,7 @@ from ringpose.errors import DataError
 from ringpose.files.records import line_of
 from ringpose.files.records.detections import detection_record
 from ringpose.files.rigs import read_rig, write_rig
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import tilted
 from ringpose.simulate.features import drawn_features
 from ringpose.types.assumptions import NOISE_ONLY

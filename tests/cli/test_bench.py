@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
+from ringpose.files.records.poses import pose_record
 from ringpose.files.records.truths import truth_record
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.truth import Truth

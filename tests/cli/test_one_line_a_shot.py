@@ -17,8 +17,8 @@ from ringpose.detect.pipeline import detect
 from ringpose.files import records
 from ringpose.files.images.shots import write_shot
 from ringpose.files.inputs import Record
-from ringpose.files.poses import pose_line_of, pose_record
 from ringpose.files.records.detections import detection_record
+from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
 from ringpose.files.sources import read_source
 from ringpose.pose.record import pose_line

@@ -6,7 +6,7 @@ import yaml
 from schemas import validated
 
 from ringpose.cli.main import main
-from ringpose.files.poses import pose_line_of
+from ringpose.files.records.poses import pose_line_of
 
 CENTER_M = [0.58, 0.02, 0.9]
 """Of the ring whose break points the fixture `detections` holds."""

@@ -10,8 +10,8 @@ from ring_scenes import make_scene
 from ring_streams import measured_stream, moved, poses_before
 
 from ringpose.cli.main import main
-from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
+from ringpose.files.records.poses import pose_record
 from ringpose.files.rigs import read_rig, write_rig
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.covariance import laser_parameters

@@ -22,8 +22,8 @@ from small_rig import SMALL_RIG
 
 from ringpose.cli.batch import MAX_UNNAMED
 from ringpose.cli.main import main
-from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
+from ringpose.files.records.poses import pose_record
 
 
 @pytest.fixture(scope="module")

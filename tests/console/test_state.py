@@ -14,8 +14,8 @@ from ringpose.cli.simulate.console import trajectory_in
 from ringpose.console.engine import Engine
 from ringpose.console.state import first_state
 from ringpose.errors import DataError
-from ringpose.files.scene_copies import write_scene_copy
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.copies import write_scene_copy
+from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rays import project
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.preview import preview

@@ -16,8 +16,8 @@ from ringpose.files import records
 from ringpose.files.boards import read_board
 from ringpose.files.cameras.formats import read_camera
 from ringpose.files.images.shots import read_shot, write_shot
-from ringpose.files.poses import pose_line_of, pose_record
 from ringpose.files.records.detections import detection_of, detection_record
+from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.types.image import Shot

@@ -8,8 +8,8 @@ import yaml
 
 from ringpose.cli.main import main
 from ringpose.errors import DataError
-from ringpose.files.motions import read_poses
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.motions import read_poses
+from ringpose.files.scenes.scene import read_scene
 from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
 
 POSES = [

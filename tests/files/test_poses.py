@@ -8,7 +8,7 @@ from schemas import SCHEMAS, validated
 
 from ringpose.errors import DataError
 from ringpose.files import records
-from ringpose.files.poses import pose_line_of, pose_record, recorded_status
+from ringpose.files.records.poses import pose_line_of, pose_record, recorded_status
 from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
 from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame

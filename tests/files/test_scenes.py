@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.types.pose import RingPose
 from ringpose.types.scene import Beacon
 from ringpose.types.target import MATERIALS

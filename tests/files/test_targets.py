@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
+from ringpose.files.scenes.targets import MODELS, TARGET_KEYS, model_problems, read_target
 from ringpose.files.schema import Fields
-from ringpose.files.targets import MODELS, TARGET_KEYS, model_problems, read_target
 from ringpose.geometry.mass_properties import mass_properties
 from ringpose.types.target import MATERIALS, Box
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.detect.pipeline import detect
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.pose import PoseFlag

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ringpose.detect.pipeline import detect
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.features import Deviations, draw_detection

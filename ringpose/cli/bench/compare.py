@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 import typer
 
 from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_lines
-from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, finite
+from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
     from ringpose.bench.assumptions import AssumedRadii, StatedAssumptions
@@ -172,7 +172,7 @@ def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
 
 def _assumptions(fields: "Fields") -> "StatedAssumptions | None":
     from ringpose.bench.assumptions import StatedAssumptions
-    from ringpose.files.poses import motion_prior
+    from ringpose.files.records.poses import motion_prior
     from ringpose.files.rigs import rig_stability
 
     if not fields.has("assumptions"):

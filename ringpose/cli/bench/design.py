@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.known_ring import RadiusInner, RadiusOuter
-from ringpose.cli.options import CsvFile, Force, Quiet, Report, finite
+from ringpose.cli.options.common import CsvFile, Force, Quiet, Report, finite
+from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.types.options import Minimized
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def design(
     from ringpose.bench.design.maps import best, csv_rows, design_rows, designs, places, summary_lines
     from ringpose.bench.table import aligned
     from ringpose.cli.batch import Batch
-    from ringpose.cli.options import STDOUT
+    from ringpose.cli.options.common import STDOUT
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE
     from ringpose.files import records
@@ -198,7 +198,7 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
 
     from ringpose.errors import DataError, UsageError
     from ringpose.files.rigs import read_rig
-    from ringpose.files.scenes import read_scene
+    from ringpose.files.scenes.scene import read_scene
     from ringpose.files.studies.specification import PRESETS
 
     judged, base = read_rig(rig), read_scene(scene or PRESETS / "paper-physical-scene.yaml")

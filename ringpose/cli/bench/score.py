@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ringpose.cli.options import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli.options.common import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
     from ringpose.estimate.pose_errors import truth_at
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.poses import pose_line_of, recorded_status
+    from ringpose.files.records.poses import pose_line_of, recorded_status
 
     by_shot = {truth.shot: truth for truth in truths}
     estimates = []

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ringpose.cli.options import STDOUT, Force, JsonFile
+from ringpose.cli.options.common import STDOUT, Force, JsonFile
 
 if TYPE_CHECKING:
     from ringpose.types.image import Shot

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import Force, Quiet, Report
+from ringpose.cli.options.common import Force, Quiet, Report
 
 if TYPE_CHECKING:
     from ringpose.bench.study.executors import Done

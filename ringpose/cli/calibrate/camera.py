@@ -7,7 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose
+from ringpose.cli.options.common import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose
 from ringpose.types.options import DistortionModel
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options import Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
+from ringpose.cli.options.common import Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
 from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
@@ -305,7 +305,7 @@ def _stream_evidence(
     from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.poses import pose_line_of
+    from ringpose.files.records.poses import pose_line_of
     from ringpose.pose.plane_evidence import RigEvidence, evidence_for_file
 
     evidence, depths, shots = RigEvidence(rig, rig.stability), [0.5], 0

@@ -32,8 +32,8 @@ def console(
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
     from ringpose.files.rigs import rig_in
-    from ringpose.files.scene_copies import write_scene_copy
-    from ringpose.files.scenes import read_scene
+    from ringpose.files.scenes.copies import write_scene_copy
+    from ringpose.files.scenes.scene import read_scene
 
     if find_spec("viser") is None:
         raise UsageError("simulate console", "viser is not installed", "pip install 'ringpose[console]'")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options import Force, Quiet, Verbose
+from ringpose.cli.options.common import Force, Quiet, Verbose
 from ringpose.cli.simulate.console import console
 from ringpose.cli.simulate.features import (
     Background,
@@ -71,7 +71,7 @@ def simulate(
     from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
-    from ringpose.files.scenes import read_scene
+    from ringpose.files.scenes.scene import read_scene
     from ringpose.simulate.pipeline import simulate as simulated
     from ringpose.simulate.pipeline import simulated_boards
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import Verbose, finite
+from ringpose.cli.options.common import Verbose, finite
 from ringpose.types.options import AdvancePolicy, Clock, Relay, ServedTarget
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def serve(
     """Serve a virtual camera and relay board that show a scene, or its images over TCP, until a signal ends it."""
     from ringpose.errors import UsageError
     from ringpose.files import records
-    from ringpose.files.scenes import read_scene
+    from ringpose.files.scenes.scene import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
     from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.io import read_bytes
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.files.schema import Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types.scene import Scene

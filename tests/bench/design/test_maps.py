@@ -18,7 +18,7 @@ from ringpose.bench.design.maps import (
     scene_with,
 )
 from ringpose.estimate.nuisance import with_stability
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.pose.record import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability

@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.bench.study.calibrated_rig import calibrated_rig
 from ringpose.errors import DataError
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
 

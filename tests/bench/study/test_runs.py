@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.bench.study.runs import with_run
 from ringpose.bench.study.shots import scene_of, study_rows
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.study import Factor, ShotRun, Study, StudyMethod

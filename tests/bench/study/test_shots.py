@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.bench.study.shots import scene_of, setting_of, study_rows
 from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
-from ringpose.files.scenes import read_scene
+from ringpose.files.scenes.scene import read_scene
 from ringpose.types.assumptions import RigStability
 from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
 

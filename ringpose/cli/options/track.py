@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from ringpose.cli.options import finite
+from ringpose.cli.options.common import finite
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
     """The motion of the camera, all of whose poses are read first; `inputs`: the arguments that may also be `-`."""
     if robot_poses is None:
         return None
-    from ringpose.files.robot_poses import read_mount_with_errors, read_robot_poses
+    from ringpose.files.records.robot_poses import read_mount_with_errors, read_robot_poses
     from ringpose.geometry.camera_motion import CameraMotion
 
     if rig is None:
@@ -142,7 +142,7 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
 def live_camera_motion(rig: Path) -> "Callable[[float], CameraMotion]":
     """The motion of the camera up to a stamp, by the poses of the robot that arrive on standard input meanwhile."""
     from ringpose.cli import messages
-    from ringpose.files.robot_poses import RobotPoseStream, read_mount_with_errors
+    from ringpose.files.records.robot_poses import RobotPoseStream, read_mount_with_errors
     from ringpose.geometry.camera_motion import CameraMotion
 
     mount, stream = read_mount_with_errors(rig), RobotPoseStream(messages.error)
@@ -163,8 +163,8 @@ def track_writer(
     """Writes lines of a track, and with `verbose` reports what became of each measurement."""
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
-    from ringpose.files.ros import ros_messages
-    from ringpose.files.tracks import track_record
+    from ringpose.files.records.ros import ros_messages
+    from ringpose.files.records.tracks import track_record
 
     def written(line: "TrackLine") -> None:
         write(ros_messages(line) if output_format is Format.ROS else track_record(line, brief))

@@ -3,7 +3,7 @@
 from math import nan
 from typing import Any
 
-from ringpose.files.poses import pose_record
+from ringpose.files.records.poses import pose_record
 from ringpose.types.pose import PoseFlag, PoseLine
 from ringpose.types.track import Attempt, MotionModel, TrackLine
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
-from ringpose.files.motions import MAX_DISTANCE_M, MOTION_KEYS, read_motion
 from ringpose.files.rigs import read_rig
-from ringpose.files.schema import Fields
-from ringpose.files.targets import (
+from ringpose.files.scenes.motions import MAX_DISTANCE_M, MOTION_KEYS, read_motion
+from ringpose.files.scenes.targets import (
     RING_KEYS,
     TARGET_KEYS,
     Target,
@@ -24,6 +23,7 @@ from ringpose.files.targets import (
     read_target,
     with_details,
 )
+from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.mass_properties import mass_properties
 from ringpose.geometry.rotations import facing_normal

@@ -1,0 +1,1 @@
+"""Scenes: what is simulated, its parts and its motion."""
