@@ -135,13 +135,17 @@ def pose(
     from ringpose.files.rigs import read_rig, require_mount
 
     _check_source(inputs, camera, lasers)
+    live = {"--sequence": sequence, "--exposure": exposure, "--settle": settle, "--count": count}
+    live |= {"--duration": duration, "--allow-unseen": allow_missing or None}
+    for option in (name for name, value in live.items() if value is not None and camera is None):
+        raise UsageError(option, "is of no use without --camera", "leave it out")
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
         raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
     ring_options = RingOptions(radius_outer, radius_inner, radius_sd, ring, rings)
     known = known_ring(ring_options, method, ring_tolerance)
     assumed = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
-    _check_method(method, assumed)
+    _check_method(method, assumed, robot_poses)
     _check_track(track, method, frame, settings)
     rig_of_shots, batch = read_rig(rig), Batch()
     if frame is PoseFrame.TOOL:
@@ -201,9 +205,10 @@ def _check_source(inputs: list[str] | None, camera: str | None, lasers: str | No
         raise UsageError("--camera", "a recording is not a live camera", f"name {camera[6:]} as INPUT")
 
 
-def _check_method(method: Method, assumed: "AssumptionOptions") -> None:
-    """The paper's methods know neither motion nor the ring's form."""
+def _check_method(method: Method, assumed: "AssumptionOptions", robot_poses: str | None) -> None:
+    """Reject options that the paper's methods do not use."""
     given = {
+        "--robot-poses": robot_poses,
         "--max-speed": assumed.max_speed_m_s,
         "--max-rate": assumed.max_rate_deg_s,
         "--ring-tolerance": assumed.ring_tolerance_m,

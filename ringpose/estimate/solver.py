@@ -388,7 +388,9 @@ def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlane
     if not 0.0 < float(weight.sum()) < np.inf:
         return measured
     first = float(stamp_s.min())
-    return replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
+    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
+    covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
+    return moved if covered else measured
 
 
 def _ordinate_scale(

@@ -11,15 +11,15 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.cameras.covariances import covariance_values, read_covariance
+from ringpose.files.cameras.covariances import checked_covariance, covariance_values, read_covariance
 from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values
 from ringpose.files.io import provenance, read_bytes
 from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
-from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.covariance import camera_parameters, laser_parameters
 from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.robot import Mount
 from ringpose.types.sequence import MAX_LASERS
 
 SCHEMA = "rig/1"
@@ -58,18 +58,18 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         camera=camera,
         lasers=lasers,
         covariance=read_covariance(fields, known),
-        tool_from_camera=_tool_from_camera(fields) if fields.has("mount") else None,
+        mount=_mount(fields) if fields.has("mount") else None,
         stability=TYPICAL_STABILITY if stability is None else rig_stability(stability),
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},
         sha256=sha256,
     )
 
 
-def read_mount(path: Path) -> Float64[Array, "4 4"]:
-    """The matrix `mount: {tool_from_camera: ...}` in a rig.yaml, or in a file with this key alone."""
+def read_mount(path: Path) -> Mount:
+    """The key `mount` of a rig.yaml, or of a file with this key alone."""
     fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
     fields.raw("mount")
-    return _tool_from_camera(fields)
+    return _mount(fields)
 
 
 def calibration_quality(path: Path) -> Mapping[str, Any]:
@@ -128,8 +128,10 @@ def rig_values(rig: Rig) -> dict[str, Any]:
         values["covariance"] = covariance_values(rig.covariance)
     if rig.stability != TYPICAL_STABILITY:
         values["stability"] = dataclasses.asdict(rig.stability)
-    if rig.tool_from_camera is not None:
-        values["mount"] = {"tool_from_camera": rig.tool_from_camera}
+    if rig.mount is not None:
+        errors = {"covariance": rig.mount.root @ rig.mount.root.T} if rig.mount.root.any() else {}
+        delay = {name: getattr(rig.mount, name) for name in ("delay_s", "delay_sd_s") if getattr(rig.mount, name)}
+        values["mount"] = {"tool_from_camera": rig.mount.tool_from_camera, **errors, **delay}
     return values
 
 
@@ -168,7 +170,8 @@ def _lasers(fields: Fields) -> LaserPlanes:
     )
 
 
-def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:
+def _mount(fields: Fields) -> Mount:
+    """The mount; one without `covariance`, `delay_s` or `delay_sd_s` counts as exact in these."""
     mount = fields.fields("mount", ("tool_from_camera", "covariance", "delay_s", "delay_sd_s"))
     matrix = mount.array("tool_from_camera", (4, 4))
     if np.any(matrix[3] != [0, 0, 0, 1]):
@@ -178,4 +181,13 @@ def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:
         raise mount.problem("tool_from_camera", "its upper left 3 x 3 matrix is not a rotation")
     mount.check_metres("tool_from_camera", matrix[:3, 3])
     left, _, right = np.linalg.svd(rotation)
-    return np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]])
+    covariance = np.zeros((6, 6))
+    if mount.has("covariance"):
+        covariance = checked_covariance(mount, "covariance", mount.array("covariance", (6, 6)))
+    variance, axes = np.linalg.eigh(covariance)
+    return Mount(
+        tool_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
+        root=axes * np.sqrt(np.maximum(variance, 0.0)),
+        delay_s=mount.number("delay_s") if mount.has("delay_s") else 0.0,
+        delay_sd_s=mount.number("delay_sd_s", least=0) if mount.has("delay_sd_s") else 0.0,
+    )

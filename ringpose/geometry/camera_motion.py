@@ -90,7 +90,7 @@ class CameraMotion:
         return _displacements(self, reference_s, tuple(instant_s.tolist()))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _displacements(
     camera: CameraMotion, reference_s: float, instant_s: tuple[float, ...]
 ) -> CameraDisplacements | None:

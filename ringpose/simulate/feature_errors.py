@@ -42,9 +42,6 @@ CUT_CENTRES, COLUMNS_PER_CUT = 4, 12
 """Centres at either end of a stripe that the detector's line does not use: at most the first number, and one for so
 many columns."""
 
-FAINTEST = 0.03
-"""Share of a stripe's light to which its centres are followed beyond the edge."""
-
 OUTLIER_SIGMAS = 3.0
 """Distance from a line, in standard deviations, from which a centre is not used."""
 

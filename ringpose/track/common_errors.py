@@ -55,10 +55,10 @@ def common_errors(
     if isinstance(found, str):
         remedy = "give the output of ringpose pose unchanged"
         raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior", remedy)
-    if names == measurement.nuisance_parameters:
-        return found
-    if mount is None:
+    if mount is None and measurement.camera_motion == "robot_poses":
         raise DataError(line.shot, "was measured with robot poses", "give --robot-poses, and --rig with its mount")
+    if mount is None or names == measurement.nuisance_parameters:
+        return found
     return _with_mount(found, measurement.nuisance_parameters, mount)
 
 

@@ -83,8 +83,7 @@ class Tracker:
         self._rig, self.options = rig, options or TrackOptions()
         self.camera = camera
         """The motion of the camera, which may be replaced by one with further poses; None if it is not known."""
-        lines = lines or LineOptions()
-        self._lines = lines if camera is None else replace(lines, frame="base", camera="robot_poses")
+        self._lines = lines or LineOptions()
         self._hash = rig.sha256 if rig is not None else ""
         self._common: CommonErrors | None = None
         self._base = Track()
@@ -118,9 +117,8 @@ class Tracker:
     def line_at(self, stamp_s: float, next_stamp_s: float | None = None) -> TrackLine:
         """The record of the track at an instant, and the attempts since the last one."""
         attempts, self._attempts = tuple(self._attempts), []
-        return track_line(
-            self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self.options, self._lines
-        )
+        lines = self._lines if self.camera is None else replace(self._lines, frame="base", camera="robot_poses")
+        return track_line(self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self.options, lines)
 
     def line_of(self, attempt: Attempt) -> TrackLine:
         """The record at the time of an attempt, or of the track if that is later or the stamp cannot be right."""

@@ -8,6 +8,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.robot import Mount
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,9 +41,15 @@ class Rig:
     covariance: ParameterCovariance | None = None
     stability: RigStability = TYPICAL_STABILITY
     """How far light planes and camera may have moved since the calibration."""
-    tool_from_camera: Float64[Array, "4 4"] | None = None
+    mount: Mount | None = None
+    """Of the camera on a robot's tool; None if it is not known."""
     moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
     """By the laser's name; the light planes are the corrected ones."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""
+
+    @property
+    def tool_from_camera(self) -> Float64[Array, "4 4"] | None:
+        """The camera's pose in the tool frame; None without a mount."""
+        return None if self.mount is None else self.mount.tool_from_camera

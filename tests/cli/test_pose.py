@@ -224,3 +224,17 @@ def test_a_known_radius_is_the_radius(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "--radius-outer", "0.597", "--radius-sd", "1e-6"])
 
     assert pose_lines(capsys.readouterr().out)[0]["pose"]["radius_outer_m"] == pytest.approx(0.597, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--method", "paper", "--max-speed", "0.1"],
+        ["--method", "paper", "--robot-poses", "poses.jsonl"],
+        ["--count", "3"],
+        ["--sequence", "all"],
+    ],
+)
+def test_options_that_would_be_ignored_are_wrong_usage(rig, detections, capsys, words):
+    assert main(["pose", str(detections), "--rig", str(rig), *words]) == 2
+    assert words[-2] in capsys.readouterr().err

@@ -21,7 +21,12 @@ RIG: dict[str, Any] = {
         {"name": "left", "normal": [0, 0.6, -0.8], "distance_m": -0.04, "projector_m": [-0.03, -0.04, 0]},
         {"name": "right", "normal": [0, 0.6, 0.8], "distance_m": 0.05},
     ],
-    "mount": {"tool_from_camera": [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, -0.3], [0, 0, 0, 1]]},
+    "mount": {
+        "tool_from_camera": [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, -0.3], [0, 0, 0, 1]],
+        "covariance": [[1e-6 * (row == column) for column in range(6)] for row in range(6)],
+        "delay_s": 0.02,
+        "delay_sd_s": 0.001,
+    },
 }
 
 

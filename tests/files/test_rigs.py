@@ -48,7 +48,9 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     np.testing.assert_array_equal(after.lasers.normal, before.lasers.normal)
     np.testing.assert_array_equal(after.lasers.projector_m, before.lasers.projector_m)
     np.testing.assert_array_equal(after.camera.distortion_coefficients, before.camera.distortion_coefficients)
-    np.testing.assert_allclose(after.tool_from_camera, before.tool_from_camera, atol=1e-15)
+    np.testing.assert_allclose(after.mount.tool_from_camera, before.mount.tool_from_camera, atol=1e-15)
+    np.testing.assert_allclose(after.mount.covariance, before.mount.covariance, atol=1e-15)
+    assert after.mount.delay_s == before.mount.delay_s
     assert after.covariance.parameters == names
     np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}

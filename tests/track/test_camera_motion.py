@@ -80,6 +80,15 @@ def test_a_time_that_the_poses_do_not_cover_has_no_camera(time_s):
     assert robot(2.0).at(START_S + time_s) is None
 
 
+def test_a_track_whose_camera_becomes_known_later_is_in_the_base():
+    tracker = Tracker(None)
+    tracker.camera = robot(2.0)
+
+    line = tracker.line_at(START_S)
+
+    assert (line.frame, line.camera) == ("base", "robot_poses")
+
+
 def test_the_track_of_a_moving_camera_is_that_of_the_target_in_the_base(in_base, rng):
     tracker = Tracker(None, camera=robot(3.0))
     found = [tracker.add(line).fusion_status for line in stream(SeenByRobot(in_base), 1.5, Shots(), rng)]

@@ -18,7 +18,9 @@ CALIBRATED = ("fx", "fy", "left.tilt_1", "left.distance")
 CALIBRATION = np.array([[0.25, 0.2, 0, 0], [0.2, 0.36, 0, 0], [0, 0, 4e-8, 1e-9], [0, 0, 1e-9, 1e-10]])
 
 
-def covariance_of(names, rig=None, rig_covariance=False, moved_planes=None, **assumed) -> np.ndarray:
+def covariance_of(
+    names, rig=None, rig_covariance=False, moved_planes=None, camera_motion="none", **assumed
+) -> np.ndarray:
     """Prior covariance of the nuisance parameters of a record with these priors."""
     point = LinearizationPoint(
         center_m=np.zeros(3),
@@ -34,6 +36,7 @@ def covariance_of(names, rig=None, rig_covariance=False, moved_planes=None, **as
         square_root=np.zeros((1, 13 + len(names))),
         degrees_of_freedom=0,
         chi2=0.0,
+        camera_motion=camera_motion,
     )
     assumptions = Assumptions(**assumed)
     priors = Priors(assumptions=assumptions, rig_covariance=rig_covariance, moved_planes=moved_planes or {})
@@ -97,8 +100,12 @@ def test_a_tolerance_of_zero_leaves_no_error():
 
 @pytest.mark.parametrize(
     ("names", "priors", "word"),
-    [(("fx",), {"stability": STABILITY}, "fx"), (CALIBRATED, {"rig_covariance": True}, "--rig")],
-    ids=["no prior", "no rig file"],
+    [
+        (("fx",), {"stability": STABILITY}, "fx"),
+        (CALIBRATED, {"rig_covariance": True}, "--rig"),
+        ((), {"camera_motion": "robot_poses"}, "--robot-poses"),
+    ],
+    ids=["no prior", "no rig file", "no robot poses"],
 )
 def test_a_parameter_without_a_prior_is_an_error(names, priors, word):
     with pytest.raises(DataError, match=word):

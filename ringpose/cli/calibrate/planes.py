@@ -16,9 +16,12 @@ if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.pose.plane_evidence import RigEvidence
-    from ringpose.types.arrays import Array, Float64
     from ringpose.types.camera import Camera
     from ringpose.types.rig import Rig
+    from ringpose.types.robot import Mount as CameraMount
+
+USUAL_DISTANCE_M = 0.5
+"""Distance at which motions of planes are given in millimetres where the shots show none."""
 
 CameraFile = Annotated[
     Path | None, typer.Option("--camera", readable=False, metavar="FILE", help="The calibrated camera (camera.yaml).")
@@ -51,7 +54,12 @@ WorkingDistance = Annotated[
 ]
 Mount = Annotated[
     Path | None,
-    typer.Option("--mount", readable=False, metavar="FILE", help="Where the camera is mounted: tool_from_camera."),
+    typer.Option(
+        "--mount",
+        readable=False,
+        metavar="FILE",
+        help="Where the camera is mounted: tool_from_camera, with covariance and delay if known.",
+    ),
 ]
 Check = Annotated[
     Path | None,
@@ -158,7 +166,7 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
     board = given(options.board, "--board")
     files = [board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
     refuse_existing_outputs(outputs.output, outputs.report, options.force, files)
-    tool_from_camera = None if outputs.mount is None else read_mount(outputs.mount)
+    mount = None if outputs.mount is None else read_mount(outputs.mount)
     batch = Batch()
     images, stripes = _sources(options, read_camera(outputs.camera))
     images.outputs = (outputs.output, outputs.report)
@@ -179,7 +187,7 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
         for shot, found in assessment.calibration.contradicting:
             with batch.guarded():
                 raise DataError(shot, found)  # reported like any other unusable shot
-        _write(assessment, tool_from_camera, outputs, [board, *images.paths], options.force)
+        _write(assessment, mount, outputs, [board, *images.paths], options.force)
         if not options.quiet:
             _say_number(stripes)
         batch.record_status(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
@@ -208,7 +216,7 @@ def _say_number(stripes: "StripeShots") -> None:
 
 def _write(
     assessment: "PlanesAssessment",
-    tool_from_camera: "Float64[Array, '4 4'] | None",
+    mount: "CameraMount | None",
     outputs: _Outputs,
     read: list[Path],
     force: bool,
@@ -219,7 +227,7 @@ def _write(
     from ringpose.files.io import write_page
     from ringpose.files.rigs import write_rig
 
-    rig = replace(calibrated_rig(assessment.calibration), tool_from_camera=tool_from_camera)
+    rig = replace(calibrated_rig(assessment.calibration), mount=mount)
     files = [outputs.camera, *([outputs.mount] if outputs.mount else []), *read]
     write_rig(outputs.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
     if outputs.report is not None:
@@ -281,7 +289,7 @@ def _board_evidence(
     usual_px = median_board_rms_px(rig_file)
     images, stripes = _sources(options._replace(names=",".join(rig.lasers.names)), rig.camera)
     _read(inputs, options, images, stripes, batch)
-    evidence, depths = RigEvidence(rig, rig.stability, left_out=0), [0.5]
+    evidence, depths = RigEvidence(rig, rig.stability, left_out=0), []
     for view in stripes.views:
         found = rig_check(view, rig, usual_px)
         if not found.holds and not update:
@@ -292,7 +300,11 @@ def _board_evidence(
         if update and found.board_rms_px <= found.board_limit_px:
             evidence.add(board_evidence(view, rig))
             depths.append(found.distance_m)
-    return evidence, [*([options.board] if options.board else []), *images.paths], float(np.median(depths))
+    return (
+        evidence,
+        [*([options.board] if options.board else []), *images.paths],
+        float(np.median(depths or [USUAL_DISTANCE_M])),
+    )
 
 
 def _stream_evidence(
@@ -308,7 +320,7 @@ def _stream_evidence(
     from ringpose.files.records.poses import pose_line_of
     from ringpose.pose.plane_evidence import RigEvidence, evidence_for_file
 
-    evidence, depths, shots = RigEvidence(rig, rig.stability), [0.5], 0
+    evidence, depths, shots = RigEvidence(rig, rig.stability), [], 0
     for item in batch.valid_inputs(named(inputs, [RECORDS_SUFFIX])):
         if not isinstance(item, Record):
             raise UsageError(
@@ -327,7 +339,7 @@ def _stream_evidence(
     if not quiet:
         messages.echo(f"{shots} shots, {evidence.shots} of them show the light planes at different poses of the ring")
     files = [Path(word) for word in inputs if holds_records(Path(word))]
-    return evidence, files, float(np.median(depths))
+    return evidence, files, float(np.median(depths or [USUAL_DISTANCE_M]))
 
 
 def _write_update(
@@ -344,7 +356,8 @@ def _write_update(
         {"laser": names[plane.laser], "change": plane.change, "covariance": plane.covariance, "shots": evidence.shots}
         for plane in planes
     ]
-    quality = {**calibration_quality(files[0]), "updated": changes}
+    quality = dict(calibration_quality(files[0]))
+    quality["updated"] = [*quality.get("updated", ()), *changes]
     rig = updated_rig(evidence.rig, evidence, moved)
     write_rig(output, rig, extra={"quality": quality}, force=options.force, inputs=files)
     if not options.quiet:

@@ -1,4 +1,4 @@
-"""Poses of a robot (JSON lines), and the mount of the camera in rig.yaml with its errors."""
+"""Poses of a robot (JSON lines)."""
 
 import threading
 from collections import deque
@@ -9,14 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.cameras.covariances import checked_covariance
 from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
-from ringpose.files.io import read_bytes
-from ringpose.files.rigs import read_mount
 from ringpose.files.schema import Fields
-from ringpose.files.yaml import parsed
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.robot import Mount, RobotPoses
+from ringpose.types.robot import RobotPoses
 
 MAX_REACH_M = 100.0
 """Longest plausible distance of a tool from the robot's base."""
@@ -25,8 +21,8 @@ MAX_QUATERNION_ERROR = 1e-3
 """Tolerance of the length of a quaternion, for values rounded in a file."""
 
 
-KEPT_S = 30.0
-"""Time for which poses that arrive on standard input are kept."""
+KEPT_S = 5.0
+"""Time for which poses that arrive on standard input are kept: longer than late records and backgrounds are used."""
 
 
 class RobotPose(NamedTuple):
@@ -124,20 +120,4 @@ def _rotation(pose: Fields) -> Float64[Array, "3 3"]:
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
-    )
-
-
-def read_mount_with_errors(path: Path) -> Mount:
-    """The mount in a rig.yaml; one without `covariance`, `delay_s` or `delay_sd_s` counts as exact in these."""
-    matrix = read_mount(path)
-    fields = Fields(str(path), parsed(read_bytes(path), str(path))).fields("mount")
-    covariance = np.zeros((6, 6))
-    if fields.has("covariance"):
-        covariance = checked_covariance(fields, "covariance", fields.array("covariance", (6, 6)))
-    variance, axes = np.linalg.eigh(covariance)
-    return Mount(
-        tool_from_camera=matrix,
-        root=axes * np.sqrt(np.maximum(variance, 0.0)),
-        delay_s=fields.number("delay_s") if fields.has("delay_s") else 0.0,
-        delay_sd_s=fields.number("delay_sd_s", least=0) if fields.has("delay_sd_s") else 0.0,
     )

@@ -11,7 +11,7 @@ SCHEMA = "ringpose/track/1"
 
 
 def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
-    """The record, without covariances of the pose's parameters and attempts if `brief`."""
+    """The record; with `brief` without `attempts` and `log_evidence`."""
     of_pose = pose_record(PoseLine(shot="", stamp_s=nan, pose=line.pose, velocity=line.velocity), brief=True)
     grasp, following, noise = line.grasp, line.next_tick, line.process_noise
     record = {

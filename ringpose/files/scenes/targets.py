@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 import ringpose
-from ringpose.errors import DataError
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.types.arrays import Array, Float64
@@ -337,20 +336,3 @@ def _checked(fields: Fields, key: str, lengths_m: Float64[Array, "n"], *, signed
 def _check_size(fields: Fields, key: str, lengths_m: Float64[Array, "..."]) -> None:
     if lengths_m.size and np.abs(lengths_m).max() > MAX_SIZE_M:
         raise fields.problem(key, f"is {np.abs(lengths_m).max():g}", "give metres; this looks like millimetres")
-
-
-def model_problems(name: str) -> list[str]:
-    """Numbers of a model's parts whose origin is not stated, for its test."""
-    model = read_yaml(MODELS / f"{name}.yaml")
-    if model.text("ringpose") != MODEL_SCHEMA:
-        raise DataError(model.file, f"is {model.text('ringpose')!r}, must be {MODEL_SCHEMA!r}")
-    problems = []
-    for part in model.each("parts"):
-        stated = {*part.values.get("assumed", ()), *part.values.get("cited", {})}
-        numeric = {
-            key
-            for key in part.values
-            if key not in ("name", "shape", "material", "wall", "back", "state", "assumed", "cited", "edges")
-        }
-        problems += [f"{part.text('name')}.{key}" for key in sorted(numeric - stated)]
-    return problems
