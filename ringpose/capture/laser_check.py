@@ -66,7 +66,7 @@ class LitPixels:
         return bool(bright.mean() > MIN_LIT_SHARE)
 
     def stand_out_in(self, image: Image) -> bool:
-        """Whether the same laser lights another image, in ambient light that may differ.
+        """Whether the laser that lit these pixels is on in `image`; the ambient light may differ from the dark frame's.
 
         Brighter ambient light raises the surroundings of the pixels as well; a laser line is narrow.
         """

@@ -68,7 +68,7 @@ class PosePictures:
         self._source, self._detection = source if isinstance(source, Shot) else None, detection
 
     def add(self, line: "PoseLine") -> None:
-        """Draw the shot of this line, which was the last to be kept."""
+        """Draw the overlay of `line` on the shot last given to `keep`, and add the line to the report."""
         if self._detection is None:
             return
         is_bad = self._report is not None and self._is_among_worst(line)

@@ -300,6 +300,8 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
 
 
 def plausible(arcs: RingArcs) -> bool:
-    """Whether a ring in front of a camera can have these arcs; a fit of contradictory observations may not."""
+    """Whether the arcs are within `POSSIBLE`, the range of rings in front of a camera; a fit to contradictory
+    observations may not be.
+    """
     numbers = [arcs.origin[2], arcs.half_band_m, -arcs.axes[2, 2], abs(arcs.curvature)]
     return all(low < number < high for number, (low, high) in zip(numbers, POSSIBLE, strict=True))

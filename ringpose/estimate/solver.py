@@ -193,7 +193,7 @@ def refine_ring(
 ) -> tuple[RingArcs, Float64[Array, "step=7 step=7"]] | None:
     """A ring near `arcs` after some iterations, and the covariance of its step; None if it diverges.
 
-    For tracking: many visible edge points may be outliers, so that these have redescending weights.
+    For the edge search: many visible edge points may be outliers, so that these have redescending weights.
     """
     observations = measured.observations(rig.lasers)
     residuals = ring_residuals(arcs, measured, observations, prior)

@@ -1,4 +1,4 @@
-"""Detections drawn from the ring's model instead of from images: a few hundred a second, for Monte-Carlo studies.
+"""Detections drawn from the ring's model instead of from images, about a hundred a second, for Monte-Carlo studies.
 
 Stripes, break points and visible edges are predicted by `ringpose.geometry.ring` at the time of their frame, on a ring
 with the motion, the form and the gaps of the scene. Their errors are those that `ringpose.simulate.feature_errors`

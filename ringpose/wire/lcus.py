@@ -48,7 +48,10 @@ class LcusCodec:
         return sum(1 << relay for relay in range(command.count) if states[relay])
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Frames with a valid sum, and reads; other bytes are skipped one by one."""
+        """The commands in `received`, and the bytes of an incomplete last frame.
+
+        Bytes that begin neither a valid frame nor a read are skipped.
+        """
         found: list[Command] = []
         position = 0
         while position < len(received):

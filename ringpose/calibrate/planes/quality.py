@@ -241,9 +241,10 @@ def _direction_towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "x
 
 
 def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
-    """Angle by which the plane named middle lies outside those named left and right; None for other names.
+    """Angle (rad) by which plane `middle` lies outside the wedge of `left` and `right`, 0 inside it.
 
-    The plane between two others makes a smaller angle with each than they make with each other.
+    None unless the lasers have these names. A plane between two others makes a smaller angle with each than they make
+    with each other.
     """
     planes = dict(zip(calibration.planes.names, calibration.planes.normal, strict=True))
     if set(planes) != set(THREE):

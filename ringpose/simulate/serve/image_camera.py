@@ -170,7 +170,7 @@ class ImageCamera:
         return len(self._sequence) / self._rate_hz
 
     def set(self, request: Setting) -> str | None:
-        """Change a setting; the finding if it is not possible."""
+        """Apply a setting. Returns None, or the message to the client if it is not possible."""
         match request:
             case wire.SetLasers(mask=mask):
                 if mask is not None and mask >> len(self._scene.rig.lasers.names):
