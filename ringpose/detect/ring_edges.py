@@ -300,8 +300,9 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
 
 
 def plausible(arcs: RingArcs) -> bool:
-    """Whether the arcs are within `POSSIBLE`, the range of rings in front of a camera; a fit to contradictory
-    observations may not be.
+    """Whether the arcs are within `POSSIBLE`, the range of rings in front of a camera.
+
+    A fit to contradictory observations may not be.
     """
     numbers = [arcs.origin[2], arcs.half_band_m, -arcs.axes[2, 2], abs(arcs.curvature)]
     return all(low < number < high for number, (low, high) in zip(numbers, POSSIBLE, strict=True))

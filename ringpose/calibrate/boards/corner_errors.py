@@ -173,8 +173,8 @@ def with_shared_errors(
     An inaccurate print, a bent board and an edge displaced by the illumination move the same corner in all views:
     such errors are not averaged out by more views. `shared_parameters` is the number of parameters that were estimated
     from all views together.
-    Inconsistent stripes move the corners at the given poses in common, and outlying corners move them at the poses
-    from the corners alone; the smaller of the two factors excludes both causes.
+    The factor is computed from residuals at the given poses (raised also by inconsistent stripes) and at poses from
+    corners alone (raised also by outlying corners); the smaller one is used.
     """
     alone = [maximum_likelihood_pose(view.board, camera)[0] for view in views]
     errors = [_residuals(views, each, camera) for each in (poses, alone)]
