@@ -16,7 +16,7 @@ import numpy as np
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
 from ringpose.detect.difference_images import LaserImage, laser_images, repeated_image
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face, surface_in_front
+from ringpose.detect.rim import CONFIRMED, Face, displaced_lasers, planes_per_m, ring_face, surface_in_front
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.saturation import exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
@@ -326,7 +326,8 @@ def _found(
     if not len(stripes.piece):
         return _Found(_why_no_stripe(images))
     tracks = stripe_line_segments(stripes, rig.camera)
-    face = _face(tracks, [] if assigned else images, rig)
+    unlabelled = [] if assigned else [laser for image in images if not image.labelled for laser in image.lasers]
+    face = _face(tracks, unlabelled, rig)
     if isinstance(face, NoBreakPoints):
         return _Found(face)
     saturation_dn = images[0].saturation_dn
@@ -339,7 +340,10 @@ def _found(
         unmoved = [_without_moved_background(image, motion) for image in images]
         if unmoved != images:
             points = break_points(face, tracks, unmoved, rig, saturation_dn)
-    return _Found(*without_outliers(points, rig, assumptions, camera), motion)
+    found = without_outliers(points, rig, assumptions, camera)
+    names = (rig.lasers.names[laser] for laser in displaced_lasers(face, tracks, unlabelled, rig))
+    displaced = tuple(Rejection(what="stripe", laser=name) for name in names)
+    return _Found(found.break_points, (*found.rejected, *displaced), motion)
 
 
 def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:
@@ -348,9 +352,8 @@ def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserIma
     return replace(image, dark=None) if moved_px > MOVED_PX else image
 
 
-def _face(tracks: Float64[Array, "track column=11"], images: list[LaserImage], rig: Rig) -> Face | NoBreakPoints:
-    """The stripes on the ring's face, or the reason why there are none; `images` may show stripes to be assigned."""
-    unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
+def _face(tracks: Float64[Array, "track column=11"], unlabelled: list[int], rig: Rig) -> Face | NoBreakPoints:
+    """The stripes on the ring's face, or the reason why there are none; `unlabelled`: lasers of unlabelled segments."""
     face = ring_face(tracks, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, tracks, rig):
         return NoBreakPoints.CONTRADICTED_MASKS

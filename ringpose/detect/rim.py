@@ -147,6 +147,9 @@ PARALLEL_WITHIN = 0.05
 MIN_LENGTH_RATIO, MIN_COLUMNS_IN_FRONT = 0.5, 30
 """Minimum length of that stripe, as a share of those on the ring, and in columns; shorter ones may be reflections."""
 
+DISPLACED_M = 0.02
+"""Maximum distance from a ring's plane of the stripe of a light plane that has moved; the body is farther behind."""
+
 BODY_RANGE_M = (0.15, 1.5)
 """Range of the depth of the body behind a ring."""
 
@@ -256,6 +259,38 @@ def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig:
         if IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel and as_long:
             return True
     return False
+
+
+def displaced_lasers(
+    face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+) -> tuple[int, ...]:
+    """Lasers whose stripe was not selected, but which have one like those on the ring close to its plane.
+
+    Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
+    are those that an unlabelled segment may belong to.
+    """
+    if len(face.lasers) != CONFIRMED - 1:
+        return ()
+    selected = [_points_m(row, laser, rig) for row, laser in zip(face.tracks.tolist(), face.lasers, strict=True)]
+    lengths_m = [math.dist(*ends) for ends in selected]
+    points_m = np.array(selected).reshape(-1, 3)
+    origin = points_m.mean(axis=0)
+    normal = np.linalg.svd(points_m - origin)[2][2]
+    middles = np.array(selected).mean(axis=1)
+    along = (middles[1] - middles[0]) / np.linalg.norm(middles[1] - middles[0])
+    used, found = face.tracks.tolist(), []
+    for row in tracks.tolist():
+        if row in used or row[CLIPPED] or row[CENTERS] < MIN_COLUMNS_IN_FRONT:
+            continue
+        for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
+            ends = np.array(_points_m(row, laser, rig))
+            offset = ends.mean(axis=0) - origin
+            aside_m = float(np.linalg.norm(offset - (offset @ along) * along - (offset @ normal) * normal))
+            as_long = min(lengths_m) / MAX_TO_SHORTEST < math.dist(*ends) < MAX_TO_SHORTEST * max(lengths_m)
+            near = float(np.abs((ends - origin) @ normal).max()) < DISPLACED_M and aside_m < max(lengths_m)
+            if laser not in face.lasers and as_long and near:
+                found.append(laser)
+    return tuple(sorted(set(found)))
 
 
 def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, float, float]]:

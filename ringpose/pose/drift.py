@@ -106,8 +106,10 @@ class DriftMonitor:
                 self._correct(moved)
             elif turned:  # the middle of three planes hardly differs from a turn
                 self._reason = f"{self._reason}, or the camera has turned"
-        elif not self.rig.moved_planes:
-            self._reason = ""  # contradictory shots are over
+        elif self._reason == CONTRADICTED and not self.rig.moved_planes:
+            self._reason = (
+                ""  # contradictory shots are over; what the evidence has shown holds until the rig is updated
+            )
 
     def _correct(self, moved: MovedPlane) -> None:
         """Measure the next shots with the plane as estimated, with its covariance instead of the calibration's."""

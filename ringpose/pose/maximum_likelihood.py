@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import isfinite, sqrt
+from math import isfinite, isnan, sqrt
 
 import numpy as np
 
@@ -96,7 +96,7 @@ def most_likely_pose(
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
-    doubts, remark = untimed or _ring_doubts(best, break_points)
+    doubts, remark = untimed or _displaced(rejected) or _ring_doubts(best, break_points)
     result = replace(result, flags=result.flags | doubts, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
@@ -201,6 +201,17 @@ def _timed(
     return replace(assumptions, motion=None), (ALL_WEAK | PoseFlag.VELOCITY_WEAK, NOT_TIMED)
 
 
+def _displaced(rejected: Sequence[Rejection]) -> tuple[PoseFlag, str] | None:
+    """The flag of a shot whose third stripe the detector found beside the plane of two others, and why; else None.
+
+    Two stripes always agree with some ring, so that each of the three may be the wrong one.
+    """
+    lasers = [each.laser for each in rejected if each.what == "stripe" and isnan(each.chi2)]
+    if not lasers:
+        return None
+    return PoseFlag.INCONSISTENT, f"the stripe of laser {lasers[0]} is near the ring of the others, but not on it"
+
+
 def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
     """Flags of a shot that something else than a ring may have left, such as the side of a board, and why.
 
@@ -224,6 +235,8 @@ def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
     """Evidence for errors of the rig; of all measurements where what contradicts one ring may be due to the rig."""
     if best.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS:
         return None
+    if best.flag & RIG_SUSPECT and len(best.measured.lines.laser) > len(best.measured.stripes):
+        return None  # a stripe that was measured twice may have moved in between
     if best.competing or best.flag & RIG_SUSPECT:
         return None if best.everything is None else plane_evidence(best.everything[1], best.everything[0], rig)
     return plane_evidence(best.estimate, best.measured, rig)

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 
 from ringpose.detect.break_points import without_outliers
-from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face, surface_in_front
+from ringpose.detect.rim import best_hypothesis, displaced_lasers, may_be_background, ring_face, surface_in_front
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints
@@ -151,3 +151,23 @@ def test_break_points_of_one_ring_are_all_kept():
 
     assert rejected == ()
     assert found.seen.all()
+
+
+def third_stripe(seed, height_m, slope=0.0):
+    """Tracks of two stripes on a face, and that of the third laser on a surface that much nearer to the camera."""
+    return np.array(
+        [
+            row(*face_ends(seed)[0], 0),
+            row(*in_front(face_ends(seed)[1], 1, height_m, slope, shift_m=0.0), 1),
+            row(*face_ends(seed)[2], 2),
+        ]
+    )
+
+
+@pytest.mark.parametrize(("height_m", "expected"), [(0.01, (1,)), (-0.01, (1,)), (-0.05, ())])
+def test_a_third_stripe_beside_the_plane_of_two_shows_that_the_rig_may_have_changed(height_m, expected):
+    tracks = third_stripe(1, height_m)
+    face = ring_face(tracks[[0, 2]], (), RIG)
+
+    assert face.lasers == (0, 2)
+    assert displaced_lasers(face, tracks, (), RIG) == expected

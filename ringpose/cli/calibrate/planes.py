@@ -314,13 +314,14 @@ def _stream_evidence(
     import numpy as np
 
     from ringpose.cli import messages
-    from ringpose.errors import DataError, UsageError
+    from ringpose.errors import NO_POSE, DataError, UsageError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.poses import pose_line_of
+    from ringpose.pose.drift import CONTRADICTORY
     from ringpose.pose.plane_evidence import RigEvidence, evidence_for_file
 
-    evidence, depths, shots = RigEvidence(rig, rig.stability), [], 0
+    evidence, depths, shots, contradictory = RigEvidence(rig, rig.stability), [], 0, 0
     for item in batch.valid_inputs(named(inputs, [RECORDS_SUFFIX])):
         if not isinstance(item, Record):
             raise UsageError(
@@ -333,11 +334,15 @@ def _stream_evidence(
                     item.location, "is of another rig file", "give the rig by which the stream was measured"
                 )
             shots += 1
+            contradictory += bool(line.flags & CONTRADICTORY)
             found = evidence_for_file(line)
             if found is not None and evidence.add(found):
                 depths.append(float(found.place_m[2]))
     if not quiet:
         messages.echo(f"{shots} shots, {evidence.shots} of them show the light planes at different poses of the ring")
+    if contradictory > shots / 2:
+        messages.echo(f"{contradictory} of {shots} shots contradict this rig: check the wiring, or calibrate it again")
+        batch.record_status(NO_POSE)
     files = [Path(word) for word in inputs if holds_records(Path(word))]
     return evidence, files, float(np.median(depths or [USUAL_DISTANCE_M]))
 

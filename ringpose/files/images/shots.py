@@ -22,6 +22,9 @@ _TIMES = ("device_stamp_s", "gain_db")
 _MASKS = ("seen_lasers", "read_lasers")
 _KEYS = (*_REQUIRED, *_TIMES, "frame_id", *_MASKS, "meta")
 
+MAX_EXPOSURE = 5.0
+"""Maximum exposure as a share of the time between two frames: 1, and a margin for stamps of a busy host."""
+
 
 def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) -> Shot:
     """The shot in an NPZ file, or an image as a shot of one frame with all lasers on.
@@ -59,12 +62,14 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     optional |= {key: _masks(archive, key, frames) for key in _MASKS if key in archive}
     if "frame_id" in archive:
         optional["frame_id"] = archive.integers("frame_id", (frames,))
+    stamp_s, exposure_s = (_times(archive, key, frames) for key in ("stamp_s", "exposure_s"))
+    _check_times(archive, stamp_s, exposure_s)
     shot = Shot(
         name=archive.path.stem,
         images=images,
         lasers=_masks(archive, "lasers", frames),
-        stamp_s=_times(archive, "stamp_s", frames),
-        exposure_s=_times(archive, "exposure_s", frames),
+        stamp_s=stamp_s,
+        exposure_s=exposure_s,
         meta=_meta(archive),
         **optional,
     )
@@ -112,6 +117,18 @@ def _times(archive: Archive, key: str, frames: int) -> Float64[Array, "frame"]:
     if times.min() < 0:
         raise archive.problem(key, f"is {times.min():g} in frame {times.argmin()}, must not be negative")
     return times
+
+
+def _check_times(archive: Archive, stamp_s: Float64[Array, "frame"], exposure_s: Float64[Array, "frame"]) -> None:
+    """Frames must be in the order in which they were taken; equal stamps, of frames without own ones, are accepted."""
+    apart_s = np.diff(stamp_s)
+    if apart_s.min(initial=0.0) < 0:
+        found = f"decreases after frame {int(apart_s.argmin())}"
+        raise archive.problem("stamp_s", found, "give the frames in the order in which they were taken")
+    least_s, longest_s = apart_s[apart_s > 0].min(initial=np.inf), exposure_s.max()
+    if longest_s > MAX_EXPOSURE * least_s:
+        found = f"is {longest_s:g} s, but frames are {least_s:g} s apart"
+        raise archive.problem("exposure_s", found, "give both in seconds")
 
 
 def _meta(archive: Archive) -> dict[str, Any]:
