@@ -11,7 +11,7 @@ from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.robot import MOUNT_PARAMETERS, Mount, RobotPoses
 
-MAX_GAP_S = 0.2
+MAX_GAP_S = 0.25
 """Longest time between two poses of the robot within which its motion is interpolated."""
 
 
