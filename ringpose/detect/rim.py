@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -233,6 +234,26 @@ def may_be_background(
     return False
 
 
+class _Plane(NamedTuple):
+    """The plane of the selected segments."""
+
+    ends_m: Float64[Array, "track end=2 xyz=3"]
+    lengths_m: list[float]
+    origin_m: Float64[Array, "xyz=3"]
+    normal: Float64[Array, "xyz=3"]
+    """Towards the camera."""
+
+
+def _plane_of(face: Face, rig: Rig) -> _Plane:
+    ends_m = np.array(
+        [_points_m(row, laser, rig) for row, laser in zip(face.tracks.tolist(), face.lasers, strict=True)]
+    )
+    points_m = ends_m.reshape(-1, 3)
+    origin_m = points_m.mean(axis=0)
+    normal = np.linalg.svd(points_m - origin_m)[2][2]
+    return _Plane(ends_m, [math.dist(*ends) for ends in ends_m], origin_m, -np.sign(normal @ origin_m) * normal)
+
+
 def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
     """Whether one of these lasers has a further stripe, as long, on a flat surface parallel to the ring in front of it.
 
@@ -242,12 +263,7 @@ def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig:
     """
     if len(face.lasers) < 2:
         return False
-    selected = [_points_m(row, laser, rig) for row, laser in zip(face.tracks.tolist(), face.lasers, strict=True)]
-    lengths_m = [math.dist(*ends) for ends in selected]
-    points_m = np.array(selected).reshape(-1, 3)
-    origin = points_m.mean(axis=0)
-    normal = np.linalg.svd(points_m - origin)[2][2]
-    normal *= -np.sign(normal @ origin)  # towards the camera
+    _, lengths_m, origin, normal = _plane_of(face, rig)
     for row in tracks.tolist():
         if int(row[LASER]) not in face.lasers or row[CLIPPED] or row[CENTERS] < MIN_COLUMNS_IN_FRONT:
             continue
@@ -271,13 +287,9 @@ def displaced_lasers(
     """
     if len(face.lasers) != CONFIRMED - 1:
         return ()
-    selected = [_points_m(row, laser, rig) for row, laser in zip(face.tracks.tolist(), face.lasers, strict=True)]
-    lengths_m = [math.dist(*ends) for ends in selected]
-    points_m = np.array(selected).reshape(-1, 3)
-    origin = points_m.mean(axis=0)
-    normal = np.linalg.svd(points_m - origin)[2][2]
-    middles = np.array(selected).mean(axis=1)
-    along = (middles[1] - middles[0]) / np.linalg.norm(middles[1] - middles[0])
+    ends_m, lengths_m, origin, normal = _plane_of(face, rig)
+    across = ends_m[1].mean(axis=0) - ends_m[0].mean(axis=0)
+    along = across / np.linalg.norm(across)
     used, found = face.tracks.tolist(), []
     for row in tracks.tolist():
         if row in used or row[CLIPPED] or row[CENTERS] < MIN_COLUMNS_IN_FRONT:
