@@ -206,7 +206,7 @@ def _check_source(inputs: list[str] | None, camera: str | None, lasers: str | No
 
 
 def _check_method(method: Method, assumed: "AssumptionOptions", robot_poses: str | None) -> None:
-    """Reject options that the paper's methods do not use."""
+    """Reject options that the paper's methods do not use; they assume a perfect ring at rest, as a value of 0 does."""
     given = {
         "--robot-poses": robot_poses,
         "--max-speed": assumed.max_speed_m_s,
@@ -214,7 +214,7 @@ def _check_method(method: Method, assumed: "AssumptionOptions", robot_poses: str
         "--ring-tolerance": assumed.ring_tolerance_m,
     }
     for option, value in given.items():
-        if method is not Method.ML and value is not None:
+        if method is not Method.ML and value:
             raise UsageError(option, f"is not used by --method {method.value}", "leave it out, or use --method ml")
 
 
