@@ -18,7 +18,7 @@ WEAK_SD = 0.05
 """Centre's bound in radii from which the bound itself says that it is not observable."""
 
 DISTANCES_M = (0.25, 0.5, 1.0)
-SIZES = ("R597", "R833", "R1194")
+SIZES = ("R597", "R1194")
 
 
 def axes_across(normal):
