@@ -42,7 +42,6 @@ from ringpose.cli.options.known_ring import (
     known_ring,
 )
 from ringpose.cli.options.track import (
-    STDIN,
     Format,
     GripperRadial,
     GripperTilt,
@@ -59,7 +58,7 @@ from ringpose.cli.options.track import (
 )
 from ringpose.cli.pose_jobs import SingleShot, parallel_lines
 from ringpose.errors import UsageError
-from ringpose.types.options import Method
+from ringpose.types.options import STDIN, Method
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

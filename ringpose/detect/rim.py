@@ -254,6 +254,12 @@ def _plane_of(face: Face, rig: Rig) -> _Plane:
     return _Plane(ends_m, [math.dist(*ends) for ends in ends_m], origin_m, -np.sign(normal @ origin_m) * normal)
 
 
+def _long_enough(tracks: Float64[Array, "track column=11"]) -> list[list[float]]:
+    """Segments that are not truncated by the image, and longer than most reflections."""
+    rows: list[list[float]] = tracks[(tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)].tolist()
+    return rows
+
+
 def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
     """Whether one of these lasers has a further stripe, as long, on a flat surface parallel to the ring in front of it.
 
@@ -264,8 +270,8 @@ def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig:
     if len(face.lasers) < 2:
         return False
     _, lengths_m, origin, normal = _plane_of(face, rig)
-    for row in tracks.tolist():
-        if int(row[LASER]) not in face.lasers or row[CLIPPED] or row[CENTERS] < MIN_COLUMNS_IN_FRONT:
+    for row in _long_enough(tracks):
+        if int(row[LASER]) not in face.lasers:
             continue
         ends = _points_m(row, int(row[LASER]), rig)
         length_m = math.dist(*ends)
@@ -291,8 +297,8 @@ def displaced_lasers(
     across = ends_m[1].mean(axis=0) - ends_m[0].mean(axis=0)
     along = across / np.linalg.norm(across)
     used, found = face.tracks.tolist(), []
-    for row in tracks.tolist():
-        if row in used or row[CLIPPED] or row[CENTERS] < MIN_COLUMNS_IN_FRONT:
+    for row in _long_enough(tracks):
+        if row in used:
             continue
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
             ends = np.array(_points_m(row, laser, rig))

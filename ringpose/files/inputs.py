@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 from ringpose.errors import DataError, InputOutputError, NoInputError
 from ringpose.files import records
 from ringpose.files.io import read_bytes
-
-STDIN = "-"
+from ringpose.types.options import STDIN
 
 RECORDS_SUFFIX = ".jsonl"
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
+from ringpose.types.assumptions import MAX_TOLERANCE_M
 from ringpose.types.ring import Ring
 
 SCHEMA = "rings/1"
@@ -16,9 +17,6 @@ RESERVED = ("auto", "none of these")
 
 _KEYS = ("ringpose", "provenance", "rings")
 _RING_KEYS = ("name", "radius_inner_m", "radius_outer_m", "nominal", "source", "tolerance_m")
-
-MAX_TOLERANCE_M = 0.05
-"""Upper bound of a ring's tolerance; larger values are probably millimetres."""
 
 
 def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:

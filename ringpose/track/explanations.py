@@ -13,7 +13,7 @@ from ringpose.geometry.ring import CURVATURE
 from ringpose.track.filters import Bank, Innovation, ahead, innovation, started, tempered, updated
 from ringpose.track.observation import Observation
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import MotionPrior
+from ringpose.types.assumptions import MotionPrior, motion_prior
 from ringpose.types.pose import RadiusPrior
 from ringpose.types.track import FusionStatus
 
@@ -53,7 +53,7 @@ class TrackOptions:
     """Time without a measurement after which two that agree may start the track anew."""
     lost_after_s: float = 3.0
     """Time without a measurement after which the track is given up."""
-    motion: MotionPrior = MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=float(np.deg2rad(2.5)))
+    motion: MotionPrior = motion_prior()
     """Of a new track."""
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from ringpose.estimate.covariance import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
 from ringpose.geometry.ring import CURVATURE, plane_and_center
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.pose.observability import GRASP_UNKNOWN_FROM_M, UNKNOWN_FROM
 from ringpose.track.capture import capture_probability
 from ringpose.track.explanations import Track, TrackOptions
 from ringpose.track.filters import Bank, mixed, predicted
@@ -33,12 +34,6 @@ VALID_INTERVALS = 2.0
 
 MIN_VALID_S = 0.1
 """... and the shortest time."""
-
-UNKNOWN_FROM = 0.5
-"""Relative standard deviation of the curvature from which centre and radii are not reported."""
-
-GRASP_UNKNOWN_FROM_M = 0.01
-"""Standard deviation of the grasp point from which it is flagged."""
 
 VELOCITY_WEAK_SHARE = 0.5
 """Share of its prior's standard deviation from which the velocity counts as weak."""

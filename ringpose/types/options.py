@@ -2,6 +2,9 @@
 
 from enum import StrEnum
 
+STDIN = "-"
+"""Standard input, in place of the name of a file."""
+
 
 class DistortionModel(StrEnum):
     """Distortion model, by its ROS name."""

@@ -5,10 +5,7 @@ from typing import Annotated
 import typer
 
 from ringpose.errors import UsageError
-from ringpose.types.assumptions import AssumptionOptions
-
-MAX_TOLERANCE_M = 0.05
-"""Upper bound of a ring's tolerance; larger values are probably millimetres."""
+from ringpose.types.assumptions import MAX_TOLERANCE_M, AssumptionOptions
 
 MAX_RATE_DEG_S = 720.0
 """Upper bound of a rate: no target turns twice a second."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from math import radians
 from pathlib import Path
@@ -11,6 +12,7 @@ import typer
 
 from ringpose.cli.options.common import finite
 from ringpose.errors import UsageError
+from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
@@ -20,11 +22,6 @@ if TYPE_CHECKING:
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.rig import Rig
     from ringpose.types.track import TrackLine
-
-STDIN = "-"
-
-PREDICT_FOR_S, LOST_AFTER_S = 2.0, 3.0
-"""Defaults of the options."""
 
 
 class Format(StrEnum):
@@ -104,10 +101,13 @@ class TrackSettings(NamedTuple):
         from ringpose.track.pipeline import Tracker
         from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
 
-        predict_for_s = PREDICT_FOR_S if self.predict_for_s is None else self.predict_for_s
-        lost_after_s = LOST_AFTER_S if self.lost_after_s is None else self.lost_after_s
-        if lost_after_s < predict_for_s:
-            found = f"is {lost_after_s:g} s, must not be shorter than --predict-for {predict_for_s:g}"
+        options = TrackOptions()
+        if self.predict_for_s is not None:
+            options = replace(options, predict_for_s=self.predict_for_s)
+        if self.lost_after_s is not None:
+            options = replace(options, lost_after_s=self.lost_after_s)
+        if options.lost_after_s < options.predict_for_s:
+            found = f"is {options.lost_after_s:g} s, must not be shorter than --predict-for {options.predict_for_s:g}"
             raise UsageError("--lost-after", found, "raise it, or lower --predict-for")
         for option, value in (("--max-speed", assumed.max_speed_m_s), ("--max-rate", assumed.max_rate_deg_s)):
             if value == 0:
@@ -116,8 +116,7 @@ class TrackSettings(NamedTuple):
             MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
             MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
         )
-        options = TrackOptions(predict_for_s=predict_for_s, lost_after_s=lost_after_s, motion=motion)
-        return Tracker(rig, options, LineOptions(gripper=self.gripper), camera)
+        return Tracker(rig, replace(options, motion=motion), LineOptions(gripper=self.gripper), camera)
 
 
 PATIENCE_S = 0.2

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
+from ringpose.files.inputs import Input, Problem, Record, inputs
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.options import STDIN
 from ringpose.types.robot import RobotPoses
 
 MAX_REACH_M = 100.0
