@@ -125,6 +125,12 @@ def example_folder(tmp_path: Path, carried_data: Path) -> Path:
     return tmp_path
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than the cores: tests of devices and other processes wait for a quarter of their time."""
+    return min(8, (os.cpu_count() or 1) + 1)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
     """Run before all fixtures of the test."""
