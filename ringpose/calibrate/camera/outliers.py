@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.boards.pose import board_pose, residuals
-from ringpose.calibrate.camera.bundle_adjustment import corners_of, view_equations
+from ringpose.calibrate.boards.pose import board_pose
+from ringpose.calibrate.camera.bundle_adjustment import view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views
 from ringpose.geometry.robust import robust_std
@@ -50,9 +50,6 @@ _GAIN_SIGMAS = 5.0
 """Significance, in standard deviations, with which a used view fits another camera better."""
 
 _ITERATIONS = 3
-
-_INLIER_TENTHS = 7
-"""Number of tenths of a view's corners that are taken as inliers."""
 
 
 def outlying_view(poses: Sequence[BoardPose]) -> tuple[int, str] | None:
@@ -146,11 +143,7 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     if view.saturated_share > SATURATED_SHARE:
         share = f"{100 * view.saturated_share:.0f} %"
         return f"white is saturated beside {share} of its corners, which displaces them: reduce the exposure"
-    lengths = _trimmed_residuals(view, camera)
-    if np.median(lengths) >= limit_px:
-        return ""
-    x, y = np.average(view.points_px, axis=0, weights=lengths**2)
-    return f"most of its corners fit, the worst are about pixel ({x:.0f}, {y:.0f}): glare, a shadow or an object there"
+    return ""
 
 
 def turned(view: BoardView, camera: Camera) -> BoardView:
@@ -163,17 +156,6 @@ def focal_difference(other: Camera, camera: Camera) -> str:
     """Relative difference of another camera's focal length, as text."""
     longer = float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
     return f"{abs(100 * longer):.1f} % {'longer' if longer > 0 else 'shorter'}"
-
-
-def _trimmed_residuals(view: BoardView, camera: Camera) -> Float64[Array, "corner"]:
-    """Lengths of the corners' residuals at a pose fitted to 70 % of them (iteratively trimmed least squares)."""
-    used = np.ones(len(view.ids), dtype=bool)
-    for _ in range(_ITERATIONS):
-        pose = board_pose(corners_of(replace(view, end_correlation=0.0), used), camera)
-        lengths: Float64[Array, "corner"] = np.linalg.norm(residuals(view, pose, camera), axis=1)
-        last = _INLIER_TENTHS * len(lengths) // 10
-        used = lengths <= np.partition(lengths, last)[last]
-    return lengths
 
 
 def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Camera:
