@@ -15,6 +15,7 @@ from ringpose.files.boards import read_dictionary
 from ringpose.types.board import Board
 
 
+@pytest.mark.slow
 def test_every_marker_of_opencvs_grid_photograph_is_found_with_its_own_dictionary(shared_data):
     folder = shared_data / "real" / "opencv_aruco_photos"
     board = Board(
@@ -68,7 +69,7 @@ def test_chessboards_of_opencvs_photographs_are_where_its_tests_expect_them(numb
 
 @pytest.mark.parametrize(
     ("names", "number"),
-    [("left0[1-5]", 5), *(pytest.param(f"{side}[01]*", 13, marks=pytest.mark.slow) for side in ("left", "right"))],
+    [("left0[1-3]", 3), *(pytest.param(f"{side}[01]*", 13, marks=pytest.mark.slow) for side in ("left", "right"))],
 )
 def test_every_stereo_photograph_of_opencv_shows_its_board(names, number, shared_data):
     photographs = sorted((shared_data / "real" / "opencv_samples_stereo").glob(f"{names}.jpg"))
@@ -106,6 +107,7 @@ def test_corners_on_rendered_charuco_views_are_within_a_twentieth_of_a_pixel(sha
     assert np.abs(errors).max() < 0.1
 
 
+@pytest.mark.slow
 def test_marker_corners_on_rendered_views_are_not_biased_inwards_by_blur(rendered_plane_views, rendered_truth):
     errors = np.concatenate(
         [found.points_px - rendered_truth(found.name, found.points_board_m) for _, found in rendered_plane_views]

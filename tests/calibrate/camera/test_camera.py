@@ -79,7 +79,7 @@ def test_more_noise_never_shrinks_the_covariance(views):
 
 @pytest.mark.slow
 def test_errors_have_the_covariance_that_is_reported(views, true_camera):
-    runs = 50
+    runs = 25
     normalised = []
     for _ in range(runs):
         found = calibrate_camera(views(8, NOISE_PX), 1600, 1200)

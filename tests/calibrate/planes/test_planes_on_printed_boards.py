@@ -100,7 +100,7 @@ def nees(found) -> float:
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO, FOUR_MARKERS], ids=lambda board: board.kind)
 def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng, drawn_board):
     """NEES of the three kinds of boards together within its 95 % interval."""
-    runs = 20
+    runs = 8
     drawn = drawn_board(board)
     size_m = (np.array(drawn.shape)[::-1] - 2 * RIM_PX) / PIXELS_PER_METRE
 
