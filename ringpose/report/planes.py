@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from ringpose.calibrate.planes.acceptance import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.calibrate.planes.covariance import worst_depth_sd_m
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
+from ringpose.calibrate.planes.verdict import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, verdict_section
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration

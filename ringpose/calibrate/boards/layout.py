@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.markers import Markers
+from ringpose.calibrate.boards.patterns.markers import Markers
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Check

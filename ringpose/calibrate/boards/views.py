@@ -5,8 +5,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.chessboard import chessboard_corners, refined_corners
-from ringpose.calibrate.boards.circles import circle_centers
 from ringpose.calibrate.boards.diagnostics import (
     BoardFailure,
     NoBoard,
@@ -17,10 +15,18 @@ from ringpose.calibrate.boards.diagnostics import (
     too_small,
     unusable,
 )
-from ringpose.calibrate.boards.image_patch import GreyImage
 from ringpose.calibrate.boards.layout import corner_points, marker_corners, marker_layout, other_layout
-from ringpose.calibrate.boards.marker_edges import corners_from_sides
-from ringpose.calibrate.boards.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
+from ringpose.calibrate.boards.patterns.chessboard import chessboard_corners, refined_corners
+from ringpose.calibrate.boards.patterns.circles import circle_centers
+from ringpose.calibrate.boards.patterns.image_patch import GreyImage
+from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
+from ringpose.calibrate.boards.patterns.markers import (
+    Markers,
+    find_markers,
+    marker_count,
+    marker_dictionary,
+    markers_of,
+)
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import verdict_lines, verdict_values
 from ringpose.calibrate.camera.assessment import board_tilt_rad, different_poses
 from ringpose.calibrate.camera.outliers import CORNER_SIGMAS
 from ringpose.calibrate.camera.parameters import parameters_of
-from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,

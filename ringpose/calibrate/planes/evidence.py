@@ -10,9 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.labels import check_order, exchanged_lasers, labelled_by_order, labelled_by_planes
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, Points, condition, outlying_views, robust_plane
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.labels import (
+    check_order,
+    exchanged_lasers,
+    labelled_by_order,
+    labelled_by_planes,
+)
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose

@@ -30,7 +30,7 @@ from ringpose.calibrate.camera.parameters import (
     parameters_of,
     projection_jacobians,
 )
-from ringpose.calibrate.planes.stripe_errors import (
+from ringpose.calibrate.planes.stripes.errors import (
     StripeRays,
     StripeResiduals,
     center_sigma_px,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import verdict_lines, verdict_values
 from ringpose.calibrate.planes.covariance import RADII_M, ring_center_sd_m, worst_depth_sd_m
-from ringpose.calibrate.planes.labels import THREE
-from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
+from ringpose.calibrate.planes.stripes.labels import THREE
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration

@@ -28,7 +28,7 @@ def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read
 
 def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
     """Write the summary to stderr and return the exit status; `quiet` does not suppress the verdict `redo`."""
-    from ringpose.calibrate.verdict_text import verdict_lines
+    from ringpose.calibrate.acceptance import verdict_lines
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
     from ringpose.types.verdict import Grade

@@ -205,7 +205,7 @@ def _say_remarks(stripes: "StripeShots") -> None:
 
 def _say_number(stripes: "StripeShots") -> None:
     """The number of lasers if it is small and only the masks determine it: another one may be dark or unwired."""
-    from ringpose.calibrate.planes.labels import THREE
+    from ringpose.calibrate.planes.stripes.labels import THREE
     from ringpose.cli import messages
 
     if stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
@@ -238,7 +238,7 @@ def _write(
 
 def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
     """Compare a rig with shots of a board or the records of a stream; with an output, write it as they show it."""
-    from ringpose.calibrate.planes.update import checked_shots, evidence_lines, moved_lasers
+    from ringpose.calibrate.planes.recheck.update import checked_shots, evidence_lines, moved_lasers
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs
@@ -279,8 +279,8 @@ def _board_evidence(
     """Compare each shot of a board with a rig by itself; for an update, what all show about its planes."""
     import numpy as np
 
-    from ringpose.calibrate.planes.check import rig_check, rig_check_lines
-    from ringpose.calibrate.planes.update import board_evidence
+    from ringpose.calibrate.planes.recheck.board_check import rig_check, rig_check_lines
+    from ringpose.calibrate.planes.recheck.update import board_evidence
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
     from ringpose.files.rigs import median_board_rms_px
@@ -351,7 +351,7 @@ def _write_update(
     evidence: "RigEvidence", moved: list[int], output: Path, files: list[Path], depth_m: float, options: _Inputs
 ) -> None:
     """Write the rig as the evidence shows it, with the quality of its calibration and what was changed."""
-    from ringpose.calibrate.planes.update import change_line, updated_rig
+    from ringpose.calibrate.planes.recheck.update import change_line, updated_rig
     from ringpose.cli import messages
     from ringpose.files.rigs import calibration_quality, write_rig
 
@@ -383,9 +383,9 @@ def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeSh
 
 def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "StripeShots", batch: "Batch") -> None:
     """Add the views of all shots to `stripes`; report shots without them."""
-    from ringpose.calibrate.boards.overlay import stripe_overlay
     from ringpose.files.images.codecs import write_image
     from ringpose.files.inputs import Input
+    from ringpose.report.boards import stripe_overlay
 
     def read(item: Input) -> None:
         found = images.read(item)

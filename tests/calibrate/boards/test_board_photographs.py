@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD
 
-from ringpose.calibrate.boards.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
 from ringpose.files.boards import read_dictionary
 from ringpose.types.board import Board

@@ -8,7 +8,7 @@ import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
 
 from ringpose.calibrate.boards.diagnostics import BoardFailure, NoBoard, charuco_failure, edge_width_px
-from ringpose.calibrate.boards.markers import find_markers, marker_dictionary
+from ringpose.calibrate.boards.patterns.markers import find_markers, marker_dictionary
 from ringpose.calibrate.boards.views import find_board
 
 

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.stripes import stripe_view
+from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.acceptance import planes_verdict
 from ringpose.calibrate.planes.covariance import depth_uncertainty
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import common_line_gap_m, plane_angles
+from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.covariance import ParameterCovariance

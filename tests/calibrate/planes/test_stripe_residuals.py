@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.calibrate.boards.pose import moved_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
-from ringpose.calibrate.planes.stripe_errors import stripe_rays, stripe_residuals
+from ringpose.calibrate.planes.stripes.errors import stripe_rays, stripe_residuals
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.board import BoardPose

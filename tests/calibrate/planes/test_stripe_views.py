@@ -12,7 +12,7 @@ from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.stripes import stripe_view
+from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration

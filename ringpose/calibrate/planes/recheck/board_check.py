@@ -11,9 +11,8 @@ from ringpose.calibrate.boards.corner_errors import (
     whiten,
 )
 from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.labels import labelled_by_planes
-from ringpose.calibrate.planes.stripe_errors import (
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.errors import (
     StripeResiduals,
     center_sigma_px,
     line_modes,
@@ -21,6 +20,7 @@ from ringpose.calibrate.planes.stripe_errors import (
     stripe_rays,
     stripe_residuals,
 )
+from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView

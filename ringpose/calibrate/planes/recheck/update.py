@@ -17,16 +17,16 @@ from ringpose.calibrate.boards.corner_errors import (
     whiten,
 )
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.check import FLATNESS_M, SIGMAS
-from ringpose.calibrate.planes.labels import labelled_by_planes
-from ringpose.calibrate.planes.stripe_errors import (
+from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, SIGMAS
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.errors import (
     center_sigma_px,
     line_modes,
     shared_length,
     stripe_rays,
     stripe_residuals,
 )
+from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
 from ringpose.geometry.rays import undistorted_pixels
