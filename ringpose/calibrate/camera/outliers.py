@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import CAMERA_LIMITS, check
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.bundle_adjustment import view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
@@ -30,9 +31,6 @@ CORNER_SIGMAS = 5.0
 
 MAX_CORNER_SHARE = 0.05
 """Maximum share of corners left out: a wrong distortion model must not be hidden by rejecting what it misfits."""
-
-OTHER_CAMERA_SHARE = 0.2
-"""Share of views from another camera above which it is ambiguous which camera is to be calibrated."""
 
 MIN_FOCAL_DIFFERENCE = 0.002
 """Relative difference of the focal length below which two cameras are the same."""
@@ -93,14 +91,11 @@ def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardV
         names |= {board.name} if gain > (_GAIN_SIGMAS * usual_px) ** 2 else set()
     names = names if len(names) > 1 else set()
     listed = ", ".join(view.name for view in calibration.views if view.name in names)
-    return Check(
-        name="other_camera_share",
-        value=len(names) / len(boards),
-        pass_limit=0.0,
-        fail_limit=OTHER_CAMERA_SHARE,
-        advice=f"views {listed} look like another camera's, or another zoom's: "
-        f"focal length {focal_difference(other, camera)}; calibrate each by itself",
+    advice = (
+        f"views {listed} look like another camera's, or another zoom's: "
+        f"focal length {focal_difference(other, camera)}; calibrate each by itself"
     )
+    return check(CAMERA_LIMITS, "other_camera_share", len(names) / len(boards), advice)
 
 
 def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float) -> tuple[list[BoardView], Camera]:

@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import PLANES_LIMITS
 from ringpose.errors import DataError
 from ringpose.geometry.planes import nearest_plane
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PlanesMethod
 
-MAX_CONDITION = 50.0
+MAX_CONDITION = PLANES_LIMITS["condition"][1]
 """Points with a larger condition number are collinear: views 100 mm long must differ by 2 mm across their stripe."""
 
 MIN_MEAN_WEIGHT = 0.1
