@@ -134,7 +134,7 @@ def _simulated(scene_file: Path, request: CaptureRequest) -> Source:
 def _served(request: CaptureRequest) -> Source:
     """The frames of an image server, which switches the lasers itself; shots have the names that it gives them."""
     from ringpose.capture.cameras.tcp import TcpCamera
-    from ringpose.files.secrets import read_secret
+    from ringpose.files.io import read_secret
 
     if request.lasers not in (None, "sim:"):
         raise UsageError("--lasers", f'"{request.lasers}" cannot light a simulated scene', "leave it out")

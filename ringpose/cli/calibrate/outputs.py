@@ -62,8 +62,7 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
     from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
     from ringpose.files.atomic import reject_existing, reject_inputs
-    from ringpose.files.board_prints import require_pdf, write_board_print
-    from ringpose.files.boards import read_board, write_board
+    from ringpose.files.boards import read_board, require_pdf, write_board, write_board_print
 
     require_pdf(path)
     reject_inputs([path], [board_file])
