@@ -1,6 +1,7 @@
 """One laser's plane through its triangulated points of all views (method(7), section 6)."""
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,9 @@ MIN_MEAN_WEIGHT = 0.1
 
 MAX_SCATTER = 0.02
 """Root mean square distance from the plane, over the points' extent, above which they are not one stripe."""
+
+MAX_DISTANCE_OF_MOST_M = 5e-3
+"""Distance from a plane within which most of the views must lie: stripes of other lasers are 20 mm off and more."""
 
 _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficient for normal errors."""
@@ -133,15 +137,27 @@ def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Ar
     return normal, distance_m
 
 
-def outlying_views(points: Sequence[Points]) -> dict[int, float]:
-    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views."""
+def outlying_views(points: Sequence[Points], name: str) -> dict[int, float]:
+    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views.
+
+    DataError if no plane has most of the views near it: then it is ambiguous which of them are right.
+    """
     seen = [index for index, own in enumerate(points) if len(own)]
     if len(seen) < 4:
         return {}
     views = [points[index] for index in seen]
-    # Start: of the planes of all views but one, the one with the smallest median distance (least median of squares).
-    starts = [nearest_plane(np.concatenate([*views[:index], *views[index + 1 :]]))[:2] for index in range(len(views))]
-    start = min(starts, key=lambda plane: float(np.median([rms(own @ plane[0] - plane[1]) for own in views])))
+    # Start: of the planes through two views each, the one with the smallest distance of most views (least median).
+    starts = [nearest_plane(np.concatenate(pair))[:2] for pair in combinations(views, 2)]
+    most = len(views) // 2
+
+    def distance_of_most_m(plane: tuple[Float64[Array, "3"], float]) -> float:
+        return sorted(rms(own @ plane[0] - plane[1]) for own in views)[most]
+
+    start = min(starts, key=distance_of_most_m)
+    if distance_of_most_m(start) > MAX_DISTANCE_OF_MOST_M:
+        found = f"half of the {len(views)} views that show its stripe contradict the others"
+        remedy = "see with --overlay which stripe is whose: the lasers may be exchanged in half of the shots"
+        raise DataError(f'laser "{name}"', found, remedy)
     normal, distance_m, weights = robust_plane(np.concatenate(views), start)
     by_view = np.split(weights, np.cumsum([len(own) for own in views])[:-1])
     return {
