@@ -1,13 +1,23 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options.common import Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given, numbers
+from ringpose.cli.options.common import (
+    Force,
+    ImageChannel,
+    OptionalInputs,
+    Overlay,
+    Quiet,
+    Report,
+    Verbose,
+    finite,
+)
 from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
@@ -147,7 +157,8 @@ def calibrate_planes(
     if update is not None:
         _check(shots, update, options, given(output, "--output"))
         return
-    angles_rad = _angles_rad(expected_angles)
+    angles_deg = numbers(expected_angles, "--expected-angles", "give degrees, as 10,10", (0.0, 180.0))
+    angles_rad = [radians(angle) for angle in angles_deg]
     outputs = _Outputs(
         given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad, working_distance
     )
@@ -400,17 +411,3 @@ def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "S
             write_image(images.overlay / f"{shot.name}.png", drawn, force=True)
 
     images.read_each(shots, batch, read, quiet=options.quiet, verbose=options.verbose)
-
-
-def _angles_rad(words: str | None) -> list[float]:
-    from math import radians
-
-    from ringpose.errors import UsageError
-
-    try:
-        angles = [float(word) for word in (words or "").split(",") if words]
-    except ValueError as error:
-        raise UsageError("--expected-angles", f"{words!r} is not a list of angles", "give degrees, as 10,10") from error
-    if not all(0 <= angle <= 180 for angle in angles):
-        raise UsageError("--expected-angles", f"{words!r} are not all from 0 to 180", "give degrees, as 10,10")
-    return [radians(angle) for angle in angles]
