@@ -24,8 +24,7 @@ from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
-from ringpose.files.inputs import Input, Problem, inputs
-from ringpose.files.sources import path_of_input
+from ringpose.files.inputs import Input, Problem, inputs, path_of_input
 from ringpose.types.image import Shot
 from ringpose.types.options import STDIN
 from ringpose.types.sequence import Step, steps_of

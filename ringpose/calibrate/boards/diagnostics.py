@@ -78,13 +78,6 @@ class NoBoard:
         return f"{self.failure.value} ({self.found})" if self.found else self.failure.value
 
 
-def too_small(grey: GreyImage) -> NoBoard | None:
-    """The failure of an image that is too small for any board."""
-    if min(grey.shape) >= MIN_SIZE_PX:
-        return None
-    return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
-
-
 def unusable(grey: GreyImage, seen: NoBoard) -> NoBoard | None:
     """The failure of an image that is too dark or overexposed for any board.
 

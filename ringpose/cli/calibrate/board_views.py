@@ -14,9 +14,8 @@ from ringpose.errors import NO_POSE, DataError
 from ringpose.files.atomic import make_folder, reject_inputs
 from ringpose.files.images.codecs import write_image
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
-from ringpose.files.inputs import Input
+from ringpose.files.inputs import Input, path_of_input
 from ringpose.files.inputs import inputs as named
-from ringpose.files.sources import path_of_input
 from ringpose.report.boards import board_overlay
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.board import Board, BoardView

@@ -60,9 +60,9 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
 
 def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
     """The format of a file, recognised by its first bytes or its keys, and its values."""
-    if matlab.is_mat(content):
+    if content.startswith(matlab.SIGNATURES):
         return CameraFormat.MATLAB, matlab.mat_variables(content, file)
-    if opencv_storage.is_storage(content):
+    if content.startswith(opencv_storage.SIGNATURES) or any(tag in content for tag in opencv_storage.MATRIX_TAGS):
         return CameraFormat.OPENCV, opencv_storage.storage_values(content, file)
     values = parsed(_MESSAGE_END.sub(b"\n", content), file)
     keys = set(values) if isinstance(values, Mapping) else set()
