@@ -201,6 +201,7 @@ def test_the_reference_is_reproduced_from_its_own_corners(shared_data):
     assert parameters_of(found.camera)[:4] == pytest.approx([534.13, 534.19, 342.84, 233.72], abs=0.05)
 
 
+@pytest.mark.slow
 def test_own_corners_fit_the_photographs_better_than_the_reference(shared_data):
     found = calibrate_camera(photographs(shared_data / "real" / "opencv_samples_stereo"), 640, 480)
 
