@@ -25,6 +25,9 @@ MAX_SCATTER = 0.02
 MAX_DISTANCE_OF_MOST_M = 5e-3
 """Distance from a plane within which most of the views must lie: stripes of other lasers are 20 mm off and more."""
 
+_MAX_STARTS = 200
+"""Maximum number of pairs of views that are tried; if half of the views are wrong, a quarter of the pairs are right."""
+
 _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficient for normal errors."""
 
@@ -146,19 +149,21 @@ def outlying_views(points: Sequence[Points], name: str) -> dict[int, float]:
     if len(seen) < 4:
         return {}
     views = [points[index] for index in seen]
-    # Start: of the planes through two views each, the one with the smallest distance of most views (least median).
-    starts = [nearest_plane(np.concatenate(pair))[:2] for pair in combinations(views, 2)]
-    most = len(views) // 2
-
-    def distance_of_most_m(plane: tuple[Float64[Array, "3"], float]) -> float:
-        return sorted(rms(own @ plane[0] - plane[1]) for own in views)[most]
-
-    start = min(starts, key=distance_of_most_m)
-    if distance_of_most_m(start) > MAX_DISTANCE_OF_MOST_M:
+    # Start: of planes through two views each, the one with the smallest distance of most views (least median of
+    # squares). The mean squared distance of a view's points p from a plane q = (n, d) is q^T M q, with M the mean of
+    # h h^T, h = (p, -1).
+    pairs = list(combinations(views, 2))
+    starts = [nearest_plane(np.concatenate(pair))[:2] for pair in pairs[:: len(pairs) // _MAX_STARTS + 1]]
+    homogeneous = [np.insert(own, 3, -1.0, axis=1) for own in views]
+    moments = np.array([h.T @ h / len(h) for h in homogeneous])
+    planes = np.array([[*normal, distance_m] for normal, distance_m in starts])
+    squares_m2 = np.einsum("pi,vij,pj->pv", planes, moments, planes)
+    of_most_m2 = np.sort(squares_m2, axis=1)[:, len(views) // 2]
+    if of_most_m2.min() > MAX_DISTANCE_OF_MOST_M**2:
         found = f"half of the {len(views)} views that show its stripe contradict the others"
         remedy = "see with --overlay which stripe is whose: the lasers may be exchanged in half of the shots"
         raise DataError(f'laser "{name}"', found, remedy)
-    normal, distance_m, weights = robust_plane(np.concatenate(views), start)
+    normal, distance_m, weights = robust_plane(np.concatenate(views), starts[int(of_most_m2.argmin())])
     by_view = np.split(weights, np.cumsum([len(own) for own in views])[:-1])
     return {
         index: rms(points[index] @ normal - distance_m)
