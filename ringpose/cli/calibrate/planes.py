@@ -21,14 +21,12 @@ from ringpose.cli.options.common import (
 from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
-    from ringpose.calibrate.planes.quality import PlanesAssessment
     from ringpose.calibrate.planes.shots import StripeShots
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.pose.plane_evidence import RigEvidence
     from ringpose.types.camera import Camera
     from ringpose.types.rig import Rig
-    from ringpose.types.robot import Mount as CameraMount
 
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""
@@ -166,13 +164,17 @@ def calibrate_planes(
 
 
 def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: PlanesMethod, free_camera: bool) -> None:
-    from ringpose.calibrate.planes.quality import planes_summary
+    from dataclasses import replace
+
+    from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality, planes_summary
     from ringpose.calibrate.planes.shots import check_method
+    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.cameras.formats import read_camera
-    from ringpose.files.rigs import read_mount
+    from ringpose.files.io import write_page
+    from ringpose.files.rigs import read_mount, write_rig
 
     board = given(options.board, "--board")
     files = [board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
@@ -192,26 +194,25 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
             assessment = stripes.assessment(
                 method, free_camera, outputs.expected_rad, outputs.working_m, images.without_board
             )
-        except DataError:
-            _say_remarks(stripes)
+        except DataError:  # what each shot lacks is the reason
+            for view in stripes.views:
+                for remark in view.remarks:
+                    messages.echo(f"{view.board.name}: {remark}")
             raise
         for shot, found in assessment.calibration.contradicting:
             with batch.guarded():
                 raise DataError(shot, found)  # reported like any other unusable shot
-        _write(assessment, mount, outputs, [board, *images.paths], options.force)
+        rig = replace(calibrated_rig(assessment.calibration), mount=mount)
+        quality = planes_quality(assessment)
+        write_rig(outputs.output, rig, extra=quality, force=options.force, inputs=[*files, *images.paths])
+        if outputs.report is not None:
+            from ringpose.report.planes import planes_report
+
+            write_page(outputs.report, planes_report(assessment), force=options.force)
         if not options.quiet:
             _say_number(stripes)
         batch.record_status(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
-
-
-def _say_remarks(stripes: "StripeShots") -> None:
-    """What each shot lacks: the reason, if no planes can be estimated."""
-    from ringpose.cli import messages
-
-    for view in stripes.views:
-        for remark in view.remarks:
-            messages.echo(f"{view.board.name}: {remark}")
 
 
 def _say_number(stripes: "StripeShots") -> None:
@@ -223,28 +224,6 @@ def _say_number(stripes: "StripeShots") -> None:
         number = f"{len(stripes.names)} laser{'s' * (len(stripes.names) > 1)}"
         names = ", ".join(stripes.names)
         messages.echo(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
-
-
-def _write(
-    assessment: "PlanesAssessment",
-    mount: "CameraMount | None",
-    outputs: _Outputs,
-    read: list[Path],
-    force: bool,
-) -> None:
-    from dataclasses import replace
-
-    from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality
-    from ringpose.files.io import write_page
-    from ringpose.files.rigs import write_rig
-
-    rig = replace(calibrated_rig(assessment.calibration), mount=mount)
-    files = [outputs.camera, *([outputs.mount] if outputs.mount else []), *read]
-    write_rig(outputs.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
-    if outputs.report is not None:
-        from ringpose.report.planes import planes_report
-
-        write_page(outputs.report, planes_report(assessment), force=force)
 
 
 def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
