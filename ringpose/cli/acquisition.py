@@ -24,8 +24,7 @@ from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
-from ringpose.files.inputs import Input, Problem, inputs
-from ringpose.files.sources import path_of_input
+from ringpose.files.inputs import Input, Problem, inputs, path_of_input
 from ringpose.types.image import Shot
 from ringpose.types.options import STDIN
 from ringpose.types.sequence import Step, steps_of
@@ -134,7 +133,7 @@ def _simulated(scene_file: Path, request: CaptureRequest) -> Source:
 def _served(request: CaptureRequest) -> Source:
     """The frames of an image server, which switches the lasers itself; shots have the names that it gives them."""
     from ringpose.capture.cameras.tcp import TcpCamera
-    from ringpose.files.secrets import read_secret
+    from ringpose.files.io import read_secret
 
     if request.lasers not in (None, "sim:"):
         raise UsageError("--lasers", f'"{request.lasers}" cannot light a simulated scene', "leave it out")

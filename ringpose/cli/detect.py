@@ -129,7 +129,7 @@ class DetectInput:
     def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
         """Read and search one input."""
         from ringpose.files.images.shots import read_shot
-        from ringpose.files.sources import path_of_input
+        from ringpose.files.inputs import path_of_input
 
         path = path_of_input(item)
         shot = read_shot(path, self.channel, self.rig_of_shots)

@@ -60,10 +60,10 @@ def view(
     from ringpose.files import atomic, records
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
+    from ringpose.files.inputs import path_of_input
     from ringpose.files.records.poses import pose_line_of
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
-    from ringpose.files.sources import path_of_input
     from ringpose.report.replay import replay_page
 
     if html is not None:

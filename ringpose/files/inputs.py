@@ -55,6 +55,13 @@ def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator
             yield from _opened(Path(argument), suffixes)
 
 
+def path_of_input(item: Input) -> Path:
+    """The path of an input that must be a file; a record is rejected."""
+    if isinstance(item, Path):
+        return item
+    raise DataError(item.location, "is a record", "give the name of a shot or image")
+
+
 def _listed_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     if sys.stdin is None:
         yield NoInputError("standard input", "is closed")

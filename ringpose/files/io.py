@@ -5,6 +5,7 @@ import errno
 import hashlib
 import io
 import shlex
+import stat
 import sys
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
@@ -16,6 +17,8 @@ from ringpose.files import atomic, records
 
 MAX_BYTES = 2**31
 """Four times the size of the largest allowed shot, uncompressed."""
+
+MIN_SECRET_BYTES = 16
 
 _CANNOT_OPEN = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 
@@ -45,6 +48,17 @@ def _check_length(path: Path) -> None:
         raise NoInputError(str(path), "is a device, must be a file")
     if path.stat().st_size > MAX_BYTES:
         raise DataError(str(path), f"has more than {MAX_BYTES >> 30} GiB", "split it")
+
+
+def read_secret(path: Path) -> bytes:
+    """The contents of a secret's file without white space at its ends; rejected if short or readable by others."""
+    secret = read_bytes(path).strip()
+    if len(secret) < MIN_SECRET_BYTES:
+        found = f"is a secret of {len(secret)} bytes, must have at least {MIN_SECRET_BYTES}"
+        raise DataError(str(path), found, "make one: head -c 32 /dev/urandom | base64 >FILE")
+    if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise DataError(str(path), "is a secret that other users can read", f"chmod 600 {path}")
+    return secret
 
 
 def csv_text(rows: Iterable[Sequence[str | float | int | bool]]) -> str:

@@ -1,7 +1,5 @@
 """Inputs of pose estimation: detections, shots or images, distinguished by their contents."""
 
-from pathlib import Path
-
 from ringpose.errors import DataError
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot, shot_of
 from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
@@ -27,13 +25,6 @@ def read_source(item: Input, rig: Rig, channel: str | None) -> Shot | Detection:
     if is_detection(archive):
         return _checked_detection(detection_in(archive), rig, str(item))
     return shot_of(archive, rig)
-
-
-def path_of_input(item: Input) -> Path:
-    """The path of an input that must be a file; a record is rejected."""
-    if isinstance(item, Path):
-        return item
-    raise DataError(item.location, "is a record", "give the name of a shot or image")
 
 
 def _checked_detection(detection: Detection, rig: Rig, location: str) -> Detection:

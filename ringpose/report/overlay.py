@@ -249,7 +249,7 @@ def pose_in_camera_frame(line: PoseLine, rig: Rig) -> RingPose | None:
 
 
 def _draw_ring(picture: UInt8[Array, "row column 3"], pose: RingPose, camera: Camera) -> None:
-    """The projected edges, as far as the pose determines them."""
+    """Draw the projected edges, as far as the pose determines them."""
     if not np.isfinite([*pose.center_m, *pose.normal]).all():
         return
     angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS + 1)
@@ -341,7 +341,7 @@ def _wrapped(picture: UInt8[Array, "row column 3"], text: str) -> list[str]:
 
 
 def _write(picture: UInt8[Array, "row column 3"], text: str, position: Float64[Array, "2"], color: Color) -> None:
-    """Write a text, moved into the picture where it would leave it."""
+    """Draw a text, shifted where necessary so that it lies inside the picture."""
     ascii_text = text.encode("ascii", "replace").decode()
     size = 0.45 * _scale(picture)
     (width, height), _ = cv2.getTextSize(ascii_text, _FONT, size, 1)

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from ringpose.calibrate.planes.acceptance import GOOD_DEPTH_SHARE, GOOD_SHARE
+from ringpose.calibrate.acceptance import PLANES_LIMITS
 from ringpose.calibrate.planes.covariance import worst_depth_sd_m
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
 from ringpose.report.figures import canvas, drawn, png_of
@@ -69,7 +69,9 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
         held_out = [1e6 * float(np.mean(view.held_out_m)) for view in laser.views]
         axis.plot(middle, held_out, "o", color="tab:red", label="mean of a view, held out")
         axis.axhline(0, color="black", linewidth=0.6)
-        _limits(axis, 1e6 * GOOD_SHARE * float(np.mean(middle)), "good limit of the held-out rms")
+        _limits(
+            axis, 1e6 * PLANES_LIMITS["held_out_rms_m"][0] * float(np.mean(middle)), "good limit of the held-out rms"
+        )
         axis.set_ylabel(f"{drawn(laser.name)}: residual (um)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     axes[-1].set_xlabel("distance (m)")
@@ -125,7 +127,13 @@ def _depths(calibration: PlanesCalibration) -> Picture:
     axis = figure.subplots()
     for laser, worst in zip(calibration.lasers, found, strict=True):
         axis.plot(distances_m, 1e3 * worst, label=drawn(laser.name))
-    axis.plot(distances_m, 1e3 * GOOD_DEPTH_SHARE * np.array(distances_m), "--", color="tab:red", label="good limit")
+    axis.plot(
+        distances_m,
+        1e3 * PLANES_LIMITS["depth_sd_m"][0] * np.array(distances_m),
+        "--",
+        color="tab:red",
+        label="good limit",
+    )
     axis.axvspan(min(seen), max(seen), color="tab:green", alpha=0.1, label="boards")
     axis.set_xlabel("distance (m)")
     axis.set_ylabel("standard deviation of depth (mm)")

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.layout import is_white, marker_corners, outline_m
-from ringpose.calibrate.boards.markers import marker_dictionary
+from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.kernels.render import TargetTables
 from ringpose.simulate.target.parts import target_tables
 from ringpose.types.arrays import Array, Float64, UInt8

@@ -119,13 +119,15 @@ def trace_of_shot() -> list[str]:
 
 
 def trace_of_planes() -> list[str]:
-    """The module of each call during a whole calibration of the light planes."""
+    """The module of each call during a calibration of the light planes after another one, which imports the modules."""
     board = DATA / "calib_b"
     shots = sorted(map(str, (board / "planes").glob("*.npz")))
     with tempfile.TemporaryDirectory() as folder:
         known = ["--board", str(board / "plane_board.yaml"), "--camera", str(DATA / "rig_b" / "rig.yaml")]
         rig = str(Path(folder) / "rig.yaml")
-        return trace(["calibrate-planes", *shots, *known, *ORDER, "--output", rig, "--quiet"], io.StringIO())
+        words = ["calibrate-planes", *shots, *known, *ORDER, "--output", rig, "--quiet", "--force"]
+        run(words, io.StringIO())
+        return trace(words, io.StringIO())
 
 
 def run(arguments: Sequence[str], output: io.StringIO) -> None:

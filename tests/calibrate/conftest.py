@@ -127,7 +127,7 @@ def stripe_views(board_view, plane_board) -> Callable[..., list[StripeView]]:
     return views
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def drawn_board() -> Callable[[Board], np.ndarray]:
     """Draws a board from above, 2 pixels a millimetre, with a white rim of 40 pixels."""
 

@@ -1,11 +1,13 @@
 """`ringpose calibrate-planes`: errors, reasons, exit statuses."""
 
+import contextlib
+import io
 import re
 
 import cv2
 import numpy as np
 import pytest
-from plane_views import ORDER, calibrate, calibrated, written
+from plane_views import ORDER, calibrate, calibrated, copy_views, written
 
 ROWS = ((550, 1200), (230, 550), (0, 230))
 """Between which rows the carried views have the stripes of left, middle and right."""
@@ -46,25 +48,47 @@ def test_one_shot_is_one_line_and_is_refused(plane_folder, capsys):
     assert "add a view of the board 50 mm or more nearer or farther than 0.5" in stderr
 
 
-def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(plane_folder, capsys):
-    with np.load("planes/pln_B_01.npz") as shot:
-        np.savez("planes/dark.npz", **{**shot, "images": np.zeros_like(shot["images"])})
+@pytest.fixture(scope="module")
+def poor_shots(carried_data, tmp_path_factory):
+    """Status, messages and quality of a calibration to which shots with one defect each are added."""
+    folder = tmp_path_factory.mktemp("poor")
+    copy_views(carried_data, folder)
+    planes = folder / "planes"
+    with np.load(planes / "pln_B_01.npz") as shot:
+        dark, lit = shot["images"]
+        row, column = np.indices(dark.shape)
+        glow = 100 * np.exp(-((row - 450) ** 2 + (column - 800) ** 2) / (2 * 60**2))  # 141 px wide at half its height
+        images = {
+            "black": np.zeros((2, *dark.shape), np.uint8),
+            "unlit": np.stack([dark, dark // 2]),
+            "weak": np.stack([dark, np.maximum(dark, lit // 60)]),
+            "blurred": np.stack([dark, cv2.add(dark, glow.astype(np.uint8))]),
+            "full": np.stack([dark, np.full_like(lit, 255)]),
+        }
+        for name, pair in images.items():
+            np.savez(planes / f"{name}.npz", **{**shot, "images": pair})
+    err = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stderr(err):
+        status = calibrate("planes", *ORDER)
+    return status, err.getvalue(), written(folder)["quality"]
 
-    status = calibrate("planes", *ORDER)
+
+def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(poor_shots):
+    status, stderr, quality = poor_shots
 
     assert status == 3
-    assert "ringpose: dark: no board: too dark" in capsys.readouterr().err
-    assert written(plane_folder)["quality"]["without_board"][0]["name"] == "dark"
+    assert "ringpose: black: no board: too dark" in stderr
+    assert quality["without_board"][0]["name"] == "black"
 
 
-def test_a_shot_without_stripes_is_named_in_the_summary(plane_folder, capsys):
-    with np.load("planes/pln_B_01.npz") as shot:
-        np.savez("planes/unlit.npz", **{**shot, "images": shot["images"][[0, 0]]})
+def test_a_shot_without_stripes_is_named_with_the_reason(poor_shots):
+    _, stderr, _ = poor_shots
 
-    status = calibrate("planes", *ORDER)
-
-    assert status == 3
-    assert "unlit: no stripe of left, middle, right" in capsys.readouterr().err
+    assert "unlit: no stripe of left, middle, right" in stderr
+    assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in stderr
+    assert "of the board is saturated" in stderr
+    width_px = re.search(r"blurred: .* where 3 lasers are on: blurred, or not the lasers' light: (\d+) px wide", stderr)
+    assert float(width_px[1]) == pytest.approx(141, abs=15)
 
 
 def test_a_wrong_order_is_wrong_usage(plane_folder, capsys):
@@ -107,14 +131,6 @@ def test_a_camera_without_covariance_cannot_be_freed(plane_folder, capsys):
     assert "has no covariance" in capsys.readouterr().err
 
 
-def test_the_papers_method_needs_a_board_of_markers_alone(plane_folder, capsys):
-    (plane_folder / "plane_board.yaml").write_text(
-        "{kind: charuco, squares_x: 8, squares_y: 6, square_m: 0.02, marker_m: 0.01, dictionary: DICT_4X4_50}"
-    )
-
-    assert calibrate("planes", *ORDER, "--method", "paper") == 2
-
-
 @pytest.mark.parametrize("missing", ["--output", "--camera", "INPUT"])
 def test_what_is_missing_is_named(missing, plane_folder, capsys):
     words = {"--output": "rig.yaml", "--camera": "camera.yaml", "INPUT": "planes"}
@@ -122,26 +138,6 @@ def test_what_is_missing_is_named(missing, plane_folder, capsys):
 
     assert calibrated(*given) == 2
     assert f"{missing}: is missing" in capsys.readouterr().err
-
-
-def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(plane_folder, capsys):
-    with np.load("planes/pln_B_01.npz") as shot:
-        dark, lit = shot["images"]
-        np.savez("planes/weak.npz", **{**shot, "images": np.stack([dark, np.maximum(dark, lit // 60)])})
-        row, column = np.indices(dark.shape)
-        glow = 100 * np.exp(-((row - 450) ** 2 + (column - 800) ** 2) / (2 * 60**2))  # 141 px wide at half its height
-        spread = cv2.add(dark, glow.astype(np.uint8))
-        np.savez("planes/blurred.npz", **{**shot, "images": np.stack([dark, spread])})
-        flooded = np.full_like(lit, 255)
-        np.savez("planes/full.npz", **{**shot, "images": np.stack([dark, flooded])})
-
-    calibrate("planes", *ORDER)
-
-    stderr = capsys.readouterr().err
-    assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in stderr
-    assert "of the board is saturated" in stderr
-    width_px = re.search(r"blurred: .* where 3 lasers are on: blurred, or not the lasers' light: (\d+) px wide", stderr)
-    assert float(width_px[1]) == pytest.approx(141, abs=15)
 
 
 @pytest.mark.parametrize(
@@ -161,36 +157,17 @@ def test_expected_angles_that_no_lasers_have_are_refused(angles, finding, plane_
 
 
 def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance(plane_folder, capsys):
-    for name in ("pln_B_01", "pln_B_03", "pln_B_05"):
+    for name in ("pln_B_01", "pln_B_05"):
         dark, lit = np.load(f"planes/{name}.npz")["images"]
         red = np.where(lit > dark + 12, lit, 40).astype(np.uint8)
         cv2.imwrite(f"planes/{name}.png", np.dstack([dark, dark, red]))
-        (plane_folder / "planes" / f"{name}.npz").unlink()
+    for path in (plane_folder / "planes").glob("*.npz"):
+        path.unlink()
 
     calibrate("planes", *ORDER, "--laser-names", "left,middle,right", "--channel", "r", "--verbose")
 
     assert "no board" not in (stderr := capsys.readouterr().err)
     assert "pln_B_01: 16 corners, 3 stripes" in stderr
-
-
-def test_a_shot_with_exchanged_lasers_is_named_and_the_rest_is_used(plane_folder, switched_shots, capsys):
-    exchange("planes/pln_B_03.npz", [2, 1, 4])
-
-    status = calibrate("planes")
-
-    stderr = capsys.readouterr().err
-    assert status == 65
-    assert "ringpose: pln_B_03: left and middle are exchanged against the other shots" in stderr
-    assert "; left out: see how its lasers were switched" in stderr
-    assert [view["name"] for view in written(plane_folder)["quality"]["boards"]] == ["pln_B_01", "pln_B_05"]
-
-
-def test_an_exchange_is_said_though_quiet_is_asked_for(plane_folder, switched_shots, capsys):
-    exchange("planes/pln_B_03.npz", [2, 1, 4])
-
-    calibrate("planes", "--quiet")
-
-    assert "pln_B_03: left and middle are exchanged" in capsys.readouterr().err
 
 
 def test_a_laser_that_is_never_lit_is_named_with_what_each_shot_showed(plane_folder, switched_shots, capsys):
@@ -236,18 +213,6 @@ def test_a_working_distance_that_is_none_is_wrong_usage(distance, plane_folder, 
     assert "--working-distance" in capsys.readouterr().err
 
 
-def test_a_shot_in_which_the_board_moved_is_named_and_the_rest_is_used(plane_folder, capsys):
-    with np.load("planes/pln_B_03.npz") as shot:
-        dark, lit = shot["images"]
-        np.savez("planes/moved.npz", **{**shot, "images": np.stack([dark, np.roll(lit, 3, axis=1)])})
-
-    status = calibrate("planes", *ORDER)
-
-    assert status == 65
-    assert "moved: the board, or the camera, moved by 3.0 px between its frames; left out" in capsys.readouterr().err
-    assert len(written(plane_folder)["quality"]["boards"]) == 3
-
-
 def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switched_shots, capsys):
     for file in sorted((plane_folder / "planes").glob("*.npz")):
         with np.load(file) as shot:
@@ -258,3 +223,23 @@ def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switch
 
     note = "2 lasers by the shots' masks (laser_1, laser_2); if there are more, name all (--laser-names)"
     assert note in capsys.readouterr().err
+
+
+def test_a_shot_in_which_the_board_moved_is_named_though_quiet_is_asked_for(plane_folder, capsys):
+    with np.load("planes/pln_B_03.npz") as shot:
+        dark, lit = shot["images"]
+        np.savez("planes/moved.npz", **{**shot, "images": np.stack([dark, np.roll(lit, 3, axis=1)])})
+
+    status = calibrate("planes", *ORDER, "--quiet")
+
+    assert status == 65
+    assert "moved: the board, or the camera, moved by 3.0 px between its frames; left out" in capsys.readouterr().err
+    assert len(written(plane_folder)["quality"]["boards"]) == 3
+
+
+def test_exchanged_lasers_in_one_of_three_shots_are_refused(plane_folder, switched_shots, capsys):
+    exchange("planes/pln_B_03.npz", [2, 1, 4])
+
+    assert calibrate("planes") == 65
+    assert "exchanged in one of the shots" in capsys.readouterr().err
+    assert not (plane_folder / "rig.yaml").exists()

@@ -90,10 +90,9 @@ def test_the_mount_becomes_part_of_the_rig(plane_folder):
 
 
 def test_poses_in_the_tools_frame_are_those_in_the_cameras_moved(plane_folder, carried_data, capsys):
-    (plane_folder / "mount.yaml").write_text(
-        "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
-    )
-    calibrate("planes", *ORDER, "--mount", "mount.yaml")
+    rig = (plane_folder / "camera.yaml").read_text()
+    mount = "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}\n"
+    (plane_folder / "rig.yaml").write_text(rig + mount)
     shot = str(carried_data / "rig_b" / "shots" / "B_z0500_p01_dim.npz")
     capsys.readouterr()
 

@@ -11,7 +11,7 @@ import pytest
 from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
 from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import UsageError
-from ringpose.files.board_prints import pdf, write_board_print
+from ringpose.files.boards import pdf, write_board_print
 from ringpose.types.board import Board, BoardView
 
 BOARDS = {

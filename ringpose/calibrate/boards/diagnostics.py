@@ -1,18 +1,16 @@
 """Diagnostics for images without a usable board: the reason as text, with the measured numbers."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.chessboard import Grid, largest_grid
-from ringpose.calibrate.boards.circles import brightened, opencv_ellipse_centers
-from ringpose.calibrate.boards.image_patch import GreyImage
-from ringpose.calibrate.boards.layout import corner_points, marker_corners
-from ringpose.calibrate.boards.markers import Markers, find_markers, marker_dictionary
+from ringpose.calibrate.boards.layout import marker_corners
+from ringpose.calibrate.boards.patterns.chessboard import largest_grid
+from ringpose.calibrate.boards.patterns.circles import brightened
+from ringpose.calibrate.boards.patterns.image_patch import GreyImage
+from ringpose.calibrate.boards.patterns.markers import Markers, find_markers, marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
@@ -39,28 +37,6 @@ _FAMILIES = tuple(
 _MIN_MARKERS = 3
 """Minimum number of markers of another dictionary, or of mirrored ones: one or two may be false detections."""
 
-MIN_GRID = 2
-"""Minimum number of circles along a side of the grids that are tried."""
-
-MAX_MISFIT = 0.2
-"""Maximum rms misfit of a grid of circles in spacings: distortion causes less, wrong rows are off by a half or more."""
-
-MIN_CONTINUATION = 0.5
-"""Contrast of neighbouring squares beyond the corners found, over that of the squares found, above which they are
-squares of the board."""
-
-SURE_CONTINUATION = 0.8
-"""The same for squares beyond rows without contrast; at most the reciprocal."""
-
-MAX_COVERED_ROWS = 2
-"""Number of rows without contrast, covered by an object, beyond which squares are still searched."""
-
-_MAX_ROWS = 20
-"""Number of rows of squares that are searched beyond the corners found."""
-
-_SQUARE_SMOOTHING = 0.15
-"""Standard deviation of the smoothing before that, in sides of a square."""
-
 _SMOOTHING_PX = 1.0
 
 _STEEPEST = 99.9
@@ -81,10 +57,8 @@ class BoardFailure(Enum):
     MIRRORED = "the image is mirrored: its mirror image shows the board's markers; turn the camera's flip off"
     OTHER_LAYOUT = "the markers do not lie as on the board of the board file"
     FEW_CORNERS = "too few of the board's corners found"
-    CUT_OFF = "the board is cut off by the image's rim"
-    COVERED = "part of the pattern is covered or glares"
     OTHER_SIZE = "a pattern of another size than that of the board file"
-    NOT_WHOLE = "the pattern is not found; all of it must be in the image, and its size must be that of the board file"
+    NOT_WHOLE = "the whole pattern is not found; it must be in the image, uncovered, and of the size in the board file"
     BLURRED = "blurred"
 
 
@@ -102,13 +76,6 @@ class NoBoard:
     def value(self) -> str:
         """The reason as a sentence for the user, with what was found instead."""
         return f"{self.failure.value} ({self.found})" if self.found else self.failure.value
-
-
-def too_small(grey: GreyImage) -> NoBoard | None:
-    """The failure of an image that is too small for any board."""
-    if min(grey.shape) >= MIN_SIZE_PX:
-        return None
-    return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
 
 
 def unusable(grey: GreyImage, seen: NoBoard) -> NoBoard | None:
@@ -147,104 +114,18 @@ def pattern_failure(grey: GreyImage, board: Board) -> NoBoard:
     width_px = edge_width_px(grey)
     grid = largest_grid(grey)
     if grid is not None:
-        return _partial_chessboard(grey, grid, board, width_px)
+        rows, columns = sorted(grid.shape[:2])
+        few, many = sorted((board.squares_x or 0, board.squares_y or 0))
+        found = f"{columns} x {rows} of {many - 1} x {few - 1} inner corners, {edge_width_in_words(width_px)}"
+        failure = BoardFailure.BLURRED if width_px > BLURRED_PX else BoardFailure.NOT_WHOLE
+        if rows >= few or columns >= many:
+            failure = BoardFailure.OTHER_SIZE
+        return NoBoard(failure=failure, found=found, points_px=grid.reshape(-1, 2))
     other = _other_markers(grey)
     if other:
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
     failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
     return NoBoard(failure=failure, found=edge_width_in_words(width_px))
-
-
-class _Side(NamedTuple):
-    """Extent of a chessboard beyond the corners found, to one side."""
-
-    squares: int
-    """Number of rows of squares."""
-    cut: bool
-    """Whether the image ends before the board is seen to end."""
-    pierced: bool
-    """Whether it ends in the first of these rows."""
-
-
-def _partial_chessboard(grey: GreyImage, grid: Grid, board: Board, width_px: float) -> NoBoard:
-    """The failure if part of a chessboard, or one of another size, was found."""
-    side_px = float(np.linalg.norm(np.diff(grid, axis=1), axis=-1).min())
-    smooth = cv2.GaussianBlur(grey, (0, 0), max(_SQUARE_SMOOTHING * side_px, 0.5)).astype(np.float64)
-    down = grid.swapaxes(0, 1)
-    sides = [_side(smooth, turned) for turned in (grid[:, ::-1], grid, down[:, ::-1], down)]
-    rows, columns = grid.shape[:2]
-    squares = (columns - 1 + sides[0].squares + sides[1].squares, rows - 1 + sides[2].squares + sides[3].squares)
-    wanted = (board.squares_x or 0, board.squares_y or 0)
-    failure = _partial_failure(sides, squares, wanted, blurred=bool(width_px > BLURRED_PX))
-    few, many = sorted(wanted)
-    corners = f"{max(rows, columns)} x {min(rows, columns)} of {many - 1} x {few - 1} inner corners"
-    found = f"{corners}, {edge_width_in_words(width_px)}"
-    if failure is BoardFailure.OTHER_SIZE:
-        found += f"; it ends at {max(squares)} x {min(squares)} squares, squares_x and squares_y are "
-        found += f"{wanted[0]} and {wanted[1]}"
-    return NoBoard(failure=failure, found=found, points_px=grid.reshape(-1, 2))
-
-
-def _partial_failure(
-    sides: Sequence[_Side], squares: tuple[int, int], wanted: tuple[int, int], *, blurred: bool
-) -> BoardFailure:
-    """The failure from the numbers of squares seen and expected, in either orientation of the board.
-
-    `sides` are left, right, top and bottom of the grid of corners.
-    """
-    across, down = squares
-    missing = [
-        (columns - across, rows - down)
-        for columns, rows in (wanted, wanted[::-1])
-        if columns >= across and rows >= down
-    ]
-    if not missing:
-        return BoardFailure.OTHER_SIZE
-    pierced = any(side.pierced for side in sides)
-    cut_across, cut_down = sides[0].cut or sides[1].cut, sides[2].cut or sides[3].cut
-    for columns, rows in missing:  # may all missing squares be outside the image?
-        outside = (cut_across or not columns) and (cut_down or not rows)
-        if outside if columns or rows else pierced:
-            return BoardFailure.CUT_OFF
-    if blurred:
-        return BoardFailure.BLURRED
-    whole = all(side.squares == 1 for side in sides)
-    return BoardFailure.OTHER_SIZE if whole and all(any(pair) for pair in missing) else BoardFailure.COVERED
-
-
-def _side(smooth: Float64[Array, "row column"], grid: Grid) -> _Side:
-    """Extent of the board beyond the last column of corners, along the lattice of the corners found."""
-    rows, columns = grid.shape[:2]
-    lattice = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(np.float64)
-    homography = np.asarray(cv2.findHomography(lattice, grid.reshape(-1, 2))[0], dtype=np.float64)
-    own = [_contrast(smooth, homography, column, rows) for column in range(columns - 1)]
-    sign = np.sign(own[-1]) / max(float(np.median(np.abs(own))), 1.0)
-    first = columns - 1
-    outside = (row for row in range(_MAX_ROWS) if not _inside(smooth.shape, homography, first + row, rows))
-    inside = next(outside, _MAX_ROWS)
-    last = 0  # the last corners imply a first row of squares, even if it has no contrast
-    for row in range(1, inside):
-        step = sign * (-1) ** (row + 1) * _contrast(smooth, homography, first + row, rows)
-        next_row = step > MIN_CONTINUATION and row == last + 1
-        if next_row or (SURE_CONTINUATION < step < 1 / SURE_CONTINUATION and row <= last + 1 + MAX_COVERED_ROWS):
-            last = row
-    return _Side(squares=last + 1, cut=inside <= last + 1, pierced=inside == 0)
-
-
-def _contrast(smooth: Float64[Array, "row column"], homography: Float64[Array, "3 3"], column: int, rows: int) -> float:
-    """Median difference of neighbouring squares of a column, with alternating sign."""
-    across = np.arange(rows - 1)
-    centres = np.stack([np.full(len(across), column + 0.5), across + 0.5], axis=-1)
-    x, y = np.rint(cv2.perspectiveTransform(centres[None], homography)[0]).astype(np.int64).T
-    grey = smooth[np.clip(y, 0, smooth.shape[0] - 1), np.clip(x, 0, smooth.shape[1] - 1)]
-    return float(np.median((grey[:-1] - grey[1:]) * (-1.0) ** across[:-1]))
-
-
-def _inside(shape: tuple[int, ...], homography: Float64[Array, "3 3"], column: int, rows: int) -> bool:
-    """Whether the outer corners of a column of squares are in the image."""
-    corners = np.stack([np.full(rows, column + 1.0), np.arange(rows, dtype=np.float64)], axis=-1)
-    corners_px = cv2.perspectiveTransform(corners[None], homography)[0]
-    return bool(((corners_px > 0) & (corners_px < np.array([shape[1] - 1, shape[0] - 1]))).all())
 
 
 def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers) -> NoBoard:
@@ -318,30 +199,6 @@ def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
     found = f"{len(circles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
     found += f", {edge_width_in_words(width_px)}"
     failure = BoardFailure.NOT_WHOLE
-    other = _other_grid(grey, board, len(circles_px))
-    if other is not None:
-        part = other[0] <= columns and other[1] <= rows
-        failure = BoardFailure.NOT_WHOLE if part else BoardFailure.OTHER_SIZE
-        found += f"; they lie as {other[0]} x {other[1]} would: squares_x and squares_y"
-    elif len(circles_px) < columns * rows and BLURRED_PX < width_px < np.inf:
+    if len(circles_px) < columns * rows and BLURRED_PX < width_px < np.inf:
         failure = BoardFailure.BLURRED
     return NoBoard(failure=failure, found=found, points_px=circles_px)
-
-
-def _other_grid(grey: GreyImage, board: Board, number: int) -> tuple[int, int] | None:
-    """Columns and rows of another grid with this number of circles that fits the image; None if there is none."""
-    for columns in range(MIN_GRID, number // MIN_GRID + 1):
-        rows, left = divmod(number, columns)
-        if left or (columns, rows) == (board.squares_x, board.squares_y):
-            continue
-        ellipses_px = opencv_ellipse_centers(grey, columns, rows)
-        centers_m = corner_points(replace(board, squares_x=columns, squares_y=rows))[:, :2]
-        if ellipses_px is None:
-            continue
-        board_from_image: Any = cv2.findHomography(ellipses_px, centers_m)[0]
-        if board_from_image is not None:
-            mapped_m = cv2.perspectiveTransform(ellipses_px.reshape(1, -1, 2), board_from_image).reshape(-1, 2)
-            rms_m = np.sqrt(np.mean(np.sum((mapped_m - centers_m) ** 2, axis=1)))
-            if rms_m < MAX_MISFIT * (board.spacing_m or 1.0):
-                return columns, rows
-    return None

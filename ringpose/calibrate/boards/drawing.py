@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.layout import corner_points, is_white, marker_corners, outline_m
-from ringpose.calibrate.boards.markers import marker_dictionary
+from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 

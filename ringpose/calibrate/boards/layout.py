@@ -12,7 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.markers import Markers
+from ringpose.calibrate.acceptance import BOARD_LIMITS, check
+from ringpose.calibrate.boards.patterns.markers import Markers
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Check
@@ -20,12 +21,6 @@ from ringpose.types.verdict import Check
 MAX_MISFIT = 0.25
 """Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1
 for another board."""
-
-MAX_SIZE_ERROR = 0.03
-"""Limit of the relative error of the markers' size against their spacing: unrefined corners alone cause 0.01."""
-
-FAIL_SIZE_ERROR = 0.1
-"""Relative error of the markers' size with which the board file must be corrected."""
 
 CORNER_ERROR_PX = 1.0
 """Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
@@ -172,12 +167,8 @@ def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
     if not ratios:
         return ()
     width, height = np.median(ratios, axis=0).tolist()
-    finding = Check(
-        name="marker_size_error",
-        value=max(abs(width - 1), abs(height - 1)),
-        pass_limit=MAX_SIZE_ERROR,
-        fail_limit=FAIL_SIZE_ERROR,
-        advice=f"relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
-        "marker_m: measure the print, a size in the board file is wrong",
+    advice = (
+        f"relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
+        "marker_m: measure the print, a size in the board file is wrong"
     )
-    return (finding,)
+    return (check(BOARD_LIMITS, "marker_size_error", max(abs(width - 1), abs(height - 1)), advice),)

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.image_patch import patch_around
+from ringpose.calibrate.boards.patterns.image_patch import patch_around
 from ringpose.calibrate.boards.views import find_board, grey_8_bit
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.board import Board, BoardView

@@ -5,22 +5,28 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.chessboard import chessboard_corners, refined_corners
-from ringpose.calibrate.boards.circles import circle_centers
 from ringpose.calibrate.boards.diagnostics import (
+    MIN_SIZE_PX,
     BoardFailure,
     NoBoard,
     charuco_failure,
     circle_failure,
     marker_failure,
     pattern_failure,
-    too_small,
     unusable,
 )
-from ringpose.calibrate.boards.image_patch import GreyImage
 from ringpose.calibrate.boards.layout import corner_points, marker_corners, marker_layout, other_layout
-from ringpose.calibrate.boards.marker_edges import corners_from_sides
-from ringpose.calibrate.boards.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
+from ringpose.calibrate.boards.patterns.chessboard import chessboard_corners, refined_corners
+from ringpose.calibrate.boards.patterns.circles import circle_centers
+from ringpose.calibrate.boards.patterns.image_patch import GreyImage
+from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
+from ringpose.calibrate.boards.patterns.markers import (
+    Markers,
+    find_markers,
+    marker_count,
+    marker_dictionary,
+    markers_of,
+)
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
@@ -40,9 +46,8 @@ _SATURATION_WINDOW_PX = 9
 def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
     """The corners of the board in the image, in pixels and in the board frame, or the reason why there are none."""
     grey = grey_8_bit(image)
-    small = too_small(grey)
-    if small is not None:
-        return small
+    if min(grey.shape) < MIN_SIZE_PX:
+        return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
     try:
         found = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
     except cv2.error as error:

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import BOARD_LIMITS, check
 from ringpose.calibrate.boards.corner_errors import whiten
 from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution, view_equations
 from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
-from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
     cross_validation,
@@ -41,10 +41,6 @@ EXACT_PX = 1e-4
 DISTANCES_M = (0.2, 0.5, 1.0)
 """Default distances for the projection uncertainty in metres."""
 
-
-FLAT_SIGMAS = 5.0
-"""Limit of the significance of a board's bow, the root of chi-squared of its three coefficients: for flat boards 1.5 on
-average, rarely 4."""
 
 CELL_COLUMNS = 8
 """Cells across the image; the number of rows makes them nearly square."""
@@ -88,7 +84,6 @@ def camera_assessment(
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, whole, model, where) if compare else None,
         board=(
-            other_camera_finding(calibration, boards),
             *marker_size_findings(boards),
             bow_finding(used, whole, model, _widening(disagreement, len(used))),
         ),
@@ -137,13 +132,8 @@ def bow_finding(
     points_m = np.concatenate([view.points_board_m for view in used])
     centered_m = points_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2
     height_m = float(np.ptp(_surface_heights(centered_m) @ (bow / scale[-3:])))
-    return Check(
-        name="bow_sigmas",
-        value=significance / widening,
-        pass_limit=FLAT_SIGMAS,
-        fail_limit=np.inf,
-        advice=f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate",
-    )
+    advice = f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate"
+    return check(BOARD_LIMITS, "bow_sigmas", significance / widening, advice)
 
 
 def _bow_equations(

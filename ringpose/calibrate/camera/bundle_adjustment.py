@@ -46,7 +46,7 @@ _DAMPINGS = (0.0, 1e-6, 1e-4, 1e-2)
 """Levenberg-Marquardt dampings, tried in turn until chi-squared falls."""
 
 _MIN_STEP = 1e-6
-"""Squared Mahalanobis length of a step below which the iteration has converged."""
+"""Squared Mahalanobis length of a step of camera and poses below which the iteration has converged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,22 +96,26 @@ def blank_camera(camera_name: str, image_width: int, image_height: int, model: C
     )
 
 
-def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraModel) -> CameraSolution:
+def camera_solution(
+    views: Sequence[BoardView], start: Camera, model: CameraModel, poses: Sequence[BoardPose] = ()
+) -> CameraSolution:
     """Maximum-likelihood camera and board poses.
 
     Each view is weighted by its own standard deviation, and corners of a marker by the covariance of their errors.
-    Start values are the given camera, or, if it is blank, OpenCV's bundle adjustment with equal, independent corners.
+    Start values are the given camera, or, if it is blank, OpenCV's bundle adjustment with equal, independent corners;
+    and the given board poses, or those with the minimum reprojection error.
     """
     if len(views) < MIN_VIEWS:
         found = f"{len(views)} view{'s' * (len(views) != 1)} of the board, at least {MIN_VIEWS} are needed"
         raise undetermined(found, "; ten or more are good")
     camera = start if start.camera_matrix[0, 0] > 1 else _opencv_camera(views, start, model)
+    poses = poses or [board_pose(without_distortion_bias(view, camera), camera) for view in views]
     sigma_px = np.ones(len(views))
-    for _ in range(1 + _REWEIGHTINGS):
+    for _ in range(2 + _REWEIGHTINGS):
         corrected = [without_distortion_bias(view, camera) for view in views]
-        solution = _adjusted(corrected, camera, model, sigma_px)
-        camera, sigma_px = solution.camera, solution.view_sigma_px
-    return _adjusted([without_distortion_bias(view, camera) for view in views], camera, model, sigma_px)
+        solution = _adjusted(corrected, camera, poses, model, sigma_px)
+        camera, poses, sigma_px = solution.camera, solution.poses, solution.view_sigma_px
+    return solution
 
 
 def _opencv_camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera:
@@ -147,29 +151,37 @@ class _State(NamedTuple):
     """Camera and poses of one iteration, and the equations linearised there."""
 
     camera: Camera
-    poses: list[BoardPose]
+    poses: Sequence[BoardPose]
     equations: list[ViewEquations]
     information: Float64[Array, "view parameter parameter"]
     gradient: Float64[Array, "view parameter"]
     chi2: float
+    chi2_of_poses: float
+    """Part of chi-squared by which the optimal step of the poses alone would reduce it."""
 
 
 def _adjusted(
-    views: Sequence[BoardView], camera: Camera, model: CameraModel, sigma_px: Float64[Array, "view"]
+    views: Sequence[BoardView],
+    camera: Camera,
+    poses: Sequence[BoardPose],
+    model: CameraModel,
+    sigma_px: Float64[Array, "view"],
 ) -> CameraSolution:
     """Solution for given standard deviations by Gauss-Newton, damped where a full step would increase chi-squared."""
 
-    def linearised(poses: list[BoardPose], camera: Camera) -> _State:
+    def linearised(poses: Sequence[BoardPose], camera: Camera) -> _State:
         several = zip(views, poses, sigma_px.tolist(), strict=True)
         equations = [view_equations(view, pose, camera, sigma) for view, pose, sigma in several]
         reduced = [one.without_pose() for one in equations]
+        chi2 = sum(float(one.residual @ one.residual) for one in equations)
         return _State(
             camera=camera,
             poses=poses,
             equations=equations,
             information=np.array([wrt_camera.T @ wrt_camera for wrt_camera, _ in reduced]),
             gradient=np.array([wrt_camera.T @ residual for wrt_camera, residual in reduced]),
-            chi2=sum(float(one.residual @ one.residual) for one in equations),
+            chi2=chi2,
+            chi2_of_poses=chi2 - sum(float(residual @ residual) for _, residual in reduced),
         )
 
     def moved(state: _State, step: Float64[Array, "parameter"]) -> _State:
@@ -177,11 +189,12 @@ def _adjusted(
         poses = [moved_pose(pose, one.pose_step(step)) for pose, one in pairs]
         return linearised(poses, camera_with(parameters_of(state.camera) + step, state.camera))
 
-    state = linearised([board_pose(view, camera) for view in views], camera)
+    state = linearised(poses, camera)
     for _ in range(_MAX_ITERATIONS):
         information, gradient = state.information.sum(axis=0), state.gradient.sum(axis=0)
         steps = (damped_step(information, gradient, model.free, damping) for damping in _DAMPINGS)
-        if gradient @ damped_step(information, gradient, model.free, 0.0) <= _MIN_STEP:
+        decrease = gradient @ damped_step(information, gradient, model.free, 0.0) + state.chi2_of_poses
+        if decrease <= _MIN_STEP:
             break
         better = next((other for step in steps if (other := moved(state, step)).chi2 < state.chi2), None)
         if better is None:

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.boards.circles import seen_offsets
 from ringpose.calibrate.boards.corner_errors import endpoint_for_correlation, side_normals
+from ringpose.calibrate.boards.patterns.circles import seen_offsets
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64

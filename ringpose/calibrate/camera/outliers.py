@@ -5,16 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.boards.pose import board_pose, residuals
-from ringpose.calibrate.camera.bundle_adjustment import corners_of, view_equations
+from ringpose.calibrate.boards.pose import board_pose
+from ringpose.calibrate.camera.bundle_adjustment import view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
-from ringpose.calibrate.camera.validation import used_views
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.calibration import CameraCalibration
 from ringpose.types.camera import Camera
-from ringpose.types.verdict import Check
 
 VIEW_FACTOR = 2.5
 """A view is rejected if its rms exceeds this multiple of the views' median; in good sets the ratio is below 1.5."""
@@ -31,28 +28,13 @@ CORNER_SIGMAS = 5.0
 MAX_CORNER_SHARE = 0.05
 """Maximum share of corners left out: a wrong distortion model must not be hidden by rejecting what it misfits."""
 
-OTHER_CAMERA_SHARE = 0.2
-"""Share of views from another camera above which it is ambiguous which camera is to be calibrated."""
-
-MIN_FOCAL_DIFFERENCE = 0.002
-"""Relative difference of the focal length below which two cameras are the same."""
-
 MAX_EXPLAINED_FACTOR = 2.0
 """A cause explains a view if it reduces the view's rms below this multiple of the median of the views."""
 
 SATURATED_SHARE = 0.5
 """Share of a view's corners near saturated pixels, above which saturation is given as the cause."""
 
-_SEED_FACTOR = 0.5
-"""A view belongs to another camera if its rms by that camera is below this share of its rms by the calibrated one."""
-
-_GAIN_SIGMAS = 5.0
-"""Significance, in standard deviations, with which a used view fits another camera better."""
-
 _ITERATIONS = 3
-
-_INLIER_TENTHS = 7
-"""Number of tenths of a view's corners that are taken as inliers."""
 
 
 def outlying_view(poses: Sequence[BoardPose]) -> tuple[int, str] | None:
@@ -80,48 +62,6 @@ def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Arra
     return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)
 
 
-def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Check:
-    """Check of the share of views that one other camera explains; `boards` are those of all views, in their order.
-
-    The other camera is estimated from rejected views only; used views that fit it better are counted as well.
-    """
-    camera = calibration.camera
-    used = used_views(calibration, boards)
-    rejected = [board for view, board in zip(calibration.views, boards, strict=True) if view.rejected]
-    usual_px = float(np.median([_rms_px(board, camera) for board in used]))
-    members, other = _other_camera(rejected, camera, MAX_EXPLAINED_FACTOR * usual_px)
-    names = {board.name for board in members}
-    for board in used:  # those that fit the other camera significantly better
-        gain = len(board.ids) * (_rms_px(board, camera) ** 2 - _rms_px(board, other) ** 2)
-        names |= {board.name} if gain > (_GAIN_SIGMAS * usual_px) ** 2 else set()
-    names = names if len(names) > 1 else set()
-    listed = ", ".join(view.name for view in calibration.views if view.name in names)
-    return Check(
-        name="other_camera_share",
-        value=len(names) / len(boards),
-        pass_limit=0.0,
-        fail_limit=OTHER_CAMERA_SHARE,
-        advice=f"views {listed} look like another camera's, or another zoom's: "
-        f"focal length {focal_difference(other, camera)}; calibrate each by itself",
-    )
-
-
-def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float) -> tuple[list[BoardView], Camera]:
-    """The largest group of views that one camera of another focal length fits, and that camera; may be empty."""
-    seeds = [camera_of([board], camera, 1) for board in rejected]
-    turned_px = [_rms_px(turned(board, camera), camera) for board in rejected]
-    # Views that fit better rotated by half a turn have another cause.
-    upright = [one for one, seed, px in zip(rejected, seeds, turned_px, strict=True) if _rms_px(one, seed) < px]
-    groups = [[one for one in upright if _rms_px(one, seed) < _SEED_FACTOR * _rms_px(one, camera)] for seed in seeds]
-    group = max(groups, key=len, default=[])
-    if not group:
-        return [], camera
-    other = camera_of(group, camera, 3 if len(group) > 1 else 1)
-    members = [one for one in upright if _rms_px(one, other) < limit_px]
-    apart = abs(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0] - 1.0) > MIN_FOCAL_DIFFERENCE
-    return (members, other) if members and apart else ([], camera)
-
-
 def _rms_px(board: BoardView, camera: Camera) -> float:
     """Rms residual of the corners by a camera, with the board's pose fitted."""
     return board_pose(board, camera).residual_rms_px
@@ -132,7 +72,7 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     limit_px = MAX_EXPLAINED_FACTOR * usual_px
     turned_px = _rms_px(turned(view, camera), camera)
     for unknowns in (1, 3):
-        other = camera_of([view], camera, unknowns)
+        other = camera_of(view, camera, unknowns)
         rms_px = _rms_px(view, other)
         if rms_px < min(limit_px, turned_px):
             moved_px = np.linalg.norm(other.camera_matrix[:2, 2] - camera.camera_matrix[:2, 2])
@@ -146,11 +86,7 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     if view.saturated_share > SATURATED_SHARE:
         share = f"{100 * view.saturated_share:.0f} %"
         return f"white is saturated beside {share} of its corners, which displaces them: reduce the exposure"
-    lengths = _trimmed_residuals(view, camera)
-    if np.median(lengths) >= limit_px:
-        return ""
-    x, y = np.average(view.points_px, axis=0, weights=lengths**2)
-    return f"most of its corners fit, the worst are about pixel ({x:.0f}, {y:.0f}): glare, a shadow or an object there"
+    return ""
 
 
 def turned(view: BoardView, camera: Camera) -> BoardView:
@@ -165,21 +101,10 @@ def focal_difference(other: Camera, camera: Camera) -> str:
     return f"{abs(100 * longer):.1f} % {'longer' if longer > 0 else 'shorter'}"
 
 
-def _trimmed_residuals(view: BoardView, camera: Camera) -> Float64[Array, "corner"]:
-    """Lengths of the corners' residuals at a pose fitted to 70 % of them (iteratively trimmed least squares)."""
-    used = np.ones(len(view.ids), dtype=bool)
-    for _ in range(_ITERATIONS):
-        pose = board_pose(corners_of(replace(view, end_correlation=0.0), used), camera)
-        lengths: Float64[Array, "corner"] = np.linalg.norm(residuals(view, pose, camera), axis=1)
-        last = _INLIER_TENTHS * len(lengths) // 10
-        used = lengths <= np.partition(lengths, last)[last]
-    return lengths
+def camera_of(view: BoardView, camera: Camera, unknowns: int) -> Camera:
+    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to a view.
 
-
-def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Camera:
-    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to these views.
-
-    Three Gauss-Newton iterations, each with the boards' poses fitted anew; the given camera if they diverge. From a
+    Three Gauss-Newton iterations, each with the board's pose fitted anew; the given camera if they diverge. From a
     start that is 10 % off, the focal length agrees with that of `scipy.optimize.least_squares` to 3e-8 of its value;
     this takes 8 ms, SciPy's solver 30 to 35 ms.
     """
@@ -189,8 +114,7 @@ def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Came
     directions[2, 1] = directions[3, 2] = 1.0
     directions = directions[:, :unknowns]
     for _ in range(_ITERATIONS):
-        rows = [view_equations(view, board_pose(view, found), found, 1.0).without_pose() for view in views]
-        wrt_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        wrt_camera, residual = view_equations(view, board_pose(view, found), found, 1.0).without_pose()
         step = np.linalg.lstsq(wrt_camera @ directions, residual)[0]
         if not np.abs(step[0]) < 0.5:  # relative step of the focal length: diverged
             return camera

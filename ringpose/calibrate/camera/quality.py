@@ -1,19 +1,16 @@
-"""Quality of a camera calibration: values for the file, summary for the user, verdict with limits and advice.
-
-The limits are those of a camera that measures to 0.1 mm at 0.5 m (0.2 to 0.4 px) with boards of some dozens of corners.
-"""
+"""Quality of a camera calibration: values for the file, summary for the user, verdict with advice."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from math import degrees, inf, radians
+from math import degrees
 from typing import Any
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import CAMERA_LIMITS, check, verdict_lines, verdict_values
 from ringpose.calibrate.camera.assessment import board_tilt_rad, different_poses
 from ringpose.calibrate.camera.outliers import CORNER_SIGMAS
 from ringpose.calibrate.camera.parameters import parameters_of
-from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,
@@ -156,32 +153,6 @@ def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment,
     )
 
 
-LIMITS = {
-    "views_used": (10.0, 4.0),
-    "images_used_share": (0.8, 0.5),
-    "corner_sigma_px": (0.3, 1.5),
-    "coverage_share": (0.6, 0.25),
-    "bare_regions": (0.0, 6.0),
-    "largest_tilt_rad": (radians(20), radians(10)),
-    "tilt_spread_across_rad": (radians(4), -inf),
-    "distance_ratio": (1.2, -inf),
-    "focal_sigma_share": (0.002, 0.02),
-    "projection_sigma_px": (0.3, 5.0),
-    "projection_sigma_worst_px": (1.0, inf),
-    "projection_unknown_share": (0.05, inf),
-    "view_disagreement": (2.5, 15.0),
-    "leave_one_out_px": (1.0, inf),
-    "split_half_px": (1.0, inf),
-    "held_out_ratio": (1.05, inf),
-}
-"""By name of a check: limits of a good value and of one with which the calibration must be repeated."""
-
-
-def _check(name: str, value: float, advice: str, place: str = "") -> Check:
-    pass_limit, fail_limit = LIMITS[name]
-    return Check(name=name, value=value, pass_limit=pass_limit, fail_limit=fail_limit, advice=advice, place=place)
-
-
 def _view_findings(calibration: CameraCalibration, images: int) -> list[Check]:
     """Checks of the number of views and of the accuracy of their corners."""
     used, different = len(calibration.used), different_poses([view.pose for view in calibration.used])
@@ -192,9 +163,9 @@ def _view_findings(calibration: CameraCalibration, images: int) -> list[Check]:
     not_used = "many images were of no use: the reasons stand beside their names"
     inexact = f"the corners are inexact ({worst} most): focus, more light, a flat board held still"
     return [
-        _check("views_used", float(different), more_views),
-        _check("images_used_share", used / max(images, used), not_used),
-        _check("corner_sigma_px", calibration.sigma_px, inexact),
+        check(CAMERA_LIMITS, "views_used", float(different), more_views),
+        check(CAMERA_LIMITS, "images_used_share", used / max(images, used), not_used),
+        check(CAMERA_LIMITS, "corner_sigma_px", calibration.sigma_px, inexact),
     ]
 
 
@@ -209,11 +180,11 @@ def _coverage_findings(covered: Coverage) -> list[Check]:
     one_axis = "the boards are tilted about one axis only: tilt the board the other way too"
     one_distance = f"one distance only ({np.mean(distances):.2f} m): add views nearer and farther"
     return [
-        _check("coverage_share", covered.share, little),
-        _check("bare_regions", float(len(bare)), empty),
-        _check("largest_tilt_rad", tilt_rad, frontal),
-        _check("tilt_spread_across_rad", covered.tilt_spread_rad[1], one_axis),
-        _check("distance_ratio", max(distances) / min(distances), one_distance),
+        check(CAMERA_LIMITS, "coverage_share", covered.share, little),
+        check(CAMERA_LIMITS, "bare_regions", float(len(bare)), empty),
+        check(CAMERA_LIMITS, "largest_tilt_rad", tilt_rad, frontal),
+        check(CAMERA_LIMITS, "tilt_spread_across_rad", covered.tilt_spread_rad[1], one_axis),
+        check(CAMERA_LIMITS, "distance_ratio", max(distances) / min(distances), one_distance),
     ]
 
 
@@ -231,10 +202,10 @@ def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAsse
         "bring the board to the image's corners, or use --distortion-model plumb_bob"
     )
     return [
-        _check("focal_sigma_share", focal_share, focal),
-        _check("projection_sigma_px", float(np.nanmedian(sigma_px)), median),
-        _check("projection_sigma_worst_px", float(np.nanmax(sigma_px)), worst),
-        _check("projection_unknown_share", assessment.unknown_share, unknown),
+        check(CAMERA_LIMITS, "focal_sigma_share", focal_share, focal),
+        check(CAMERA_LIMITS, "projection_sigma_px", float(np.nanmedian(sigma_px)), median),
+        check(CAMERA_LIMITS, "projection_sigma_worst_px", float(np.nanmax(sigma_px)), worst),
+        check(CAMERA_LIMITS, "projection_unknown_share", assessment.unknown_share, unknown),
     ]
 
 
@@ -253,12 +224,12 @@ def _validation_findings(assessment: CameraAssessment) -> list[Check]:
     alone = f"the result hangs on {view.name}: add views like it, or leave it out"
     halves = "half of the views give another camera than the rest: add views of every kind"
     checks = [
-        _check("view_disagreement", assessment.disagreement, disagree),
-        _check("leave_one_out_px", view.shift_px, alone, view.name),
-        _check("split_half_px", halves_px, halves),
+        check(CAMERA_LIMITS, "view_disagreement", assessment.disagreement, disagree),
+        check(CAMERA_LIMITS, "leave_one_out_px", view.shift_px, alone, view.name),
+        check(CAMERA_LIMITS, "split_half_px", halves_px, halves),
     ]
     if assessment.comparison is not None:
         own, other = assessment.comparison.fits
         model = f"views left out fit another model better: use --distortion-model {other.distortion_model}"
-        checks.append(_check("held_out_ratio", own.held_out_rms_px / other.held_out_rms_px, model))
-    return [replace(check, advice="") if np.isnan(check.value) else check for check in checks]
+        checks.append(check(CAMERA_LIMITS, "held_out_ratio", own.held_out_rms_px / other.held_out_rms_px, model))
+    return [replace(each, advice="") if np.isnan(each.value) else each for each in checks]

@@ -31,7 +31,7 @@ from ringpose.errors import DataError
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.robust import gauss_newton
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.board import BoardView
+from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import (
     CameraCalibration,
     CrossValidation,
@@ -81,7 +81,7 @@ def cross_validation(
         for view, others, shift in zip(used, without_one, shifts, strict=False)
     ]
     # Odd against even views: neighbours in a series are similar.
-    odd, even = (_camera(used[first::2], whole.camera, model) for first in (0, 1))
+    odd, even = (_camera(used[first::2], whole.camera, model, whole.poses[first::2]) for first in (0, 1))
     return CrossValidation(
         split_half_px=unknown if odd is None or even is None else displacement_px(odd, even, where),
         left_out=tuple(left_out),
@@ -95,7 +95,8 @@ def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model:
         return []
     if len(used) > MAX_SOLVED:
         return list(cameras_one_step_away(whole, model))
-    return [_camera([*used[:index], *used[index + 1 :]], whole.camera, model) for index in range(len(used))]
+    others = [[other for other in range(len(used)) if other != index] for index in range(len(used))]
+    return [_camera([used[i] for i in kept], whole.camera, model, [whole.poses[i] for i in kept]) for kept in others]
 
 
 def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
@@ -113,10 +114,10 @@ def held_out_rms_px(view: BoardView, others: Camera | None) -> float:
     return float("nan") if others is None else board_pose(view, others).residual_rms_px
 
 
-def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera | None:
-    """The camera of some of the views; None if they do not determine it."""
+def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel, poses: Sequence[BoardPose]) -> Camera | None:
+    """The camera of some of the views, started from this camera and these poses; None if they do not determine it."""
     try:
-        return camera_solution(views, start, model).camera
+        return camera_solution(views, start, model, poses).camera
     except DataError:
         return None
 

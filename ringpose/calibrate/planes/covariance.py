@@ -15,9 +15,10 @@ from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
 from ringpose.calibrate.camera.parameters import inverse_of_scaled, parameter_names
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
-    JointFit,
+    JointState,
     corner_chi2,
     free_parameters,
+    joint_chi2,
     joint_fit,
     prior_information,
 )
@@ -43,64 +44,71 @@ RADII_M = (0.567, 0.597)
 
 
 def planes_covariance(
-    names: tuple[str, ...], fit: JointFit, given: Camera, excess: float, free_camera: bool
+    names: tuple[str, ...],
+    information: Float64[Array, "shared shared"],
+    given: Camera,
+    excess: float,
+    free_camera: bool,
 ) -> ParameterCovariance:
-    """Covariance of the camera's parameters (if `given` has a covariance) and of each plane's tilts and distance."""
+    """Covariance of the camera's parameters (if `given` has a covariance) and of each plane's tilts and distance.
+
+    `information` is that of `joint_information`.
+    """
     planes = laser_parameters(names)
     count = len(planes)
-    own = inverse_of_scaled(fit.information[:count, :count])
+    own = inverse_of_scaled(information[:count, :count])
     if given.covariance is None:
         return ParameterCovariance(parameters=planes, data=excess * own)
     if free_camera:
         # Inverse of the information with the camera's prior, reordered to camera, planes.
         free = np.append(np.ones(count, dtype=bool), free_parameters(given))
-        prior = np.zeros_like(fit.information)
+        prior = np.zeros_like(information)
         prior[count:, count:] = prior_information(given)
-        data = inverse_of_scaled(np.where(np.outer(free, free), fit.information / excess + prior, 0.0))
+        data = inverse_of_scaled(np.where(np.outer(free, free), information / excess + prior, 0.0))
         camera_first = np.roll(np.arange(len(data)), len(data) - count)
         data = data[np.ix_(camera_first, camera_first)]
     else:
         # The planes' own errors, and those that they inherit from the camera to first order.
-        plane_wrt_camera = -own @ fit.information[:count, count:]
+        plane_wrt_camera = -own @ information[:count, count:]
         cross = given.covariance.data @ plane_wrt_camera.T
         data = np.block([[given.covariance.data, cross], [cross.T, excess * own + plane_wrt_camera @ cross]])
     return ParameterCovariance(parameters=parameter_names(given.distortion_model) + planes, data=(data + data.T) / 2)
 
 
-def variance_excess(data: JointData, fit: JointFit) -> float:
+def variance_excess(data: JointData, state: JointState) -> float:
     """Factor by which variances are inflated to explain the disagreement of the views; 1 if it is not significant.
 
     The increase of chi-squared from boards placed by their corners alone to the joint solution has two degrees of
     freedom for each stripe, less three for each plane.
     """
-    camera = fit.state.camera
+    camera = state.camera
     separate = sum(
         corner_chi2(view, maximum_likelihood_pose(view.board, camera)[0], camera, corner_px)
         for view, corner_px in zip(data.views, data.corner_px.tolist(), strict=True)
     )
-    increase = fit.chi2 - separate
-    dof = sum(_degrees_of_freedom(data, laser) for laser in range(len(fit.state.distance_m)))
+    increase = joint_chi2(data, state) - separate
+    dof = sum(_degrees_of_freedom(data, laser) for laser in range(len(state.distance_m)))
     if dof <= 0 or increase < dof + SIGNIFICANCE * np.sqrt(2 * dof):
         return 1.0
     return increase / dof
 
 
-def laser_disagreements(data: JointData, fit: JointFit) -> tuple[float, ...]:
+def laser_disagreements(data: JointData, state: JointState) -> tuple[float, ...]:
     """Increase of chi-squared by each laser's stripes, per degree of freedom; NaN where there are none.
 
     It identifies a laser whose plane contradicts the board poses on which the other lasers agree.
     """
-    found = []
-    for laser in range(len(fit.state.distance_m)):
+    found, chi2 = [], joint_chi2(data, state)
+    for laser in range(len(state.distance_m)):
         dof = _degrees_of_freedom(data, laser)
-        others = joint_fit(data.without_laser(laser), fit.state)
-        found.append((fit.chi2 - others.chi2) / dof if dof > 0 else float("nan"))
+        others = data.without_laser(laser)
+        found.append((chi2 - joint_chi2(others, joint_fit(others, state))) / dof if dof > 0 else float("nan"))
     return tuple(found)
 
 
 def _degrees_of_freedom(data: JointData, laser: int) -> int:
     """Two for each of a laser's stripes, less the parameters of its plane."""
-    return 2 * sum(len(own[laser]) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
+    return 2 * sum(len(own[laser].ray) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 
 
 def depth_uncertainty(

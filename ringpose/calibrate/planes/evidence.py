@@ -10,9 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.labels import check_order, exchanged_lasers, labelled_by_order, labelled_by_planes
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, Points, condition, outlying_views, robust_plane
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.labels import (
+    check_order,
+    exchanged_lasers,
+    labelled_by_order,
+    labelled_by_planes,
+)
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
@@ -86,7 +91,7 @@ def stripe_evidence(
     )
     _check_all_lasers_seen(evidence.views, names)
     points = [evidence.points(laser) for laser in range(len(names))]
-    exchanged = exchanged_lasers(points, names, [view.board.name for view in evidence.views])
+    exchanged = exchanged_lasers(points, names)
     contradicting = [(evidence.views[index].board.name, message) for index, message in exchanged.items()]
     right = [index for index in range(len(kept)) if index not in exchanged]
     evidence = _labelled(evidence.only(right), order)
@@ -218,7 +223,7 @@ def _sum_of_squares_m2(view: StripeView, pose: BoardPose, camera: Camera, planes
 
 def _without_outlying_stripes(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
     """The evidence without stripes beside their laser's plane; remarks on these, and on views with no other stripes."""
-    outlying = [outlying_views(evidence.points(laser)) for laser in range(len(evidence.names))]
+    outlying = [outlying_views(evidence.points(laser), name) for laser, name in enumerate(evidence.names)]
     remarks, inconsistent = [], []
     for index, view in enumerate(evidence.views):
         seen = [laser for laser, px in enumerate(view.stripes_px) if len(px)]

@@ -30,15 +30,17 @@ from ringpose.calibrate.camera.parameters import (
     parameters_of,
     projection_jacobians,
 )
-from ringpose.calibrate.planes.stripe_errors import (
+from ringpose.calibrate.planes.stripes.errors import (
+    StripeRays,
     StripeResiduals,
     center_sigma_px,
     line_modes,
     shared_length,
+    stripe_rays,
     stripe_residuals,
 )
 from ringpose.errors import DataError
-from ringpose.geometry.rays import rays, undistorted_pixels
+from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.robust import huber_weights, robust_std
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
@@ -74,7 +76,7 @@ class JointData:
     """Standard deviation of one coordinate of a corner."""
     center_px: tuple[Float64[Array, "laser"], ...]
     """By view: standard deviation of a stripe centre, inflated for correlated neighbours; NaN without a stripe."""
-    rays: tuple[tuple[Float64[Array, "_ xyz=3"], ...], ...]
+    rays: tuple[tuple[StripeRays, ...], ...]
     """By view and laser: rays of the stripe centres by the given camera."""
     camera: Camera
     """The given camera, with its covariance."""
@@ -93,31 +95,15 @@ class JointData:
 
     def without_laser(self, laser: int) -> "JointData":
         """The data without one laser's stripes; the camera is held fixed."""
-        nothing = (np.empty((0, 3)),)
+        nothing = (stripe_rays(np.empty((0, 2)), self.camera),)
         return replace(
             self, rays=tuple(own[:laser] + nothing + own[laser + 1 :] for own in self.rays), free_camera=False
         )
 
     def with_camera(self, camera: Camera) -> "JointData":
         """The data with the rays of another camera, which is held fixed."""
-        own = tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in self.views)
+        own = tuple(tuple(stripe_rays(px, camera) for px in view.stripes_px) for view in self.views)
         return replace(self, rays=own, camera=camera, free_camera=False)
-
-    def stripe_rays(self, view: int, camera: Camera) -> tuple[Float64[Array, "_ xyz=3"], ...]:
-        """Rays of a view's stripe centres by laser; by the estimated camera if it is free."""
-        if not self.free_camera:
-            return self.rays[view]
-        return tuple(rays(px, camera) for px in self.views[view].stripes_px)
-
-
-class JointFit(NamedTuple):
-    """State that minimises the robust sum of squares, with its normal matrix."""
-
-    state: JointState
-    information: Float64[Array, "shared shared"]
-    """N of Eq. (1): of the planes' parameters (three for each laser) and the camera's, without the camera's prior."""
-    chi2: float
-    """Robust sum of squares of the corners and of two parameters of each stripe's line."""
 
 
 def joint_data(
@@ -138,13 +124,13 @@ def joint_data(
         views=tuple(views),
         corner_px=np.maximum(corner_px, MIN_SIGMA_PX),
         center_px=tuple(np.array([sigma_px(px) for px in view]) for view in straight),
-        rays=tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in views),
+        rays=tuple(tuple(stripe_rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
         free_camera=free_camera,
     )
 
 
-def joint_fit(data: JointData, start: JointState) -> JointFit:
+def joint_fit(data: JointData, start: JointState) -> JointState:
     """Light planes, board poses and, if it is free, the camera, fitted jointly by re-weighted Gauss-Newton.
 
     The start has to be near the solution. Raises DataError if the iteration does not converge.
@@ -153,7 +139,7 @@ def joint_fit(data: JointData, start: JointState) -> JointFit:
     for _ in range(_MAX_ITERATIONS):
         state, decrease = _gauss_newton_step(data, state)
         if decrease < _CONVERGED:
-            return JointFit(state, _reduced_equations(data, state).information, _chi2(data, state))
+            return state
     raise DataError(
         "calibrate-planes",
         "the joint adjustment of board poses and light planes does not converge",
@@ -229,6 +215,11 @@ class _ReducedEquations(NamedTuple):
     """Predicted decrease of the sum of squares if only the poses move."""
 
 
+def joint_information(data: JointData, state: JointState) -> Float64[Array, "shared shared"]:
+    """N of Eq. (1): of the planes' parameters (three for each laser) and the camera's, without the camera's prior."""
+    return _reduced_equations(data, state).information
+
+
 def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
     """Normal equations with the poses eliminated, Eqs. (1) and (2)."""
     number = 3 * len(state.distance_m) + 4 + len(state.camera.distortion_coefficients)
@@ -269,13 +260,14 @@ def _whitened_residuals(
 
 
 def _stripes(data: JointData, state: JointState, index: int) -> list[tuple[int, StripeResiduals]]:
-    """Lasers that a view shows, with the residuals of their stripes."""
+    """Lasers that a view shows, with the residuals of their stripes; by the estimated camera if it is free."""
+    every = data.rays[index]
+    if data.free_camera:
+        every = tuple(stripe_rays(px, state.camera) for px in data.views[index].stripes_px)
     return [
-        (laser, stripe_residuals(own, state.poses[index], state.normal[laser], distance_m, state.camera))
-        for laser, (own, distance_m) in enumerate(
-            zip(data.stripe_rays(index, state.camera), state.distance_m.tolist(), strict=True)
-        )
-        if len(own)
+        (laser, stripe_residuals(own, state.poses[index], state.normal[laser], distance_m))
+        for laser, (own, distance_m) in enumerate(zip(every, state.distance_m.tolist(), strict=True))
+        if len(own.ray)
     ]
 
 
@@ -284,7 +276,7 @@ def _robust_weights(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
     return huber_weights(residual, ROBUST_SIGMAS * max(1.0, robust_std(residual)))
 
 
-def _chi2(data: JointData, state: JointState) -> float:
+def joint_chi2(data: JointData, state: JointState) -> float:
     """Robust sum of squares of the corner residuals and, for each stripe, of the shift and rotation of its line.
 
     The scatter of single centres about the line is left out: it does not depend on boards and planes.

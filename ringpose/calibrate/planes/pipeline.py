@@ -9,16 +9,15 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors
 from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
 from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
-from ringpose.calibrate.planes.board_surface import triangulated
 from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
-    JointFit,
     JointState,
     free_parameters,
     joint_data,
     joint_fit,
+    joint_information,
 )
 from ringpose.calibrate.planes.plane_fit import (
     FittedPlane,
@@ -29,6 +28,7 @@ from ringpose.calibrate.planes.plane_fit import (
     plane_without,
     rms,
 )
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
 from ringpose.errors import DataError
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView
@@ -164,24 +164,24 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         for name, own in zip(evidence.names, points, strict=True)
     ]
     try:
-        data, fit = _weighted_fit(evidence, start, free_camera)
-        fixed = data
+        data, state = _weighted_fit(evidence, start, free_camera)
+        information, fixed = joint_information(data, state), data
         if free_camera:  # from here on the camera is held fixed, with the stripes triangulated by it
-            fixed = data.with_camera(fit.state.camera)
+            fixed = data.with_camera(state.camera)
             poses = tuple(board_pose(view.board, fixed.camera) for view in evidence.views)
             refined = replace(evidence, camera=fixed.camera, poses=poses)
             points = [refined.points(laser) for laser in range(len(evidence.names))]
-        excess = variance_excess(fixed, fit)
-        planes = zip(fit.state.normal, fit.state.distance_m.tolist(), start, strict=True)
+        excess = variance_excess(fixed, state)
+        planes = zip(state.normal, state.distance_m.tolist(), start, strict=True)
         return PlaneSolution(
             planes=tuple(FittedPlane(*downward(normal, distance), old.condition) for normal, distance, old in planes),
-            poses=fit.state.poses,
-            camera=fit.state.camera,
+            poses=state.poses,
+            camera=state.camera,
             corner_points=points,
-            held_out=_held_out(points, fixed, fit),
-            covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
+            held_out=_held_out(points, fixed, state),
+            covariance=planes_covariance(evidence.names, information, evidence.camera, excess, free_camera),
             excess=excess,
-            disagreement=laser_disagreements(fixed, fit),
+            disagreement=laser_disagreements(fixed, state),
         )
     except np.linalg.LinAlgError as error:
         found = "corners and stripes contradict one another so far that no boards and planes fit them"
@@ -190,7 +190,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
 
 def _weighted_fit(
     evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool
-) -> tuple[JointData, JointFit]:
+) -> tuple[JointData, JointState]:
     """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
     The board poses it starts from follow outlying corners; those of the robust adjustment do not.
@@ -203,21 +203,21 @@ def _weighted_fit(
         distance_m=np.array([plane.distance_m for plane in start]),
         camera=evidence.camera,
     )
-    fit = joint_fit(data, state)
+    state = joint_fit(data, state)
     for _ in range(_SIGMA_ROUNDS):
-        corner_px = corner_sigmas_px(evidence.views, fit.state.poses, fit.state.camera)
+        corner_px = corner_sigmas_px(evidence.views, state.poses, state.camera)
         if np.all(corner_px > _SETTLED * data.corner_px):
             break
         data = replace(data, corner_px=corner_px)
-        fit = joint_fit(data, fit.state)
+        state = joint_fit(data, state)
     # Last, the standard deviations are widened by errors that a corner has in common to all views (print, bent board).
     free = int(free_parameters(evidence.camera).sum()) if free_camera else 0
-    corner_px = with_shared_errors(data.corner_px, evidence.views, fit.state.poses, fit.state.camera, free)
+    corner_px = with_shared_errors(data.corner_px, evidence.views, state.poses, state.camera, free)
     data = replace(data, corner_px=corner_px)
-    return data, joint_fit(data, fit.state)
+    return data, joint_fit(data, state)
 
 
-def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
+def _held_out(points: Sequence[Sequence[Points]], data: JointData, state: JointState) -> HeldOut:
     """The planes without each view in turn; lasers that are then undetermined do not take part in the adjustment."""
     by_view: list[list[FittedPlane | None]] = []
     for view in range(len(data.views)):
@@ -228,9 +228,9 @@ def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit
         rest = data.without_view(view)
         for laser in np.flatnonzero(~np.array(determined)).tolist():
             rest = rest.without_laser(laser)
-        poses = fit.state.poses[:view] + fit.state.poses[view + 1 :]
-        state = joint_fit(rest, replace(fit.state, poses=poses)).state
-        planes = zip(state.normal, state.distance_m.tolist(), determined, strict=True)
+        poses = state.poses[:view] + state.poses[view + 1 :]
+        others = joint_fit(rest, replace(state, poses=poses))
+        planes = zip(others.normal, others.distance_m.tolist(), determined, strict=True)
         by_view.append(
             [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]
         )

@@ -1,15 +1,15 @@
 """Results of a calibration of the light planes: the key `quality` of rig.yaml, the summary, angles between planes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import verdict_lines, verdict_values
 from ringpose.calibrate.planes.covariance import RADII_M, ring_center_sd_m, worst_depth_sd_m
-from ringpose.calibrate.planes.labels import THREE
-from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
+from ringpose.calibrate.planes.stripes.labels import THREE
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
@@ -43,18 +43,17 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
 def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     """The key `quality` of rig.yaml."""
     calibration = assessment.calibration
-    angles = plane_angles(calibration)
-    neighbours = []
-    for angle in angles:
-        values = asdict(angle)
-        neighbours.append({"lasers": [values.pop("first"), values.pop("second")]} | values)
+    neighbours = [
+        {"lasers": [angle.first, angle.second], "angle_rad": angle.angle_rad, "sd_rad": angle.sd_rad}
+        for angle in plane_angles(calibration)
+    ]
     quality = {
         "verdict": verdict_values(assessment.verdict),
         "method": calibration.method,
         "standard_deviations": _standard_deviations(calibration),
         "variance_excess": float(calibration.excess),
         "lasers": [_laser_quality(laser) for laser in calibration.lasers],
-        "angles": {"neighbours": neighbours, "common_line_gap_m": common_line_gap_m(angles)} if angles else None,
+        "angles": {"neighbours": neighbours} if neighbours else None,
         "depth_sd_m": _depths(calibration),
         "ring_center_sd_m": _ring_centers(calibration),
         "boards": [
@@ -187,38 +186,27 @@ def _by_distance_text(distances_m: Sequence[float], sigmas_m: Sequence[float]) -
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneAngle:
-    """The angle between two neighbouring light planes, and their line of intersection."""
+    """The angle between two neighbouring light planes."""
 
     first: str
     second: str
     angle_rad: float
     sd_rad: float
     """Standard deviation of the angle; NaN without covariance."""
-    line_point_m: Float64[Array, "xyz=3"]
-    """The point of their intersection nearest to the camera; the lines of one projector meet in it."""
-    line_direction: Float64[Array, "xyz=3"]
 
 
 def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
     """Angles between neighbouring planes, in the order of the lasers; empty for one laser."""
-    return [_angle(calibration, first, first + 1) for first in range(len(calibration.lasers) - 1)]
-
-
-def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngle:
-    """Angle between two planes, and their line of intersection."""
-    normals, distances_m = calibration.planes.normal, calibration.planes.distance_m
-    pair = normals[[first, second]]
-    direction = np.cross(*pair)
-    length = float(np.linalg.norm(direction))
-    point, *_ = np.linalg.lstsq(pair, distances_m[[first, second]], rcond=1e-9)
-    return PlaneAngle(
-        first=calibration.lasers[first].name,
-        second=calibration.lasers[second].name,
-        angle_rad=float(angle_between(pair[0], pair[1])),
-        sd_rad=_angle_sd_rad(calibration, first, second),
-        line_point_m=point,
-        line_direction=direction / length if length > 0 else np.full(3, np.nan),
-    )
+    names, normals = calibration.planes.names, calibration.planes.normal
+    return [
+        PlaneAngle(
+            first=names[first],
+            second=names[first + 1],
+            angle_rad=float(angle_between(normals[first], normals[first + 1])),
+            sd_rad=_angle_sd_rad(calibration, first, first + 1),
+        )
+        for first in range(len(names) - 1)
+    ]
 
 
 def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
@@ -265,9 +253,3 @@ def order_with_angles(
         if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
             return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
     return None
-
-
-def common_line_gap_m(angles: list[PlaneAngle]) -> float:
-    """Largest distance between neighbouring planes' lines, at their points nearest to the camera; NaN for one line."""
-    points = [angle.line_point_m for angle in angles]
-    return max((float(np.linalg.norm(after - before)) for before, after in pairwise(points)), default=float("nan"))

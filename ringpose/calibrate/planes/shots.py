@@ -9,12 +9,12 @@ from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.boards.motion import STILL_PX, board_shift_px
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import dark_image
-from ringpose.calibrate.planes.acceptance import planes_verdict
-from ringpose.calibrate.planes.board_surface import board_surface
-from ringpose.calibrate.planes.labels import laser_names, laser_order, lasers_in_masks
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import PlanesAssessment
-from ringpose.calibrate.planes.stripes import stripe_view, stripes_seen
+from ringpose.calibrate.planes.stripes.board_surface import board_surface
+from ringpose.calibrate.planes.stripes.extraction import stripe_view, stripes_seen
+from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
+from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.errors import DataError, UsageError
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView

@@ -5,8 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
-from ringpose.calibrate.boards.markers import marker_dictionary
-from ringpose.calibrate.boards.overlay import board_overlay
+from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
@@ -15,9 +14,9 @@ from ringpose.errors import NO_POSE, DataError
 from ringpose.files.atomic import make_folder, reject_inputs
 from ringpose.files.images.codecs import write_image
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
-from ringpose.files.inputs import Input
+from ringpose.files.inputs import Input, path_of_input
 from ringpose.files.inputs import inputs as named
-from ringpose.files.sources import path_of_input
+from ringpose.report.boards import board_overlay
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.image import Shot

@@ -28,7 +28,7 @@ def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read
 
 def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
     """Write the summary to stderr and return the exit status; `quiet` does not suppress the verdict `redo`."""
-    from ringpose.calibrate.verdict_text import verdict_lines
+    from ringpose.calibrate.acceptance import verdict_lines
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
     from ringpose.types.verdict import Grade
@@ -38,11 +38,6 @@ def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> i
         messages.echo(line)
     return NO_POSE if bad else 0
 
-
-OptionalInputs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names from stdin, one a line."),
-]
 
 OptionalOutput = Annotated[
     Path | None, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
@@ -62,8 +57,7 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
     from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
     from ringpose.files.atomic import reject_existing, reject_inputs
-    from ringpose.files.board_prints import require_pdf, write_board_print
-    from ringpose.files.boards import read_board, write_board
+    from ringpose.files.boards import read_board, require_pdf, write_board, write_board_print
 
     require_pdf(path)
     reject_inputs([path], [board_file])
@@ -88,6 +82,19 @@ def given(value: _Given | None, name: str) -> _Given:
     if not value:
         raise UsageError(name, "is missing")
     return value
+
+
+def numbers(words: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
+    """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
+    from ringpose.errors import UsageError
+
+    try:
+        found = [float(word) for word in words.split(",")] if words is not None else []
+    except ValueError:
+        raise UsageError(option, f"{words!r} is not a list of numbers", remedy) from None
+    if not all(limits[0] <= number <= limits[1] for number in found):
+        raise UsageError(option, f"{words!r} are not all from {limits[0]:g} to {limits[1]:g}", remedy)
+    return found
 
 
 PRINTING = frozenset(("print_board", "board", "force", "verbose", "quiet"))

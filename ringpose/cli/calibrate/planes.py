@@ -1,24 +1,32 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options.common import Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given, numbers
+from ringpose.cli.options.common import (
+    Force,
+    ImageChannel,
+    OptionalInputs,
+    Overlay,
+    Quiet,
+    Report,
+    Verbose,
+    finite,
+)
 from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
-    from ringpose.calibrate.planes.quality import PlanesAssessment
     from ringpose.calibrate.planes.shots import StripeShots
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.pose.plane_evidence import RigEvidence
     from ringpose.types.camera import Camera
     from ringpose.types.rig import Rig
-    from ringpose.types.robot import Mount as CameraMount
 
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""
@@ -147,7 +155,8 @@ def calibrate_planes(
     if update is not None:
         _check(shots, update, options, given(output, "--output"))
         return
-    angles_rad = _angles_rad(expected_angles)
+    angles_deg = numbers(expected_angles, "--expected-angles", "give degrees, as 10,10", (0.0, 180.0))
+    angles_rad = [radians(angle) for angle in angles_deg]
     outputs = _Outputs(
         given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad, working_distance
     )
@@ -155,13 +164,17 @@ def calibrate_planes(
 
 
 def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: PlanesMethod, free_camera: bool) -> None:
-    from ringpose.calibrate.planes.quality import planes_summary
+    from dataclasses import replace
+
+    from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality, planes_summary
     from ringpose.calibrate.planes.shots import check_method
+    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.cameras.formats import read_camera
-    from ringpose.files.rigs import read_mount
+    from ringpose.files.io import write_page
+    from ringpose.files.rigs import read_mount, write_rig
 
     board = given(options.board, "--board")
     files = [board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
@@ -181,31 +194,30 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
             assessment = stripes.assessment(
                 method, free_camera, outputs.expected_rad, outputs.working_m, images.without_board
             )
-        except DataError:
-            _say_remarks(stripes)
+        except DataError:  # what each shot lacks is the reason
+            for view in stripes.views:
+                for remark in view.remarks:
+                    messages.echo(f"{view.board.name}: {remark}")
             raise
         for shot, found in assessment.calibration.contradicting:
             with batch.guarded():
                 raise DataError(shot, found)  # reported like any other unusable shot
-        _write(assessment, mount, outputs, [board, *images.paths], options.force)
+        rig = replace(calibrated_rig(assessment.calibration), mount=mount)
+        quality = planes_quality(assessment)
+        write_rig(outputs.output, rig, extra=quality, force=options.force, inputs=[*files, *images.paths])
+        if outputs.report is not None:
+            from ringpose.report.planes import planes_report
+
+            write_page(outputs.report, planes_report(assessment), force=options.force)
         if not options.quiet:
             _say_number(stripes)
         batch.record_status(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
 
 
-def _say_remarks(stripes: "StripeShots") -> None:
-    """What each shot lacks: the reason, if no planes can be estimated."""
-    from ringpose.cli import messages
-
-    for view in stripes.views:
-        for remark in view.remarks:
-            messages.echo(f"{view.board.name}: {remark}")
-
-
 def _say_number(stripes: "StripeShots") -> None:
     """The number of lasers if it is small and only the masks determine it: another one may be dark or unwired."""
-    from ringpose.calibrate.planes.labels import THREE
+    from ringpose.calibrate.planes.stripes.labels import THREE
     from ringpose.cli import messages
 
     if stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
@@ -214,31 +226,9 @@ def _say_number(stripes: "StripeShots") -> None:
         messages.echo(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
 
 
-def _write(
-    assessment: "PlanesAssessment",
-    mount: "CameraMount | None",
-    outputs: _Outputs,
-    read: list[Path],
-    force: bool,
-) -> None:
-    from dataclasses import replace
-
-    from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality
-    from ringpose.files.io import write_page
-    from ringpose.files.rigs import write_rig
-
-    rig = replace(calibrated_rig(assessment.calibration), mount=mount)
-    files = [outputs.camera, *([outputs.mount] if outputs.mount else []), *read]
-    write_rig(outputs.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
-    if outputs.report is not None:
-        from ringpose.report.planes import planes_report
-
-        write_page(outputs.report, planes_report(assessment), force=force)
-
-
 def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
     """Compare a rig with shots of a board or the records of a stream; with an output, write it as they show it."""
-    from ringpose.calibrate.planes.update import checked_shots, evidence_lines, moved_lasers
+    from ringpose.calibrate.planes.recheck.update import checked_shots, evidence_lines, moved_lasers
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs
@@ -279,8 +269,8 @@ def _board_evidence(
     """Compare each shot of a board with a rig by itself; for an update, what all show about its planes."""
     import numpy as np
 
-    from ringpose.calibrate.planes.check import rig_check, rig_check_lines
-    from ringpose.calibrate.planes.update import board_evidence
+    from ringpose.calibrate.planes.recheck.board_check import rig_check, rig_check_lines
+    from ringpose.calibrate.planes.recheck.update import board_evidence
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
     from ringpose.files.rigs import median_board_rms_px
@@ -351,7 +341,7 @@ def _write_update(
     evidence: "RigEvidence", moved: list[int], output: Path, files: list[Path], depth_m: float, options: _Inputs
 ) -> None:
     """Write the rig as the evidence shows it, with the quality of its calibration and what was changed."""
-    from ringpose.calibrate.planes.update import change_line, updated_rig
+    from ringpose.calibrate.planes.recheck.update import change_line, updated_rig
     from ringpose.cli import messages
     from ringpose.files.rigs import calibration_quality, write_rig
 
@@ -383,9 +373,9 @@ def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeSh
 
 def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "StripeShots", batch: "Batch") -> None:
     """Add the views of all shots to `stripes`; report shots without them."""
-    from ringpose.calibrate.boards.overlay import stripe_overlay
     from ringpose.files.images.codecs import write_image
     from ringpose.files.inputs import Input
+    from ringpose.report.boards import stripe_overlay
 
     def read(item: Input) -> None:
         found = images.read(item)
@@ -400,17 +390,3 @@ def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "S
             write_image(images.overlay / f"{shot.name}.png", drawn, force=True)
 
     images.read_each(shots, batch, read, quiet=options.quiet, verbose=options.verbose)
-
-
-def _angles_rad(words: str | None) -> list[float]:
-    from math import radians
-
-    from ringpose.errors import UsageError
-
-    try:
-        angles = [float(word) for word in (words or "").split(",") if words]
-    except ValueError as error:
-        raise UsageError("--expected-angles", f"{words!r} is not a list of angles", "give degrees, as 10,10") from error
-    if not all(0 <= angle <= 180 for angle in angles):
-        raise UsageError("--expected-angles", f"{words!r} are not all from 0 to 180", "give degrees, as 10,10")
-    return [radians(angle) for angle in angles]

@@ -144,8 +144,8 @@ def serve_images(
     from ringpose.cli import messages
     from ringpose.errors import UsageError
     from ringpose.files import records
+    from ringpose.files.io import read_secret
     from ringpose.files.records.truths import truth_record
-    from ringpose.files.secrets import read_secret
     from ringpose.simulate.serve.image_clients import is_loopback
     from ringpose.simulate.serve.images import ImageServer, ImageSetup
 

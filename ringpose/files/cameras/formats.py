@@ -10,10 +10,17 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
-from ringpose.files.cameras import kalibr, matlab
+from ringpose.files.cameras import matlab
 from ringpose.files.cameras import opencv as opencv_storage
 from ringpose.files.cameras.covariances import read_covariance
-from ringpose.files.cameras.ros import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, write_camera
+from ringpose.files.cameras.ros import (
+    CAMERA_KEYS,
+    FILE_KEYS,
+    camera_of,
+    camera_values,
+    pinhole_camera,
+    write_camera,
+)
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
@@ -23,6 +30,12 @@ from ringpose.types.options import CameraFormat
 
 _MESSAGE_END = re.compile(rb"\n---\s*\Z")
 """The separator line that `ros2 topic echo` prints after a message, at the end of the file."""
+
+_KALIBR_NAME = "cam0"
+_KALIBR_IGNORED = ("rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "timeshift_cam_imu")
+_KALIBR_KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", *_KALIBR_IGNORED)
+_KALIBR_LENGTHS = {"radtan": 4, "none": 0}
+"""Number of coefficients (k1, k2, p1, p2) of the Kalibr distortion models that OpenCV also has."""
 
 
 def read_camera(path: Path) -> Camera:
@@ -47,9 +60,9 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
 
 def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
     """The format of a file, recognised by its first bytes or its keys, and its values."""
-    if matlab.is_mat(content):
+    if content.startswith(matlab.SIGNATURES):
         return CameraFormat.MATLAB, matlab.mat_variables(content, file)
-    if opencv_storage.is_storage(content):
+    if content.startswith(opencv_storage.SIGNATURES) or any(tag in content for tag in opencv_storage.MATRIX_TAGS):
         return CameraFormat.OPENCV, opencv_storage.storage_values(content, file)
     values = parsed(_MESSAGE_END.sub(b"\n", content), file)
     keys = set(values) if isinstance(values, Mapping) else set()
@@ -61,7 +74,7 @@ def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
 
 _CHARACTERISTIC_KEYS = {
     CameraFormat.RINGPOSE: {"ringpose"},
-    CameraFormat.KALIBR: {kalibr.NAME},
+    CameraFormat.KALIBR: {_KALIBR_NAME},
     CameraFormat.ROS: {"camera_matrix", "K", "k"},
 }
 """Top-level keys by which a YAML file of each format is recognised; one of them suffices."""
@@ -102,11 +115,25 @@ def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     return camera_of(fields)
 
 
+def _kalibr_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
+    """The camera in a camchain file of Kalibr with one camera."""
+    if len(values) > 1:
+        raise DataError(file, f"has {len(values)} cameras, must have one", "keep the required one, as cam0")
+    fields = Fields(file, values).fields(_KALIBR_NAME, _KALIBR_KEYS)
+    fields.choice("camera_model", ("pinhole",))
+    model = fields.choice("distortion_model", _KALIBR_LENGTHS)
+    given = fields.vector("distortion_coeffs", _KALIBR_LENGTHS[model]) if _KALIBR_LENGTHS[model] else np.empty(0)
+    width, height = fields.vector("resolution", 2).tolist()
+    fx, fy, cx, cy = fields.vector("intrinsics", 4).tolist()
+    size = Fields(file, {"image_width": int(width), "image_height": int(height)}, path=_KALIBR_NAME)
+    return pinhole_camera(size, _KALIBR_NAME, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), given)
+
+
 _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
     CameraFormat.RINGPOSE: _own_camera,
     CameraFormat.ROS: _ros_camera,
     CameraFormat.OPENCV: opencv_storage.camera_of,
-    CameraFormat.KALIBR: kalibr.camera_of,
+    CameraFormat.KALIBR: _kalibr_camera,
     CameraFormat.MATLAB: matlab.camera_of,
 }
 """Converters from the values in a file, its name (for messages), and a default name of the camera."""
@@ -117,7 +144,7 @@ def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str
     if form is CameraFormat.OPENCV:
         return opencv_storage.storage_text(camera, path.suffix)
     if form is CameraFormat.KALIBR:
-        return kalibr.camera_values(camera)
+        return _kalibr_values(camera)
     if form is CameraFormat.MATLAB:
         if path.suffix.lower() != ".mat":
             raise UsageError("--output", f"{path.name} is not a .mat file", "end it with .mat")
@@ -127,4 +154,24 @@ def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str
     return camera_values(replace(camera, covariance=None)) | {
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
         "projection_matrix": {"rows": 3, "cols": 4, "data": np.column_stack([matrix, np.zeros(3)]).ravel()},
+    }
+
+
+def _kalibr_values(camera: Camera) -> dict[str, Any]:
+    """The mapping that `_kalibr_camera` reads."""
+    coefficients = camera.distortion_coefficients
+    if np.any(coefficients[4:] != 0):
+        found = "radtan has only k1, k2, p1, p2, and this camera has more coefficients"
+        raise DataError("kalibr", found, "calibrate with --fix-k3")
+    matrix = camera.camera_matrix
+    return {
+        _KALIBR_NAME: {
+            "cam_overlaps": [],
+            "camera_model": "pinhole",
+            "distortion_coeffs": coefficients[:4],
+            "distortion_model": "radtan",
+            "intrinsics": [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]],
+            "resolution": [camera.image_width, camera.image_height],
+            "rostopic": f"/{camera.camera_name or _KALIBR_NAME}/image_raw",
+        }
     }

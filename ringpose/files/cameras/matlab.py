@@ -22,7 +22,10 @@ from ringpose.types.camera import Camera
 MAX_BYTES = 2**26
 """Maximum size of a .mat file with a calibration."""
 
-_VERSION_5, _VERSION_7_3 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+_VERSION_7_3 = b"MATLAB 7.3 MAT-file"
+SIGNATURES = (b"MATLAB 5.0 MAT-file", _VERSION_7_3)
+"""First bytes of a .mat file of version 5 to 7.2, and of version 7.3 (HDF5)."""
+
 _REMEDY = "give a Calib_Results.mat, or toStruct(cameraParameters) saved as .mat with -v7"
 _TOOLBOX = ("fc", "cc", "kc", "nx", "ny")
 _STRUCT = ("ImageSize", "RadialDistortion", "TangentialDistortion")
@@ -40,11 +43,6 @@ json.dump(values, sys.stdout, default=lambda value: value.tolist() if hasattr(va
 segmentation fault for one of 50 files with three wrong bytes), or allocates the memory that a wrong size requires."""
 
 _LIMIT_S = 60.0
-
-
-def is_mat(content: bytes) -> bool:
-    """Whether a file is a .mat file, of version 5 to 7.2 or 7.3 (HDF5)."""
-    return content.startswith((_VERSION_5, _VERSION_7_3))
 
 
 def mat_variables(content: bytes, file: str) -> dict[str, Any]:

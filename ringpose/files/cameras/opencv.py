@@ -20,14 +20,12 @@ from ringpose.types.camera import Camera
 HEADER_4 = b"%YAML:1.0"
 """First line of the YAML that OpenCV 4 writes and that every version of OpenCV reads; it is not valid YAML."""
 
+SIGNATURES, MATRIX_TAGS = (HEADER_4[:6], b"<?xml", b"<opencv_storage"), (b"!!opencv-", b'"opencv-')
+"""First bytes of a file, one of which is found unless it is plain YAML or JSON, and the type of matrices in those."""
+
 _MATRIX, _COEFFICIENTS = "camera_matrix", "distortion_coefficients"
 _MATRIX_KEYS = ("rows", "cols", "sizes", "dt", "data", "type_id")
 _LIST_KEYS = ("data", "sizes")
-
-
-def is_storage(text: bytes) -> bool:
-    """Whether a file was written by OpenCV's FileStorage: XML, its YAML header, or its matrices in YAML or JSON."""
-    return text.startswith((HEADER_4[:6], b"<?xml", b"<opencv_storage")) or b"!!opencv-" in text or b'"opencv-' in text
 
 
 def storage_values(text: bytes, file: str) -> Any:

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
 from ringpose.types.board import Board
 

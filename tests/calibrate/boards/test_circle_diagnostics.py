@@ -1,7 +1,5 @@
 """Reasons why an image shows no grid of circles: the number of circles, and their rows and columns."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -22,27 +20,19 @@ def drawn(columns: int, rows: int, white: int) -> np.ndarray:
     return image
 
 
-def test_the_rows_and_columns_of_another_circle_grid_are_reported():
-    found = find_board(drawn(5, 9, 200), BOARD, "other")
+def test_the_number_of_circles_of_another_grid_is_reported():
+    found = find_board(drawn(5, 9, 255), BOARD, "other")
 
-    assert found.failure is BoardFailure.OTHER_SIZE
+    assert found.failure is BoardFailure.NOT_WHOLE
     assert found.found.startswith("45 circles are seen, the board has 4 x 11 = 44")
-    assert "they lie as 5 x 9 would" in found.found
 
 
 @pytest.mark.parametrize("kept", [np.s_[:, :210], np.s_[:250]], ids=["columns", "rows"])
-def test_part_of_the_circles_is_not_taken_for_another_board(kept):
+def test_the_number_of_circles_of_part_of_a_grid_is_reported(kept):
     found = find_board(drawn(4, 11, 200)[kept].copy(), BOARD, "part")
 
     assert found.failure is BoardFailure.NOT_WHOLE
     assert int(found.found.split()[0]) in range(20, 26)
-
-
-def test_a_clean_white_print_is_not_reported_as_overexposed():
-    found = find_board(drawn(4, 11, 255), replace(BOARD, squares_x=5, squares_y=9), "clean")
-
-    assert found.failure is BoardFailure.OTHER_SIZE
-    assert "they lie as 4 x 11 would" in found.found
 
 
 def test_an_even_image_is_not_reported_as_blurred():

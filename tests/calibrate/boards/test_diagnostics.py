@@ -8,7 +8,7 @@ import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
 
 from ringpose.calibrate.boards.diagnostics import BoardFailure, NoBoard, charuco_failure, edge_width_px
-from ringpose.calibrate.boards.markers import find_markers, marker_dictionary
+from ringpose.calibrate.boards.patterns.markers import find_markers, marker_dictionary
 from ringpose.calibrate.boards.views import find_board
 
 
@@ -26,15 +26,11 @@ def test_a_white_image_is_reported_as_overexposed(board):
     assert found.failure is BoardFailure.SATURATED
 
 
-@pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
-def test_a_chessboard_that_is_cut_off_is_reported_as_cut_off(side, drawn_board):
-    image = drawn_board(CHESSBOARD)
-    kept = {"left": np.s_[:, 190:], "right": np.s_[:, :-190], "top": np.s_[110:], "bottom": np.s_[:-110]}[side]
+def test_the_number_of_corners_seen_of_a_chessboard_that_is_cut_off_is_reported(drawn_board):
+    found = find_board(drawn_board(CHESSBOARD)[:, 190:].copy(), CHESSBOARD, "cut")
 
-    found = find_board(image[kept].copy(), CHESSBOARD, "cut")
-
-    assert found.failure is BoardFailure.CUT_OFF
-    assert "of 9 x 6 inner corners" in found.found
+    assert found.failure is BoardFailure.NOT_WHOLE
+    assert found.found.startswith("6 x 6 of 9 x 6 inner corners")
 
 
 def test_the_number_of_corners_seen_of_a_covered_chessboard_is_reported(drawn_board):
@@ -43,7 +39,7 @@ def test_the_number_of_corners_seen_of_a_covered_chessboard_is_reported(drawn_bo
 
     found = find_board(image, CHESSBOARD, "covered")
 
-    assert found.failure is BoardFailure.COVERED
+    assert found.failure is BoardFailure.NOT_WHOLE
     assert len(found.points_px) >= 12
 
 
@@ -119,8 +115,9 @@ def test_markers_of_another_dictionary_are_reported_as_other_markers(drawn_board
 
 
 def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers(drawn_board):
-    corner = drawn_board(GRID)[:, 260:].copy()  # markers 3, 7, 11 and 2, 6, 10
-    corner[:150] = 198  # leaves 6, 7, 10, 11
+    corner = drawn_board(GRID).copy()
+    corner[:125] = 198  # leaves 3, 4, 5
+    corner[:, :125] = 198  # leaves 4, 5
 
     found = find_board(corner, FOUR, "other board")
 
@@ -133,37 +130,6 @@ def test_an_image_of_a_few_pixels_is_reported_as_too_small(shape, board):
     found = find_board(np.full(shape, 90, np.uint8), board, "tiny")
 
     assert found.value == f"the image is too small ({shape[1]} x {shape[0]} pixels)"
-
-
-def test_a_whole_smaller_chessboard_is_not_reported_as_covered(drawn_board):
-    found = find_board(np.pad(drawn_board(CHESSBOARD), 60, mode="edge"), replace(CHESSBOARD, squares_x=12), "smaller")
-
-    assert found.failure is BoardFailure.OTHER_SIZE
-    assert "it ends at 10 x 7 squares, squares_x and squares_y are 12 and 7" in found.found
-
-
-def test_a_board_whose_outer_squares_exceed_the_image_is_cut_off(drawn_board):
-    found = find_board(drawn_board(CHESSBOARD)[:, 87:].copy(), CHESSBOARD, "pierced")  # corners are at 89.5
-
-    assert found.failure is BoardFailure.CUT_OFF
-
-
-def test_a_strip_that_covers_a_row_does_not_end_the_board(drawn_board):
-    image = np.pad(drawn_board(CHESSBOARD), 60, mode="edge")
-    image[:, 380:425] = 120  # from the seventh column of squares into the eighth
-
-    found = find_board(image, CHESSBOARD, "strip")
-
-    assert found.failure is BoardFailure.COVERED
-
-
-def test_chessboards_of_opencvs_photographs_are_reported_as_of_another_size(shared_data):
-    paths = sorted((shared_data / "real" / "opencv_extra_calib").glob("chess[37].png"))
-
-    found = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), CHESSBOARD, path.stem) for path in paths]
-
-    assert {view.failure for view in found} == {BoardFailure.OTHER_SIZE}
-    assert all("it ends at 8 x 6 squares" in view.found for view in found)
 
 
 TURNED = {
@@ -183,10 +149,10 @@ def test_the_layout_of_another_charuco_board_is_reported(board, drawn_board):
 
 
 def test_the_layout_of_another_marker_grid_is_reported(drawn_board):
-    found = find_board(drawn_board(GRID), replace(GRID, squares_x=3, squares_y=4), "swapped")
+    found = find_board(drawn_board(GRID), replace(GRID, squares_x=2, squares_y=3), "swapped")
 
     assert found.value == (
-        "the markers do not lie as on the board of the board file (but as with squares_x: 4, squares_y: 3)"
+        "the markers do not lie as on the board of the board file (but as with squares_x: 3, squares_y: 2)"
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.circles import refined_ellipse_centers
+from ringpose.calibrate.boards.patterns.circles import refined_ellipse_centers
 
 MIDDLE_PX = np.array([40.37, 38.81])
 BLUR_PX = 1.1

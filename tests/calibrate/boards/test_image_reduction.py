@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.chessboard import chessboard_corners
-from ringpose.calibrate.boards.image_patch import in_full_image, reduced, reductions
+from ringpose.calibrate.boards.patterns.chessboard import chessboard_corners
+from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduced, reductions
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.marker_edges import corners_from_sides
+from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
 
 CORNERS_PX = np.array([[40.3, 38.6], [140.3, 38.6], [140.3, 138.6], [40.3, 138.6]])
 BLUR_PX = 1.1

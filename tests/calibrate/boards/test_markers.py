@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.calibrate.boards.markers import marker_dictionary
+from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.errors import DataError
 from ringpose.types.board import Board
 

@@ -6,11 +6,12 @@ from dataclasses import replace
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
-from ringpose.calibrate.camera.assessment import FLAT_SIGMAS, bow_finding, camera_assessment
+from ringpose.calibrate.camera.assessment import bow_finding, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
+from ringpose.types.verdict import Grade
 
 POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))
 NOISE_PX = 0.02
@@ -39,7 +40,7 @@ def solved(boards: Sequence[BoardView]) -> CameraSolution:
 def test_a_flat_board_is_not_called_bowed(views):
     flat = views([0.0] * 10)
 
-    assert bow_finding(flat, solved(flat), PLUMB_BOB).value < FLAT_SIGMAS
+    assert bow_finding(flat, solved(flat), PLUMB_BOB).grade is Grade.GOOD
 
 
 def test_a_bowed_board_is_called_so_with_its_height(views):
@@ -48,7 +49,7 @@ def test_a_bowed_board_is_called_so_with_its_height(views):
     finding = bow_finding(bowed, solved(bowed), PLUMB_BOB)
 
     height_mm = float(finding.advice.split("about ")[1].split(" mm")[0])
-    assert finding.value > FLAT_SIGMAS
+    assert finding.grade is not Grade.GOOD
     assert height_mm == pytest.approx(0.1, abs=0.03)
 
 
@@ -60,5 +61,5 @@ def test_a_board_that_bends_otherwise_in_each_view_is_not_said_to_have_one_bow(v
     by_noise = bow_finding(bending, solved(bending), PLUMB_BOB)
     finding = camera_assessment(found, bending, PLUMB_BOB).board[-1]
 
-    assert by_noise.value > FLAT_SIGMAS
-    assert finding.value < FLAT_SIGMAS
+    assert by_noise.grade is not Grade.GOOD
+    assert finding.grade is Grade.GOOD

@@ -79,7 +79,7 @@ def test_more_noise_never_shrinks_the_covariance(views):
 
 @pytest.mark.slow
 def test_errors_have_the_covariance_that_is_reported(views, true_camera):
-    runs = 50
+    runs = 25
     normalised = []
     for _ in range(runs):
         found = calibrate_camera(views(8, NOISE_PX), 1600, 1200)
@@ -165,8 +165,8 @@ def test_one_board_seen_three_times_alike_leaves_the_focal_length_open(board_vie
         calibrate_camera(alike, 1600, 1200)
 
 
-def photographs(folder, side: str) -> list[BoardView]:
-    paths = sorted(folder.glob(f"{side}[01]*.jpg"))
+def photographs(folder) -> list[BoardView]:
+    paths = sorted(folder.glob("left[01]*.jpg"))
     found = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), SAMPLES, path.stem) for path in paths]
     return [view for view in found if not isinstance(view, NoBoard)]
 
@@ -201,13 +201,13 @@ def test_the_reference_is_reproduced_from_its_own_corners(shared_data):
     assert parameters_of(found.camera)[:4] == pytest.approx([534.13, 534.19, 342.84, 233.72], abs=0.05)
 
 
-@pytest.mark.parametrize(("side", "focal_px"), [("left", 534.15), pytest.param("right", 536.1, marks=pytest.mark.slow)])
-def test_own_corners_fit_the_photographs_better_than_the_reference(side, focal_px, shared_data):
-    found = calibrate_camera(photographs(shared_data / "real" / "opencv_samples_stereo", side), 640, 480)
+@pytest.mark.slow
+def test_own_corners_fit_the_photographs_better_than_the_reference(shared_data):
+    found = calibrate_camera(photographs(shared_data / "real" / "opencv_samples_stereo"), 640, 480)
 
     assert len(found.used) == 13
-    assert found.rms_px < 0.2  # reference: 0.234 and 0.235, left with one view less
-    assert parameters_of(found.camera)[:2] == pytest.approx([focal_px, focal_px], abs=2.0)
+    assert found.rms_px < 0.2  # reference: 0.234, with one view less
+    assert parameters_of(found.camera)[:2] == pytest.approx([534.15, 534.15], abs=2.0)
 
 
 def bouguet_views(path) -> list[BoardView]:

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.circles import seen_offsets
 from ringpose.calibrate.boards.corner_errors import endpoint_correlation
+from ringpose.calibrate.boards.patterns.circles import seen_offsets
 from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.types.board import BoardView
 

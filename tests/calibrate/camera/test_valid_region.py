@@ -73,10 +73,10 @@ def test_a_rational_lens_errs_as_told_where_it_is_known(middle_views):
 
 
 def test_what_is_not_known_of_a_lens_is_said(middle_views):
-    boards = middle_views(10)
+    boards = middle_views(5)
     found = calibrate_camera(boards, 800, 600, MODEL)
     assessed = camera_assessment(found, boards, MODEL)
-    verdict = camera_verdict(found, assessed, 10)
+    verdict = camera_verdict(found, assessed, 5)
 
     projection = camera_quality(found, assessed, verdict)["quality"]["projection"]
     lines = "\n".join(camera_summary(found, assessed, verdict))

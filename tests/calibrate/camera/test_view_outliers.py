@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
-from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
-from ringpose.types.verdict import Grade
 
 CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
 POINTS = corner_points(CHESSBOARD)
@@ -64,30 +62,6 @@ def test_a_board_turned_by_half_a_turn_is_as_good_as_any(views, board_view, rng)
     assert rejected([*views(10), rolled]) == {}
 
 
-def test_a_shadow_over_part_of_a_view_is_named_with_its_place(views, rng):
-    boards = views(10)
-    moved = boards[4].points_px.copy()
-    moved[:12] += rng.normal(0.0, 2.0, (12, 2))
-    boards[4] = changed(boards[4], moved)
-    middle = boards[4].points_px[:12].mean(axis=0)
-
-    reason = rejected(boards)["v4"]
-
-    x, y = (float(word) for word in reason.split("pixel (")[1].split(")")[0].split(","))
-    assert np.hypot(*(middle - [x, y])) < 200
-
-
-def test_views_of_two_cameras_mixed_are_told_apart(views):
-    boards = views(15)
-    for index in (0, 4, 8, 12):
-        boards[index] = changed(boards[index], [800.0, 600.0] + 1.02 * (boards[index].points_px - [800.0, 600.0]))
-
-    found = rejected(boards)
-
-    assert sorted(found) == ["v0", "v12", "v4", "v8"]
-    assert all(re.search(r"focal length (1\.[789]|2\.[0123]) % longer", reason) for reason in found.values())
-
-
 def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
     boards = views(10)
     drawn_aside = boards[4].points_px + rng.choice([-0.5, 0.5], (len(POINTS), 2))
@@ -97,59 +71,3 @@ def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
 
     assert list(found) == ["v4"]
     assert "white is saturated beside 90 % of its corners" in found["v4"]
-
-
-def mixed(boards: list[BoardView], indices: tuple[int, ...]) -> list[BoardView]:
-    """The views, some of them with a focal length 2 % longer."""
-    middle = [800.0, 600.0]
-    return [
-        changed(view, middle + 1.02 * (view.points_px - middle)) if index in indices else view
-        for index, view in enumerate(boards)
-    ]
-
-
-@pytest.mark.parametrize(
-    ("indices", "grade"), [((0, 4), Grade.IMPROVABLE), ((0, 4, 8), Grade.IMPROVABLE), ((0, 4, 8, 12), Grade.REDO)]
-)
-def test_views_of_another_camera_are_told_together(views, indices, grade):
-    boards = mixed(views(15), indices)
-
-    finding = other_camera_finding(calibrate_camera(boards, 1600, 1200), boards)
-
-    assert finding.grade is grade
-    assert finding.value == pytest.approx(len(indices) / 15)
-    assert finding.advice.startswith(f"views {', '.join(f'v{index}' for index in indices)} look like another camera's")
-    assert re.search(r"focal length (1\.[89]|2\.[012]) % longer", finding.advice)
-
-
-def test_a_view_of_the_other_camera_that_was_used_is_told_with_those_left_out(views):
-    boards = mixed(views(15), (0, 4, 8))
-    found = calibrate_camera(boards, 1600, 1200)
-    kept = replace(found, views=tuple(replace(one, rejected="") if one.name == "v8" else one for one in found.views))
-
-    finding = other_camera_finding(kept, boards)
-
-    assert finding.advice.startswith("views v0, v4, v8 look")
-
-
-def test_views_of_one_camera_are_no_others(views):
-    boards = views(10)
-
-    assert other_camera_finding(calibrate_camera(boards, 1600, 1200), boards).grade is Grade.GOOD
-
-
-def test_images_turned_by_half_a_turn_are_no_other_cameras(views):
-    boards = [
-        changed(view, [1599.0, 1199.0] - view.points_px) if index in (2, 6) else view
-        for index, view in enumerate(views(12))
-    ]
-    found = calibrate_camera(boards, 1600, 1200)
-
-    assert len(found.used) == 10
-    assert other_camera_finding(found, boards).grade is Grade.GOOD
-
-
-def test_one_view_alone_is_no_other_cameras(views):
-    boards = mixed(views(12), (3,))
-
-    assert other_camera_finding(calibrate_camera(boards, 1600, 1200), boards).grade is Grade.GOOD

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface, triangulated
+from ringpose.calibrate.planes.stripes.board_surface import BoardSurface, board_surface, triangulated
 from ringpose.geometry.rays import project
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.image import Shot

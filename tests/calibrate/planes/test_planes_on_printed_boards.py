@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.stripes import stripe_view
+from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera
@@ -100,7 +100,7 @@ def nees(found) -> float:
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO, FOUR_MARKERS], ids=lambda board: board.kind)
 def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng, drawn_board):
     """NEES of the three kinds of boards together within its 95 % interval."""
-    runs = 20
+    runs = 8
     drawn = drawn_board(board)
     size_m = (np.array(drawn.shape)[::-1] - 2 * RIM_PX) / PIXELS_PER_METRE
 

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.acceptance import planes_verdict
 from ringpose.calibrate.planes.covariance import depth_uncertainty
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.quality import common_line_gap_m, plane_angles
+from ringpose.calibrate.planes.quality import plane_angles
+from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.rig import LaserPlanes
 from ringpose.types.verdict import Grade
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
@@ -102,20 +101,6 @@ def test_an_angles_deviation_is_that_of_drawn_planes(good, rng):
     angles = [np.arccos(tilted(normals[0], each[:2]) @ tilted(normals[1], each[2:])) for each in drawn]
 
     assert np.std(angles) == pytest.approx(angle.sd_rad, rel=0.1)
-
-
-def test_planes_through_one_line_have_no_gap_between_their_intersections(good):
-    fan = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.2, 0.0, -0.2)])
-    line_point = np.array([0.0, -0.1, 0.02])
-    lasers = LaserPlanes(
-        names=MODEL.names, normal=fan, distance_m=fan @ line_point, projector_m=np.full((3, 3), np.nan)
-    )
-
-    angles = plane_angles(replace(good, planes=lasers))
-
-    assert common_line_gap_m(angles) < 1e-12
-    assert angles[0].line_point_m == pytest.approx(line_point)
-    assert np.abs(angles[0].line_direction) == pytest.approx([1, 0, 0])
 
 
 def test_depth_deviations_are_those_of_drawn_rigs(good, true_camera, rng):

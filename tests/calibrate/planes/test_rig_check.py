@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.check import FLATNESS_M, rig_check, rig_check_lines
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import calibrated_rig
+from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, rig_check, rig_check_lines
 from ringpose.geometry.rotations import tilted
 from ringpose.types.rig import LaserPlanes, Rig
 

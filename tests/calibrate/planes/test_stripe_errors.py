@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_length
+from ringpose.calibrate.planes.stripes.errors import center_sigma_px, shared_length
 
 
 def test_six_short_stripes_whose_centres_come_in_fours_are_not_taken_for_independent(rng):

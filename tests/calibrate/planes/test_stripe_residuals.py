@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.calibrate.boards.pose import moved_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
-from ringpose.calibrate.planes.stripe_errors import stripe_residuals
+from ringpose.calibrate.planes.stripes.errors import stripe_rays, stripe_residuals
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.board import BoardPose
@@ -36,7 +36,7 @@ def distances_m(centers_px, pose, normal, distance_m, camera) -> np.ndarray:
 
 
 def rows_at(centers_px, pose, camera):
-    return stripe_residuals(rays(centers_px, camera), pose, NORMAL, DISTANCE_M, camera)
+    return stripe_residuals(stripe_rays(centers_px, camera), pose, NORMAL, DISTANCE_M)
 
 
 def uphill(centers_px, pose, camera) -> np.ndarray:

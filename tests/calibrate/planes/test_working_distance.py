@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.acceptance import planes_verdict
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.types.verdict import Grade
 
 MODEL = PlanesModel(names=("left", "middle", "right"))

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.layout import outline_m
+from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import dark_image
-from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface
+from ringpose.calibrate.planes.stripes.board_surface import BoardSurface, board_surface
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.robust import robust_std

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
+from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
@@ -30,6 +31,22 @@ _TERMS = 4
 """Number of coefficients of the polynomial that models a stripe."""
 
 
+class StripeRays(NamedTuple):
+    """Rays (x, y, 1) of a stripe's centres by a camera, and the derivatives of its projection there."""
+
+    ray: Float64[Array, "n xyz=3"]
+    ray_wrt_pixel: Float64[Array, "n ray=2 pixel=2"]
+    pixel_wrt_camera: Float64[Array, "n pixel=2 parameter"]
+    """Derivatives with respect to the intrinsic parameters, the ray held constant."""
+
+
+def stripe_rays(points_px: Float64[Array, "n xy=2"], camera: Camera) -> StripeRays:
+    """Rays of distorted pixels, with derivatives; they do not depend on boards and light planes."""
+    ray = rays(points_px, camera)
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(ray[:, :2], camera)
+    return StripeRays(ray, np.linalg.inv(pixel_wrt_ray), pixel_wrt_camera)
+
+
 class StripeResiduals(NamedTuple):
     """Residuals of a stripe's centres and their derivatives, the metres per pixel held constant."""
 
@@ -46,11 +63,7 @@ class StripeResiduals(NamedTuple):
 
 
 def stripe_residuals(
-    rays: Float64[Array, "n xyz=3"],
-    pose: BoardPose,
-    normal: Float64[Array, "xyz=3"],
-    distance_m: float,
-    camera: Camera,
+    own: StripeRays, pose: BoardPose, normal: Float64[Array, "xyz=3"], distance_m: float
 ) -> StripeResiduals:
     """Residuals of centres seen along rays r = (x, y, 1) on a board, from the light plane `normal . P = distance_m`.
 
@@ -60,23 +73,22 @@ def stripe_residuals(
         (2) d(n . P) = q n_b . dc_b + q (c_b - P) . dn_b + D / (n_b . r) (n - q n_b) . dr
     """
     board_normal = pose.rotation[:, 2]
-    denominator = rays @ board_normal
-    q = (rays @ normal) / denominator
+    denominator = own.ray @ board_normal
+    q = (own.ray @ normal) / denominator
     depth = float(board_normal @ pose.translation_m) / denominator
-    points = depth[:, None] * rays  # Eq. (1)
+    points = depth[:, None] * own.ray  # Eq. (1)
 
     # The last term of Eq. (2), then by pixels: the gradient's length is the scale of the image on the light plane.
     wrt_ray = (depth[:, None] * (normal - q[:, None] * board_normal))[:, :2]
-    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(rays[:, :2], camera)
-    wrt_pixel = np.linalg.solve(pixel_wrt_ray.transpose(0, 2, 1), wrt_ray[:, :, None])[:, :, 0]
+    wrt_pixel = np.einsum("nr,nrp->np", wrt_ray, own.ray_wrt_pixel)
     metres_per_pixel = np.linalg.norm(wrt_pixel, axis=1)
 
     wrt_board_normal = q[:, None] * (pose.translation_m - points)
     rotation_wrt_vector = np.asarray(cv2.Rodrigues(rotation_vector(pose.rotation))[1], dtype=np.float64)
     normal_wrt_vector = rotation_wrt_vector.reshape(3, 3, 3)[:, :, 2].T  # third column of the rotation
     wrt_pose = np.hstack([wrt_board_normal @ normal_wrt_vector, q[:, None] * board_normal])
-    wrt_plane = np.hstack([points @ tilt_basis(normal).T, np.full((len(rays), 1), -1.0)])
-    wrt_camera = -np.einsum("ni,nip->np", wrt_pixel, pixel_wrt_camera)
+    wrt_plane = np.hstack([points @ tilt_basis(normal).T, np.full((len(points), 1), -1.0)])
+    wrt_camera = -np.einsum("ni,nip->np", wrt_pixel, own.pixel_wrt_camera)
     return StripeResiduals(
         residual_px=(points @ normal - distance_m) / metres_per_pixel,
         wrt_pose=wrt_pose / metres_per_pixel[:, None],

@@ -1,6 +1,6 @@
 """Verdicts in files and in lines."""
 
-from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
+from ringpose.calibrate.acceptance import verdict_lines, verdict_values
 from ringpose.types.verdict import Check, Verdict
 
 POOR = Check(

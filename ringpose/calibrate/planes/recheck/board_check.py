@@ -11,16 +11,17 @@ from ringpose.calibrate.boards.corner_errors import (
     whiten,
 )
 from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.labels import labelled_by_planes
-from ringpose.calibrate.planes.stripe_errors import (
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.errors import (
     StripeResiduals,
     center_sigma_px,
     line_modes,
     shared_length,
+    stripe_rays,
     stripe_residuals,
 )
-from ringpose.geometry.rays import rays, undistorted_pixels
+from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
+from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
@@ -136,7 +137,7 @@ def _stripe_check(stripe: int, laser: int, view: StripeView, board: _BoardEstima
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
     pose, pose_covariance = board
     normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    found = stripe_residuals(rays(points_px, rig.camera), pose, normal, distance_m, rig.camera)
+    found = stripe_residuals(stripe_rays(points_px, rig.camera), pose, normal, distance_m)
     weights = _line_weights(points_px) * found.metres_per_pixel
     offset_m = weights @ found.residual_px
     variance = _variance(weights @ _jacobian_by_rig(found, view.board, pose, rig), _rig_covariance(rig, laser))

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from ringpose.calibrate.boards.corner_errors import endpoint_correlation
-from ringpose.calibrate.boards.edge_profile import MIN_BLUR_PX, EdgeProfile, fitted_profile, gaussian_profile
-from ringpose.calibrate.boards.image_patch import GreyImage
+from ringpose.calibrate.boards.patterns.edge_profile import MIN_BLUR_PX, EdgeProfile, fitted_profile, gaussian_profile
+from ringpose.calibrate.boards.patterns.image_patch import GreyImage
 from ringpose.geometry.robust import gauss_newton, robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 
@@ -107,24 +107,15 @@ class Side:
 
     def points(self, t: Float64[Array, "n"], across: float = 0.0) -> Float64[Array, "n 2"]:
         """Points at t, at a distance `across` outside the parabola."""
-        offset = self.offset(t) + across
-        points: Float64[Array, "n 2"] = self.start + t[:, None] * self.along + offset[:, None] * self.normal
+        points: Float64[Array, "n 2"] = (
+            self.start + np.outer(t, self.along) + np.outer(self.offset(t) + across, self.normal)
+        )
         return points
 
     def offset(self, t: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Distance of the parabola from its chord, positive outwards."""
-        offset: Float64[Array, "n"] = np.polynomial.polynomial.polyval(t, self.coefficients)
+        offset: Float64[Array, "n"] = self.coefficients[0] + t * (self.coefficients[1] + t * self.coefficients[2])
         return offset
-
-    def slope(self, t: Float64[Array, "n"]) -> Float64[Array, "n"]:
-        """Slope of the parabola against its chord."""
-        slope: Float64[Array, "n"] = self.coefficients[1] + 2 * self.coefficients[2] * t
-        return slope
-
-    def tangent(self, t: float) -> tuple[Float64[Array, "2"], Float64[Array, "2"]]:
-        """Point at t, and the tangent's direction there."""
-        at = np.array([t])
-        return self.points(at)[0], self.along + self.slope(at)[0] * self.normal
 
 
 class SideSamples(NamedTuple):
@@ -244,30 +235,32 @@ def side_samples(
     `extent` is the share of the side left out at each end, and the reach across the side in pixels.
     """
     left_out, reach = extent
-    flank_px = float(np.clip(FLANK_BLURS * blur_px, MIN_FLANK * reach, MAX_FLANK * reach))
     t, across, grey = _pixels(image, side, left_out, reach)
-    inside, outside = ((sign * across >= flank_px) & (np.abs(across) <= reach) for sign in (-1.0, 1.0))
-    seen = inside.any(axis=1) & outside.any(axis=1)
+    flank_px = float(np.clip(FLANK_BLURS * blur_px, MIN_FLANK * reach, MAX_FLANK * reach))
+    within = np.abs(across) <= reach
+    flanks = within & (across <= -flank_px), within & (across >= flank_px)  # dark, bright
+    seen = flanks[0].any(axis=1) & flanks[1].any(axis=1)
     if seen.sum() < MIN_SAMPLES:
         return None
-    t, across, grey, inside, outside = (each[seen] for each in (t, across, grey, inside, outside))
+    t, across, grey, within = t[seen], across[seen], grey[seen], within[seen]
     # Levels of dark and bright: measured in the flanks, extrapolated to each pixel by the brightness gradients.
     in_image = np.where(np.isfinite(across), across, 0.0)
-    gradients = [float(gradient @ side.normal) * in_image for gradient in light]
-    levels = [
-        np.sum(grey - gradient, axis=1, where=flank) / flank.sum(axis=1)
-        for gradient, flank in zip(gradients, (inside, outside), strict=True)
-    ]
-    dark, bright = (
-        smooth_level(t, level)[:, None] + gradient for level, gradient in zip(levels, gradients, strict=True)
-    )
+    levels, smooth = [], []
+    for flank, slope in zip(flanks, (light @ side.normal).tolist(), strict=True):
+        own = flank[seen]
+        level = np.sum(grey - slope * in_image, axis=1, where=own) / own.sum(axis=1)
+        parabola = robust_parabola(t, level)
+        if parabola is None:
+            return None
+        levels.append(level)
+        smooth.append(np.polynomial.polynomial.polyval(t, parabola)[:, None] + slope * in_image)
+    dark, bright = smooth
     rise = np.median(bright - dark, axis=1)
     visible = (rise > 0) & (levels[1] - levels[0] > MIN_RISE * rise)
     if visible.sum() < MIN_SAMPLES:
         return None
     share = (grey - dark) / np.where(visible[:, None], bright - dark, 1.0)
-    used = visible[:, None] & (np.abs(across) <= reach)
-    return SideSamples(t, across, share, used, side.pixel_spacing)
+    return SideSamples(t, across, share, visible[:, None] & within, side.pixel_spacing)
 
 
 def _pixels(
@@ -284,10 +277,11 @@ def _pixels(
     lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
     t = (lines - side.start[line_axis]) / side.along[line_axis]
     t = t - side.offset(t) * side.normal[line_axis] / side.along[line_axis]
-    crossing = side.points(t)[:, pixel_axis]
+    crossing = side.start[pixel_axis] + t * side.along[pixel_axis] + side.offset(t) * side.normal[pixel_axis]
     half = int(np.ceil(reach / side.pixel_spacing))
     pixels = np.rint(crossing)[:, None] + np.arange(-half, half + 1)
-    distance_per_pixel = side.normal[pixel_axis] - side.slope(t) * side.along[pixel_axis]
+    slope = side.coefficients[1] + 2 * side.coefficients[2] * t
+    distance_per_pixel = side.normal[pixel_axis] - slope * side.along[pixel_axis]
     across = (pixels - crossing[:, None]) * distance_per_pixel[:, None]
     by_line = image if is_horizontal else image.T
     size = by_line.shape
@@ -295,18 +289,6 @@ def _pixels(
     row = np.clip(pixels, 0, size[0] - 1).astype(np.int64)
     column = np.clip(lines, 0, size[1] - 1).astype(np.int64)
     return t, np.where(within, across, np.inf), by_line[row, column[:, None]].astype(np.float64)
-
-
-def smooth_level(t: Float64[Array, "n"], grey: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Values of a robust parabola through the grey values along one flank, where occlusions are outliers."""
-    used = np.ones(len(t), dtype=bool)
-    x = t / np.abs(t).max()
-    for _ in range(3):
-        parabola = np.polynomial.polynomial.polyfit(x[used], grey[used], 2)
-        residual = np.abs(grey - np.polynomial.polynomial.polyval(x, parabola))
-        used = residual <= max(_OUTLIER_SIGMAS * robust_std(residual), 1e-6)
-    level: Float64[Array, "n"] = np.polynomial.polynomial.polyval(x, parabola)
-    return level
 
 
 def _refitted_side(side: Side, samples: SideSamples, profile: EdgeProfile, left_out: float) -> Side | None:
@@ -322,18 +304,23 @@ def _refitted_side(side: Side, samples: SideSamples, profile: EdgeProfile, left_
     return None if coefficients is None else replace(side, coefficients=coefficients, left_out=left_out)
 
 
-def robust_parabola(t: Float64[Array, "n"], offset: Float64[Array, "n"]) -> Float64[Array, "3"] | None:
-    """Coefficients of a parabola fitted without outliers and NaN; None if too few samples are left."""
-    used = np.isfinite(offset)
-    coefficients = None
+def robust_parabola(t: Float64[Array, "n"], values: Float64[Array, "n"]) -> Float64[Array, "3"] | None:
+    """Coefficients of a parabola fitted without outliers (occlusions) and NaN; None if too few samples are left."""
+    finite = np.isfinite(values)
+    scale = float(np.abs(t).max())
+    basis, values = np.vander(t[finite] / scale, 3, increasing=True), values[finite]
+    used = np.ones(len(values), dtype=bool)
     for _ in range(3):
         if used.sum() < MIN_SAMPLES:
             return None
-        coefficients = np.polynomial.polynomial.polyfit(t[used], offset[used], 2)
-        residual = offset - np.polynomial.polynomial.polyval(t, coefficients)
-        limit = max(_OUTLIER_SIGMAS * robust_std(residual[used]), 1e-6)
-        used = np.isfinite(offset) & (np.abs(np.nan_to_num(residual, nan=np.inf)) < limit)
-    return coefficients
+        rows = basis[used]
+        coefficients = np.linalg.solve(rows.T @ rows, rows.T @ values[used])
+        residual = np.abs(values - basis @ coefficients)
+        within = residual <= max(_OUTLIER_SIGMAS * robust_std(residual[used]), 1e-6)
+        if np.array_equal(within, used):
+            break
+        used = within
+    return coefficients / scale ** np.arange(3)
 
 
 def _measured_profile(samples: list[SideSamples], reach: float, gaussian: bool) -> EdgeProfile:
@@ -377,15 +364,16 @@ def side_intersection(before: Side, after: Side, corner: Float64[Array, "2"]) ->
 
     Parallel tangents give the corner itself.
     """
-    t_before, t_after = before.length, 0.0
+    sides, t = (before, after), np.array([before.length, 0.0])
     intersection = corner
     for _ in range(3):
-        first, along_before = before.tangent(t_before)
-        second, along_after = after.tangent(t_after)
-        system = np.stack([along_before, -along_after], axis=1)
+        points = [side.points(t[i : i + 1])[0] for i, side in enumerate(sides)]
+        slopes = [side.coefficients[1] + 2 * side.coefficients[2] * t[i] for i, side in enumerate(sides)]
+        tangents = [side.along + slope * side.normal for side, slope in zip(sides, slopes, strict=True)]
+        system = np.stack([tangents[0], -tangents[1]], axis=1)
         if abs(np.linalg.det(system)) < 1e-6:
             return corner
-        step = np.linalg.solve(system, second - first)
-        intersection = first + step[0] * along_before
-        t_before, t_after = t_before + step[0], t_after + step[1]
+        step = np.linalg.solve(system, points[1] - points[0])
+        intersection = points[0] + step[0] * tangents[0]
+        t = t + step
     return intersection

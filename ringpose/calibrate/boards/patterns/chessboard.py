@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.image_patch import (
+from ringpose.calibrate.boards.patterns.image_patch import (
     GreyImage,
     Patch,
     brightness_plane,

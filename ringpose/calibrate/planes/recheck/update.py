@@ -17,13 +17,19 @@ from ringpose.calibrate.boards.corner_errors import (
     whiten,
 )
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.check import FLATNESS_M, SIGMAS
-from ringpose.calibrate.planes.labels import labelled_by_planes
-from ringpose.calibrate.planes.stripe_errors import center_sigma_px, line_modes, shared_length, stripe_residuals
+from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, SIGMAS
+from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.errors import (
+    center_sigma_px,
+    line_modes,
+    shared_length,
+    stripe_rays,
+    stripe_residuals,
+)
+from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
-from ringpose.geometry.rays import rays, undistorted_pixels
+from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.plane_evidence import MovedPlane, RigEvidence
 from ringpose.types.arrays import Array, Float64
@@ -59,7 +65,7 @@ def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
     for laser, points_px in enumerate(view.stripes_px):
         if not len(points_px):
             continue
-        found = stripe_residuals(rays(points_px, rig.camera), pose, *planes[laser], rig.camera)
+        found = stripe_residuals(stripe_rays(points_px, rig.camera), pose, *planes[laser])
         rows = np.zeros((len(points_px), corners.shape[1]))
         rows[:, :_POSE] = found.wrt_pose
         rows[:, _POSE : _POSE + len(camera)] = _with_focal_ratio(found.wrt_camera, rig)

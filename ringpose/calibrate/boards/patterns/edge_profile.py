@@ -7,6 +7,7 @@ beside a marker's sides.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import ndtr
@@ -82,11 +83,18 @@ def fitted_profile(
 def _tabulated(blur_px: float, coefficients: Float64[Array, "knot"]) -> EdgeProfile:
     """Error function plus spline with these coefficients."""
     density = np.exp(-0.5 * (_TABLE_PX / blur_px) ** 2) / (np.sqrt(2 * np.pi) * blur_px)
+    splines, slopes = _tabulated_splines(len(coefficients))
     return EdgeProfile(
         blur_px=blur_px,
-        shares=ndtr(_TABLE_PX / blur_px) + _odd_splines(_TABLE_PX, len(coefficients)) @ coefficients,
-        slopes=density + _odd_spline_slopes(_TABLE_PX, len(coefficients)) @ coefficients,
+        shares=ndtr(_TABLE_PX / blur_px) + splines @ coefficients,
+        slopes=density + slopes @ coefficients,
     )
+
+
+@cache
+def _tabulated_splines(knots: int) -> tuple[Float64[Array, "sample knot"], Float64[Array, "sample knot"]]:
+    """The splines and their derivatives at the tabulated distances."""
+    return _odd_splines(_TABLE_PX, knots), _odd_spline_slopes(_TABLE_PX, knots)
 
 
 def _interpolated(across: Float64[Array, "*shape"], table: Float64[Array, "sample"]) -> Float64[Array, "*shape"]:

@@ -1,0 +1,1 @@
+"""Detection of the corners of each kind of pattern."""

@@ -1,0 +1,1 @@
+"""Checks and updates of an existing rig."""

@@ -1,0 +1,1 @@
+"""Stripes on the board: extraction, errors, assignment to lasers."""
