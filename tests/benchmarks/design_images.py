@@ -1,6 +1,6 @@
 """Errors in rendered images beside the maps of `ringpose bench design`.
 
-At places where the estimator does not flag the pose, shots are rendered and measured with noise only; the root mean
+At places that a map does not hatch, shots are rendered and measured with noise only; the root mean
 square errors of centre and normal are divided by the map's, with the 99 % band of this ratio. `--image-scale` reduces
 the image to save time. Status 3 if a ratio is outside its band.
 """
@@ -39,7 +39,7 @@ def reduced(scene: Scene, scale: float) -> Scene:
 
 
 def random_places(scene: Scene, rng: np.random.Generator, count: int) -> list[Place]:
-    """Places at which the estimator does not flag the pose as weak."""
+    """Places that a map does not hatch."""
     found: list[Place] = []
     while len(found) < count:
         place = Place(
@@ -48,7 +48,7 @@ def random_places(scene: Scene, rng: np.random.Generator, count: int) -> list[Pl
             pitch_rad=float(rng.uniform(-0.15, 0.15)),
             yaw_rad=float(rng.uniform(-0.15, 0.15)),
         )
-        if not place_result(scene, place).weak:
+        if not place_result(scene, place).above_bound:
             found.append(place)
     return found
 

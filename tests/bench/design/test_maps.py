@@ -47,7 +47,7 @@ def ratio_and_band(scene, place, shots):
 
 
 def random_places(scene, rng, count):
-    """Places at which the estimator does not flag the pose as weak."""
+    """Places that a map does not hatch."""
     found = []
     while len(found) < count:
         place = Place(
@@ -56,7 +56,7 @@ def random_places(scene, rng, count):
             pitch_rad=float(rng.uniform(-0.15, 0.15)),
             yaw_rad=float(rng.uniform(-0.15, 0.15)),
         )
-        if not place_result(scene, place).weak:
+        if not place_result(scene, place).above_bound:
             found.append(place)
     return found
 
