@@ -245,15 +245,21 @@ def scene_at(scene: Scene, place: Place) -> Scene:
     return replace(scene, views=(view,), approaches=(), camera_boards=None, plane_boards=None)
 
 
-BEYOND_COLUMNS, BEYOND_ROWS = 12, 10.0
+BEYOND_COLUMNS, BEYOND_ROWS = 12, 12.0
 """Columns on either side of an end, and rows about its stripe, in which the light is compared."""
 
 SECTION_SIGMAS = 3.0
-"""Half height of a stripe, in standard deviations of its section, within which other light hides its end."""
+"""Half height of a stripe, in standard deviations of its section, in which the detector measures it."""
+
+HALF_WIDTHS = 2.355
+"""Full width at half maximum of a Gaussian section, in standard deviations."""
+
+BEYOND_LEVEL = 0.25
+"""Ratio of the light beyond an end to that on the face above which it is another stripe, not a wall (as in detect)."""
 
 
 def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy=2"]) -> bool:
-    """Whether beyond an end, in the rows of its stripe, its laser's light on another surface is as bright as it.
+    """Whether beyond an end the same laser's stripe on another surface is so near that their sections overlap.
 
     Such an end is flagged as unclear, with several times the standard deviation of one that ends in the dark.
     """
@@ -261,18 +267,18 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
     columns = np.arange(-BEYOND_COLUMNS, BEYOND_COLUMNS + 1)
     columns = columns[np.abs(columns) > scene.lens.blur_px]
     rows = np.arange(-BEYOND_ROWS, BEYOND_ROWS + 0.25, 0.5)
-    kernel = np.exp(-0.5 * ((rows[:, None] - rows) / max(scene.lens.blur_px, 0.25)) ** 2)
+    blur = np.exp(-0.5 * ((rows[:, None] - rows) / max(scene.lens.blur_px, 0.25)) ** 2)
     for laser, ends_px in enumerate(break_points_px):
         if not np.isfinite(ends_px).all():
             continue
         for end_px, outward_px in zip(ends_px, ends_px - ends_px[::-1], strict=True):
             along_px = end_px + columns[:, None, None] * outward_px / abs(outward_px[0])
             directions = rays((along_px + rows[:, None] * np.array([0.0, 1.0])).reshape(-1, 2), camera)
-            light = radiance_along(illuminated, directions)[1 + laser].reshape(len(columns), len(rows)) @ kernel
-            section = light[columns < 0].mean(axis=0)
-            sigma = np.sqrt(section @ rows**2 / section.sum())
-            near = np.abs(rows) <= SECTION_SIGMAS * sigma
-            if light[columns > 0][:, near].max() > section.max():
+            light = radiance_along(illuminated, directions)[1 + laser].reshape(len(columns), len(rows)) @ blur
+            on_face, beyond = light[columns < 0].mean(axis=0), light[columns > 0].mean(axis=0)
+            sigma = np.count_nonzero(on_face > 0.5 * on_face.max()) * (rows[1] - rows[0]) / HALF_WIDTHS
+            near = abs(rows[np.argmax(beyond)]) < 2 * SECTION_SIGMAS * sigma
+            if near and beyond.max() > BEYOND_LEVEL * on_face.max():
                 return True
     return False
 
