@@ -77,7 +77,7 @@ def computed(
     if not indices:
         return iter(())
     if scheduler is not None or scheduler_file is not None:
-        return executors.by_cluster(work, indices, scheduler, None if scheduler_file is None else str(scheduler_file))
+        return executors.by_cluster(work, indices, scheduler, scheduler_file)
     return executors.here(work, indices) if processes == 1 else executors.by_processes(work, indices, processes)
 
 
