@@ -301,7 +301,16 @@ def _grasp_sd_m(line: PoseLine) -> float:
     return nan if covariance is None or not np.isfinite(covariance).all() else standard_deviation(covariance)
 
 
-HEADINGS = ("distance", "in view", "center mm", "normal deg", "r_out mm", "grasp mm", "center mm (r known)", "above bound")
+HEADINGS = (
+    "distance",
+    "in view",
+    "center mm",
+    "normal deg",
+    "r_out mm",
+    "grasp mm",
+    "center mm (r known)",
+    "above bound",
+)
 
 
 def design_rows(found: Sequence[Design]) -> list[list[str]]:

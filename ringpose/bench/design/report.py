@@ -133,7 +133,8 @@ def _maps(shown: Sequence[Design], quantity: str) -> Picture:
     figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
     caption = (
         f"Standard deviation of the {label} ({unit}). Hatched: errors are larger than the bound, since the pose is "
-        "flagged as weak, or light of the same laser beyond a stripe hides its end. Grey: not determined. Numbers: stripes in view, where not all are."
+        "flagged as weak, or light of the same laser beyond a stripe hides its end. Grey: not determined. Numbers: "
+        "stripes in view, where not all are."
     )
     return Picture(png=png_of(figure), caption=caption)
 

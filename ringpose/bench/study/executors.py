@@ -227,7 +227,9 @@ class _Chunks:
 # Cluster
 
 
-def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, scheduler_file: Path | None) -> Iterator[Done]:
+def by_cluster(
+    work: Work, indices: Iterable[int], scheduler: str | None, scheduler_file: Path | None
+) -> Iterator[Done]:
     """The shots in chunks, by the workers of a dask.distributed cluster; the extra `cluster` is needed.
 
     Workers with other versions are an error. A cluster that disappears ends the iteration with an error; what was

@@ -15,7 +15,12 @@ from ringpose.bench.study.table import worst_shots
 from ringpose.files.studies.results import ResultFolder
 from ringpose.files.studies.specification import StudyFile
 from ringpose.report.page import Picture
+from ringpose.simulate.pipeline import simulated_boards
+from ringpose.types.board import BoardView
 from ringpose.types.image import Shot
+from ringpose.types.options import PlanesMethod
+from ringpose.types.rig import Rig
+from ringpose.types.scene import BoardSet, Scene
 from ringpose.types.study import Row, Study, StudyMethod
 
 PART_S = (0.5, 10.0)
@@ -57,10 +62,43 @@ def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
         return study
     rig_file = folder.folder / "calibrated-rig.yaml"
     if not rig_file.exists():
-        from ringpose.bench.study.calibrated_rig import calibrated_rig
-
         write_rig(rig_file, calibrated_rig(study.scene, jobs or executors.cores()))
     return replace(study, rig=read_rig(rig_file))
+
+
+def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
+    """Camera and light planes with their joint covariance, estimated from the scene's board views.
+
+    As by `calibrate-camera` and `calibrate-planes`; the scene has boards. DataError if too few of them are found.
+    """
+    from ringpose.calibrate.camera.assessment import camera_assessment, widened
+    from ringpose.calibrate.camera.parameters import CameraModel
+    from ringpose.calibrate.camera.pipeline import calibrate_camera
+    from ringpose.calibrate.planes.quality import calibrated_rig as rig_of_planes
+    from ringpose.calibrate.planes.shots import StripeShots
+
+    assert scene.camera_boards is not None  # as read_study checks
+    assert scene.plane_boards is not None
+    camera, names = scene.rig.camera, scene.rig.lasers.names
+    model, views = CameraModel(), [view for _, view in _board_views(scene, scene.camera_boards, jobs)]
+    found = calibrate_camera(views, camera.image_width, camera.image_height, model, camera.camera_name)
+    calibration, _ = widened(found, camera_assessment(found, views, model))
+    stripes = StripeShots(scene.plane_boards.board, calibration.camera, ",".join(names), None)
+    for shot, view in _board_views(scene, scene.plane_boards, jobs):
+        stripes.add(shot, view)
+    rig = rig_of_planes(stripes.assessment(PlanesMethod.JOINT).calibration)
+    # a calibration does not know where the projectors are, which only the simulation of features needs
+    return replace(rig, lasers=replace(rig.lasers, projector_m=scene.rig.lasers.projector_m))
+
+
+def _board_views(scene: Scene, boards: BoardSet, jobs: int) -> Iterator[tuple[Shot, BoardView]]:
+    from ringpose.calibrate.boards.diagnostics import NoBoard
+    from ringpose.calibrate.boards.views import board_image, find_board
+
+    for shot, _ in simulated_boards(scene, boards, jobs=jobs):
+        view = find_board(board_image(shot), boards.board, shot.name)
+        if not isinstance(view, NoBoard):
+            yield shot, view
 
 
 def missing(study: Study, folder: ResultFolder) -> list[int]:
