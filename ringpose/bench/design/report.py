@@ -130,7 +130,9 @@ def _maps(shown: Sequence[Design], quantity: str) -> Picture:
         axis.set_visible(False)
     figure.supxlabel("offset from the image centre (image widths)", fontsize=9)
     figure.supylabel("distance (mm)", fontsize=9)
-    figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
+    bar = figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
+    for ticks in (bar.ax.yaxis.set_major_formatter, bar.ax.yaxis.set_minor_formatter):
+        ticks(FuncFormatter(_tick))
     caption = (
         f"Standard deviation of the {label} ({unit}). Hatched: errors are larger than the bound, since the pose is "
         "flagged as weak, or light of the same laser beyond a stripe hides its end. Grey: not determined. Numbers: "
@@ -146,7 +148,9 @@ def _map(axis: Axes, design: Design, grid: Float64[Array, "distance offset"], no
     for result in design.results:
         row, column = distances_m.index(result.place.distance_m), offsets.index(result.place.offset_x)
         if getattr(result, above):
-            axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor="0.3", linewidth=0))
+            dark = norm is not None and np.ma.filled(norm(grid[row, column]), 0.0) > 0.5
+            edge = "0.9" if dark else "0.3"
+            axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor=edge, linewidth=0))
         if result.stripes < len(design.rig.lasers.names):
             box = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none"}
             axis.text(column + 0.5, row + 0.5, str(result.stripes), ha="center", va="center", fontsize=8, bbox=box)

@@ -8,6 +8,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
+import numpy as np
+
 from ringpose.bench.study import executors
 from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
@@ -22,6 +24,7 @@ from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import Rig
 from ringpose.types.scene import BoardSet, Scene
 from ringpose.types.study import Row, Study, StudyMethod
+from ringpose.types.truth import Truth
 
 PART_S = (0.5, 10.0)
 """Time after which finished shots are written to a new part file, at first and later: what a killed study loses."""
@@ -30,7 +33,10 @@ PART_SHOTS = 5000
 """Number of shots after which they are written earlier."""
 
 OVERLAYS = 4
-"""Number of the worst shots whose images are in the report."""
+"""Number of the worst shots whose images are in the report ..."""
+
+MARGIN_PX = 150
+"""... from so many pixels beside the stripes on the ring's face on."""
 
 
 def metadata(read: StudyFile, command: str) -> dict[str, Any]:
@@ -176,9 +182,19 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     for index, shot in _worst(study, folder, OVERLAYS):
         assert isinstance(shot.source, Shot)
         picture = overlay(picture_of(shot.source), detect(shot.source, shot.scene.rig))
-        png = cv2.imencode(".png", cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))[1]
+        png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
         error, reason = rows[index]["center_m"], rows[index]["reason"]
         found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"
         setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
         pictures.append(Picture(png=png.tobytes(), caption=f"Shot {index} ({method}): {found}; {setting}"))
     return pictures
+
+
+def _around_stripes(truth: Truth, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of an image that show the true stripes on the face, and what is beside them; else all."""
+    points_px = np.full((1, 2), np.nan) if truth.break_points_px is None else truth.break_points_px.reshape(-1, 2)
+    if not np.isfinite(points_px).any():
+        return slice(None), slice(None)
+    low, high = np.nanmin(points_px, axis=0) - MARGIN_PX, np.nanmax(points_px, axis=0) + MARGIN_PX
+    (left, top), (right, bottom) = np.maximum(low, 0).astype(int).tolist(), high.astype(int).tolist()
+    return slice(top, min(bottom, shape[0])), slice(left, min(right, shape[1]))

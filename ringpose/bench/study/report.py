@@ -60,7 +60,7 @@ def study_report(
         Section(
             title="Availability, and consistency of the reported covariances",
             table=_cells_table(summary, CONSISTENCY_SHOWN),
-            pictures=[_nees(summary), _reliability(columns)],
+            pictures=[_nees(summary), *_reliability(columns)],
         ),
         Section(title="Failures", table=_failures(summary), pictures=overlays),
         Section(title="Time by stage", table=_times(study, summary)),
@@ -159,8 +159,12 @@ def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
     factors = len(summary.by)
     repeated = [number > 0 and row[:factors] == rows[number - 1][:factors] for number, row in enumerate(rows)]
     rows = [[*([""] * factors), *row[factors:]] if again else row for row, again in zip(rows, repeated, strict=True)]
-    names = [name.removesuffix("_m").removesuffix("_rad").replace("_", " ") for name in summary.by]  # values have units
-    return Table(headings=(*names, *heading[factors:]), rows=rows)
+    return Table(headings=(*map(factor_name, summary.by), *heading[factors:]), rows=rows)
+
+
+def factor_name(name: str) -> str:
+    """A factor's name beside values that have a unit of their own."""
+    return name.removesuffix("_m").removesuffix("_rad").replace("_", " ")
 
 
 def _failures(summary: StudySummary) -> Table:
@@ -212,7 +216,7 @@ def _errors(study: Study, summary: StudySummary) -> Picture:
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
         _plain_ticks(axis)
-        axis.set_xlabel(drawn(summary.table))
+        axis.set_xlabel(drawn(factor_name(summary.table)))
         names = [value_text(summary.table, key[0]) if key else "all" for key in keys]
         axis.set_xticks(_positions(keys, 0, 1) if _numeric(keys) else range(len(keys)), names)
     handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, m)) for m in summary.methods]
@@ -301,7 +305,7 @@ def _nees(summary: StudySummary) -> Picture:
         axis.axhline(1.0, color="black", linewidth=0.7)
         keys, _ = wide_columns(summary, summary.methods[0])
         axis.set_xticks(range(len(keys)), [value_text(summary.table, key[0]) if key else "all" for key in keys])
-        axis.set_xlabel(drawn(summary.table))
+        axis.set_xlabel(drawn(factor_name(summary.table)))
         axis.set_yscale("log")
         axis.set_title(
             f"NEES of the {name.partition('_')[0].replace('center', 'centre')}, by degree of freedom", fontsize=10
@@ -318,8 +322,8 @@ def _nees(summary: StudySummary) -> Picture:
     return Picture(png=png_of(figure), caption=caption)
 
 
-def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
-    """Actual against reported standard deviation of the centre, in bins of the reported one."""
+def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> list[Picture]:
+    """Actual against reported standard deviation of the centre, in bins of the reported one; none of too few shots."""
     figure = canvas(6.5, 5)
     axis = figure.subplots()
     limits: list[float] = []
@@ -328,19 +332,16 @@ def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
         if len(x):
             axis.plot(1e3 * x, 1e3 * y, "o-", color=_color(list(columns), method), markersize=4, label=drawn(method))
             limits += [float(1e3 * x.min()), float(1e3 * x.max())]
-    if limits:
-        _diagonal(axis, min(limits), max(limits))
-        axis.legend(fontsize=8)
+    if not limits:
+        return []
+    axis.plot([min(limits), max(limits)], [min(limits), max(limits)], color="black", linewidth=0.8)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.legend(fontsize=8)
     axis.set_xlabel("reported standard deviation of the centre (mm)")
     axis.set_ylabel("root mean square centre error (mm)")
     axis.grid(alpha=0.3, which="both")
-    return Picture(png=png_of(figure), caption="Reliability: on the line, errors are as large as reported.")
-
-
-def _diagonal(axis: Axes, low: float, high: float) -> None:
-    axis.plot([low, high], [low, high], color="black", linewidth=0.8)
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    return [Picture(png=png_of(figure), caption="Reliability: on the line, errors are as large as reported.")]
 
 
 def _binned(sigma: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
