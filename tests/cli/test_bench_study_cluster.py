@@ -66,6 +66,7 @@ def test_a_cluster_gives_the_same_results_even_if_its_scheduler_is_killed(
         error = process.communicate()[1]
     assert process.returncode == 69, error
     assert "disappeared" in error
+    assert error.count("\n") == 1
     address, _ = cluster()
 
     with study_process("out", "--scheduler", address) as process:

@@ -6,6 +6,7 @@ is reported as failed.
 """
 
 import hashlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -236,6 +237,9 @@ def by_cluster(
     yielded before is valid.
     """
     distributed: Any = import_module("distributed")
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith("distributed"):  # its errors are reported by exceptions, too
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     place = scheduler or _address_in(scheduler_file or Path())
     try:
         client = distributed.Client(place, timeout=SCHEDULER_S, set_as_default=False)
