@@ -264,7 +264,7 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
     Such an end is flagged as unclear, with several times the standard deviation of one that ends in the dark.
     """
     camera, illuminated = scene.rig.camera, illuminated_ring(scene, scene.views[0], scene.sequence)
-    columns = np.arange(-BEYOND_COLUMNS, BEYOND_COLUMNS + 1)
+    columns = np.arange(-BEYOND_COLUMNS, BEYOND_COLUMNS + 1, 2)
     columns = columns[np.abs(columns) > scene.lens.blur_px]
     rows = np.arange(-BEYOND_ROWS, BEYOND_ROWS + 0.25, 0.5)
     blur = np.exp(-0.5 * ((rows[:, None] - rows) / max(scene.lens.blur_px, 0.25)) ** 2)
