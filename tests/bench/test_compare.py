@@ -104,8 +104,8 @@ def test_two_equal_results_raise_a_false_alarm_in_no_more_than_5_percent_of_comp
 
 
 def test_errors_that_grew_by_10_percent_are_worse_beyond_2_percent_and_not_beyond_20(rng):
-    shared = rng.normal(size=(400, 8))
-    a, b = result(rng, 400, shared=shared), result(rng, 400, scale=1.1, shared=shared)
+    shared = rng.normal(size=(200, 8))
+    a, b = result(rng, 200, shared=shared), result(rng, 200, scale=1.1, shared=shared)
 
     rows, tolerant = (compare(pairs(a, b), [], *options) for options in ((0.02, 99), (0.2, 0)))
 

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from ringpose.bench.limits import error_limits, exceeded_count_limits, exceeded_error_limits
 from ringpose.bench.score import Judgement, Outcome, Score
-from ringpose.bench.summary import summaries
+from ringpose.bench.summary import error_limits, exceeded_count_limits, exceeded_error_limits, summaries
 
 
 def scored(light: str, grasp_m: float | None) -> Score:

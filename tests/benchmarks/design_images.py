@@ -1,13 +1,13 @@
-"""Errors in rendered images beside the maps of `ringpose bench design`.
+"""Errors of simulated shots beside the maps of `ringpose bench design`.
 
-At places where the estimator does not flag the pose, shots are rendered and measured with noise only; the root mean
-square errors of centre and normal are divided by the map's, with the 99 % band of this ratio. `--image-scale` reduces
-the image to save time. Status 3 if a ratio is outside its band.
+At random places that a map does not hatch, shots are rendered and measured; the root mean square errors of centre and
+normal are divided by the map's, with the 99 % band of this ratio. `--image-scale` reduces the image to save time.
+Status 3 if a ratio of the centre is outside its band.
 """
 
 import argparse
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +17,80 @@ from ringpose.bench.design.maps import Place, place_result, scene_at
 from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.record import pose_line
-from ringpose.simulate.features import drawn_features
+from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
-from ringpose.types.assumptions import NOISE_ONLY
-from ringpose.types.pose import RingPose
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions
 from ringpose.types.scene import Scene
-from ringpose.types.truth import Truth
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "scene.yaml"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlaceErrors:
+    """Errors of the shots at one place beside the map's."""
+
+    rms: Float64[Array, "quantity=2"]
+    """Root mean squares of the centre's (m) and the normal's (rad)."""
+    expected: Float64[Array, "quantity=2"]
+    """The map's."""
+    band: tuple[float, float]
+    """99 % of the ratios of the centre's lie in it if the map is right, along one direction, the widest band."""
+    poses: int
+    flagged: int
+    """Poses whose status is not `ok`."""
+
+    @property
+    def ratio(self) -> Float64[Array, "quantity=2"]:
+        """Errors over the map's."""
+        return self.rms / self.expected
+
+    @property
+    def inside(self) -> bool:
+        """Whether the centre's ratio is in its band."""
+        return bool(self.band[0] < self.ratio[0] < self.band[1])
+
+
+def place_errors(scene: Scene, place: Place, shots: int, deviations: Deviations | None = None) -> PlaceErrors:
+    """Errors of shots that are drawn with these deviations, or without any rendered and measured with noise only."""
+    at_place, found, flagged = scene_at(scene, place), [], 0
+    for seed in range(shots):
+        seeded = replace(at_place, seed=seed)
+        if deviations is None:
+            source, truth = simulated_shot(seeded, seeded.views, 0)
+            line = pose_line(source, scene.rig, options=NOISE_ONLY)
+        else:
+            drawn = next(drawn_features(seeded, deviations, 1))
+            truth, options = drawn.truth, AssumptionOptions() if deviations.rig_errors else NOISE_ONLY
+            line = pose_line(drawn.detection, scene.rig, options=options)
+        if line.pose is not None and np.isfinite(line.pose.center_m).all():
+            angle_rad = angle_between(line.pose.normal[None], truth.normal[None])[0]
+            found.append((np.linalg.norm(line.pose.center_m - truth.center_m), angle_rad))
+            flagged += line.status != "ok"
+    sd = place_result(scene, place).sd
+    low, high = np.sqrt(chi2.ppf([0.005, 0.995], len(found)) / len(found))
+    return PlaceErrors(
+        rms=np.sqrt(np.mean(np.square(found), axis=0)),
+        expected=np.array([sd["center_m"], sd["normal_rad"]]),
+        band=(float(low), float(high)),
+        poses=len(found),
+        flagged=flagged,
+    )
+
+
+def random_places(scene: Scene, rng: np.random.Generator, count: int) -> list[Place]:
+    """Places that a map does not hatch."""
+    found: list[Place] = []
+    while len(found) < count:
+        place = Place(
+            distance_m=float(rng.uniform(0.3, 1.0)),
+            offset_x=float(rng.uniform(-0.2, 0.2)),
+            pitch_rad=float(rng.uniform(-0.15, 0.15)),
+            yaw_rad=float(rng.uniform(-0.15, 0.15)),
+        )
+        if not place_result(scene, place).above_bound:
+            found.append(place)
+    return found
 
 
 def reduced(scene: Scene, scale: float) -> Scene:
@@ -38,46 +104,8 @@ def reduced(scene: Scene, scale: float) -> Scene:
     return replace(scene, rig=replace(scene.rig, camera=smaller), sensor=sensor)
 
 
-def random_places(scene: Scene, rng: np.random.Generator, count: int) -> list[Place]:
-    """Places at which the estimator does not flag the pose as weak."""
-    found: list[Place] = []
-    while len(found) < count:
-        place = Place(
-            distance_m=float(rng.uniform(0.3, 1.0)),
-            offset_x=float(rng.uniform(-0.2, 0.2)),
-            pitch_rad=float(rng.uniform(-0.15, 0.15)),
-            yaw_rad=float(rng.uniform(-0.15, 0.15)),
-        )
-        if not place_result(scene, place).weak:
-            found.append(place)
-    return found
-
-
-def errors(scene: Scene, place: Place, shots: int, images: bool) -> tuple[np.ndarray, int]:
-    """Errors of centre (m) and normal (rad), a row a shot with both; and the number of flagged ones among them."""
-    at_place, found, flagged = scene_at(scene, place), [], 0
-    for seed in range(shots):
-        seeded = replace(at_place, seed=seed)
-        if images:
-            source, truth = simulated_shot(seeded, seeded.views, 0)
-        else:
-            drawn = next(drawn_features(seeded))
-            source, truth = drawn.detection, drawn.truth
-        line = pose_line(source, scene.rig, options=NOISE_ONLY)
-        if line.pose is not None and np.isfinite(line.pose.center_m).all():
-            found.append(_error(line.pose, truth))
-            flagged += line.status != "ok"
-    return np.array(found).reshape(-1, 2), flagged
-
-
-def _error(pose: RingPose, truth: Truth) -> tuple[float, float]:
-    assert truth.center_m is not None
-    assert truth.normal is not None
-    angle_rad = angle_between(pose.normal[None], truth.normal[None])[0]
-    return float(np.linalg.norm(pose.center_m - truth.center_m)), float(angle_rad)
-
-
 def main() -> int:
+    """Print a line for each place."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--places", type=int, default=5)
     parser.add_argument("--shots", type=int, default=50)
@@ -85,23 +113,17 @@ def main() -> int:
     parser.add_argument("--image-scale", type=float, default=1.0)
     parser.add_argument("--features", action="store_true", help="draw features instead of rendering images")
     given = parser.parse_args()
-    scene = reduced(read_scene(EXAMPLE), given.image_scale)
-    outside = 0
+    scene, outside = reduced(read_scene(EXAMPLE), given.image_scale), 0
     heading = "distance  offset  pitch    yaw    centre mm    map  ratio  normal deg    map  ratio    band"
     print(heading + "        poses  flagged")
     for place in random_places(scene, np.random.default_rng(given.seed), given.places):
-        found, flagged = errors(scene, place, given.shots, not given.features)
-        expected = place_result(scene, place).sd
-        rms = np.sqrt(np.mean(np.square(found), axis=0))
-        ratio = rms / [expected["center_m"], expected["normal_rad"]]
-        # squares along one direction have the widest band
-        low, high = np.sqrt(chi2.ppf([0.005, 0.995], len(found)) / len(found))
-        outside += not low < ratio[0] < high
+        found = place_errors(scene, place, given.shots, Deviations() if given.features else None)
+        outside += not found.inside
         print(
             f"{place.distance_m:8.3f} {place.offset_x:7.3f} {place.pitch_rad:6.3f} {place.yaw_rad:6.3f}"
-            f"   {1e3 * rms[0]:10.3f} {1e3 * expected['center_m']:6.3f} {ratio[0]:6.2f}"
-            f"  {np.degrees(rms[1]):10.4f} {np.degrees(expected['normal_rad']):6.4f} {ratio[1]:6.2f}"
-            f"   {low:.2f}..{high:.2f} {len(found):8d} {flagged:8d}",
+            f"   {1e3 * found.rms[0]:10.3f} {1e3 * found.expected[0]:6.3f} {found.ratio[0]:6.2f}"
+            f"  {np.degrees(found.rms[1]):10.4f} {np.degrees(found.expected[1]):6.4f} {found.ratio[1]:6.2f}"
+            f"   {found.band[0]:.2f}..{found.band[1]:.2f} {found.poses:8d} {found.flagged:8d}",
             flush=True,
         )
     return 3 if outside else 0

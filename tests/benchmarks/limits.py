@@ -15,8 +15,6 @@ class Verdict(StrEnum):
 
     OK = "ok"
     MISSED = "MISSED"
-    NOT_YET = "not yet"
-    """The feature that the limit applies to does not exist yet."""
     NONE = "none"
     """The figure is measured for comparison and has no limit."""
 
@@ -26,8 +24,8 @@ class Figure:
     """One measured figure."""
 
     name: str
-    measured: float | None
-    """None if there is nothing to measure yet; NaN, which misses every limit, if the measurement failed."""
+    measured: float
+    """NaN, which misses every limit, if the measurement failed."""
     unit: str = ""
     max_value: float = math.inf
     min_value: float = -math.inf
@@ -35,8 +33,6 @@ class Figure:
     @property
     def verdict(self) -> Verdict:
         """Whether the figure is within its limits."""
-        if self.measured is None:
-            return Verdict.NOT_YET
         if math.isinf(self.max_value) and math.isinf(self.min_value):
             return Verdict.NONE
         return Verdict.OK if self.min_value <= self.measured <= self.max_value else Verdict.MISSED
@@ -59,9 +55,8 @@ def section_text(section: Section) -> str:
     """The figures of a section as aligned text."""
     rows = [["", "measured", "limit", "verdict", "unit"]]
     for figure in section.figures:
-        measured = ABSENT if figure.measured is None else number(figure.measured, ".3g")
         verdict = ABSENT if figure.verdict is Verdict.NONE else figure.verdict.value
-        rows.append([figure.name, measured, _limit(figure), verdict, figure.unit])
+        rows.append([figure.name, number(figure.measured, ".3g"), _limit(figure), verdict, figure.unit])
     return "\n".join([section.title, *aligned(rows, left=1)]) + "\n"
 
 
@@ -96,5 +91,5 @@ def _limit(figure: Figure) -> str:
     return f"{figure.min_value:.3g} .. {figure.max_value:.3g}"
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -24,7 +24,6 @@ from ringpose.types.pose import RingPose
         (0.79, {"min_value": 0.8, "max_value": 1.25}, Verdict.MISSED),
         (1.0, {"min_value": 0.8, "max_value": 1.25}, Verdict.OK),
         (math.nan, {"max_value": 0.15}, Verdict.MISSED),
-        (None, {"max_value": 0.15}, Verdict.NOT_YET),
         (7.0, {}, Verdict.NONE),
     ],
 )
@@ -36,7 +35,7 @@ def test_a_figure_is_compared_with_its_limits(measured, limits, verdict):
 def section():
     figures = [
         Figure(name="first", measured=0.1234, unit="px", max_value=0.2),
-        Figure(name="second", measured=None, max_value=1.0),
+        Figure(name="second", measured=math.nan, max_value=1.0),
         Figure(name="third", measured=2.0, min_value=0.8, max_value=1.25),
     ]
     return Section(title="things", figures=figures)
@@ -47,7 +46,7 @@ def test_a_section_is_plain_columns(section):
         ["things"],
         ["measured", "limit", "verdict", "unit"],
         ["first", "0.123", "<=", "0.2", "ok", "px"],
-        ["second", "-", "<=", "1", "not", "yet"],
+        ["second", "-", "<=", "1", "MISSED"],
         ["third", "2", "0.8", "..", "1.25", "MISSED"],
     ]
 
@@ -58,10 +57,10 @@ def test_a_section_has_the_same_as_values(section):
     assert record["section"] == "things"
     assert [(figure["measured"], figure["max"], figure["verdict"]) for figure in record["figures"]] == [
         (0.1234, 0.2, "ok"),
-        (None, 1.0, "not yet"),
+        (None, 1.0, "MISSED"),
         (2.0, 1.25, "MISSED"),
     ]
-    assert section.missed == 1
+    assert section.missed == 2
 
 
 def test_starts_are_compared_with_the_first():

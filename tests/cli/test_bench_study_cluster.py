@@ -66,6 +66,7 @@ def test_a_cluster_gives_the_same_results_even_if_its_scheduler_is_killed(
         error = process.communicate()[1]
     assert process.returncode == 69, error
     assert "disappeared" in error
+    assert error.count("\n") == 1
     address, _ = cluster()
 
     with study_process("out", "--scheduler", address) as process:
@@ -94,3 +95,13 @@ def test_a_scheduler_that_does_not_answer_is_an_absent_device(study_folder, caps
 
     assert main(["bench", "study", "study.yaml", "--output", "out", "--scheduler", "tcp://127.0.0.1:9"]) == 69
     assert "127.0.0.1:9" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("text", "status"), [(None, 66), ("{}", 65), ('{"address": "tcp:', 65)])
+def test_a_scheduler_file_that_is_missing_or_cut_off_is_named(study_folder, capsys, text, status):
+    folder = study_folder()
+    if text is not None:
+        (folder / "scheduler.json").write_text(text)
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--scheduler-file", "scheduler.json"]) == status
+    assert "scheduler.json" in capsys.readouterr().err

@@ -27,7 +27,7 @@ UNITS = {
     "radius_outer_m": ("outer radius", 1e3, "mm"),
 }
 
-_WEAK_OF = {"center_known_m": "weak_known", "normal_known_rad": "weak_known"}
+_ABOVE_BOUND = {"center_known_m": "above_bound_known"}
 
 
 def design_report(found: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
@@ -125,27 +125,32 @@ def _maps(shown: Sequence[Design], quantity: str) -> Picture:
     finite = np.concatenate([grid[np.isfinite(grid)] for grid in grids])
     norm = LogNorm(float(finite.min()), float(finite.max())) if len(finite) and finite.min() < finite.max() else None
     for axis, design, grid in zip(axes, shown, grids, strict=False):
-        mesh = _map(axis, design, grid, norm, _WEAK_OF.get(quantity, "weak"))
+        mesh = _map(axis, design, grid, norm, _ABOVE_BOUND.get(quantity, "above_bound"))
     for axis in axes[len(shown) :]:
         axis.set_visible(False)
     figure.supxlabel("offset from the image centre (image widths)", fontsize=9)
     figure.supylabel("distance (mm)", fontsize=9)
-    figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
+    bar = figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
+    for ticks in (bar.ax.yaxis.set_major_formatter, bar.ax.yaxis.set_minor_formatter):
+        ticks(FuncFormatter(_tick))
     caption = (
-        f"Standard deviation of the {label} ({unit}). Hatched: the estimator flags the pose as weak, the bound is not "
-        "reached there. Grey: not determined. Numbers: stripes in view, where not all are."
+        f"Standard deviation of the {label} ({unit}). Hatched: errors are larger than the bound, since the pose is "
+        "flagged as weak, or light of the same laser beyond a stripe hides its end. Grey: not determined. Numbers: "
+        "stripes in view, where not all are."
     )
     return Picture(png=png_of(figure), caption=caption)
 
 
-def _map(axis: Axes, design: Design, grid: Float64[Array, "distance offset"], norm: LogNorm | None, weak: str) -> Any:
+def _map(axis: Axes, design: Design, grid: Float64[Array, "distance offset"], norm: LogNorm | None, above: str) -> Any:
     axis.set_facecolor("0.85")
     mesh = axis.pcolormesh(np.ma.masked_invalid(grid), norm=norm, cmap="viridis_r")
     distances_m, offsets = _axes_of(design)
     for result in design.results:
         row, column = distances_m.index(result.place.distance_m), offsets.index(result.place.offset_x)
-        if getattr(result, weak):
-            axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor="0.3", linewidth=0))
+        if getattr(result, above):
+            dark = norm is not None and np.ma.filled(norm(grid[row, column]), 0.0) > 0.5
+            edge = "0.9" if dark else "0.3"
+            axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor=edge, linewidth=0))
         if result.stripes < len(design.rig.lasers.names):
             box = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none"}
             axis.text(column + 0.5, row + 0.5, str(result.stripes), ha="center", va="center", fontsize=8, bbox=box)

@@ -6,6 +6,7 @@ is reported as failed.
 """
 
 import hashlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -19,6 +20,8 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from ringpose.errors import DataError, DeviceError
+from ringpose.files.io import read_bytes
+from ringpose.files.records import parsed_record
 from ringpose.types.study import Row
 
 CHUNK_S, CLUSTER_CHUNK_S = 1.0, 5.0
@@ -225,16 +228,21 @@ class _Chunks:
 # Cluster
 
 
-def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, scheduler_file: str | None) -> Iterator[Done]:
+def by_cluster(
+    work: Work, indices: Iterable[int], scheduler: str | None, scheduler_file: Path | None
+) -> Iterator[Done]:
     """The shots in chunks, by the workers of a dask.distributed cluster; the extra `cluster` is needed.
 
     Workers with other versions are an error. A cluster that disappears ends the iteration with an error; what was
     yielded before is valid.
     """
     distributed: Any = import_module("distributed")
-    place = scheduler or scheduler_file or ""
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith("distributed"):  # its errors are reported by exceptions, too
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    place = scheduler or _address_in(scheduler_file or Path())
     try:
-        client = distributed.Client(scheduler, scheduler_file=scheduler_file, timeout=SCHEDULER_S, set_as_default=False)
+        client = distributed.Client(place, timeout=SCHEDULER_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise DeviceError(place, f"no scheduler answers: {error}", "start a dask scheduler and workers") from error
     try:
@@ -249,6 +257,15 @@ def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, schedu
         raise DeviceError(place, found, "finished shots are kept; start it again and repeat the command") from error
     finally:
         client.close(timeout=5)
+
+
+def _address_in(scheduler_file: Path) -> str:
+    """The address in the file of a scheduler; dask itself would wait for a missing file without end."""
+    record = parsed_record(read_bytes(scheduler_file), str(scheduler_file))
+    address = record.get("address")
+    if not isinstance(address, str):
+        raise DataError(str(scheduler_file), "has no address", "give the file of dask scheduler --scheduler-file")
+    return address
 
 
 def _submitted(client: Any, work: Work, chunks: _Chunks) -> Iterator[Done]:

@@ -8,6 +8,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
+import numpy as np
+
 from ringpose.bench.study import executors
 from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
@@ -15,8 +17,14 @@ from ringpose.bench.study.table import worst_shots
 from ringpose.files.studies.results import ResultFolder
 from ringpose.files.studies.specification import StudyFile
 from ringpose.report.page import Picture
+from ringpose.simulate.pipeline import simulated_boards
+from ringpose.types.board import BoardView
 from ringpose.types.image import Shot
+from ringpose.types.options import PlanesMethod
+from ringpose.types.rig import Rig
+from ringpose.types.scene import BoardSet, Scene
 from ringpose.types.study import Row, Study, StudyMethod
+from ringpose.types.truth import Truth
 
 PART_S = (0.5, 10.0)
 """Time after which finished shots are written to a new part file, at first and later: what a killed study loses."""
@@ -25,7 +33,10 @@ PART_SHOTS = 5000
 """Number of shots after which they are written earlier."""
 
 OVERLAYS = 4
-"""Number of the worst shots whose images are in the report."""
+"""Number of the worst shots whose images are in the report ..."""
+
+MARGIN_PX = 150
+"""... from so many pixels beside the stripes on the ring's face on."""
 
 
 def metadata(read: StudyFile, command: str) -> dict[str, Any]:
@@ -57,10 +68,43 @@ def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
         return study
     rig_file = folder.folder / "calibrated-rig.yaml"
     if not rig_file.exists():
-        from ringpose.bench.study.calibrated_rig import calibrated_rig
-
         write_rig(rig_file, calibrated_rig(study.scene, jobs or executors.cores()))
     return replace(study, rig=read_rig(rig_file))
+
+
+def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
+    """Camera and light planes with their joint covariance, estimated from the scene's board views.
+
+    As by `calibrate-camera` and `calibrate-planes`; the scene has boards. DataError if too few of them are found.
+    """
+    from ringpose.calibrate.camera.assessment import camera_assessment, widened
+    from ringpose.calibrate.camera.parameters import CameraModel
+    from ringpose.calibrate.camera.pipeline import calibrate_camera
+    from ringpose.calibrate.planes.quality import calibrated_rig as rig_of_planes
+    from ringpose.calibrate.planes.shots import StripeShots
+
+    assert scene.camera_boards is not None  # as read_study checks
+    assert scene.plane_boards is not None
+    camera, names = scene.rig.camera, scene.rig.lasers.names
+    model, views = CameraModel(), [view for _, view in _board_views(scene, scene.camera_boards, jobs)]
+    found = calibrate_camera(views, camera.image_width, camera.image_height, model, camera.camera_name)
+    calibration, _ = widened(found, camera_assessment(found, views, model))
+    stripes = StripeShots(scene.plane_boards.board, calibration.camera, ",".join(names), None)
+    for shot, view in _board_views(scene, scene.plane_boards, jobs):
+        stripes.add(shot, view)
+    rig = rig_of_planes(stripes.assessment(PlanesMethod.JOINT).calibration)
+    # a calibration does not know where the projectors are, which only the simulation of features needs
+    return replace(rig, lasers=replace(rig.lasers, projector_m=scene.rig.lasers.projector_m))
+
+
+def _board_views(scene: Scene, boards: BoardSet, jobs: int) -> Iterator[tuple[Shot, BoardView]]:
+    from ringpose.calibrate.boards.diagnostics import NoBoard
+    from ringpose.calibrate.boards.views import board_image, find_board
+
+    for shot, _ in simulated_boards(scene, boards, jobs=jobs):
+        view = find_board(board_image(shot), boards.board, shot.name)
+        if not isinstance(view, NoBoard):
+            yield shot, view
 
 
 def missing(study: Study, folder: ResultFolder) -> list[int]:
@@ -77,7 +121,7 @@ def computed(
     if not indices:
         return iter(())
     if scheduler is not None or scheduler_file is not None:
-        return executors.by_cluster(work, indices, scheduler, None if scheduler_file is None else str(scheduler_file))
+        return executors.by_cluster(work, indices, scheduler, scheduler_file)
     return executors.here(work, indices) if processes == 1 else executors.by_processes(work, indices, processes)
 
 
@@ -138,9 +182,19 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     for index, shot in _worst(study, folder, OVERLAYS):
         assert isinstance(shot.source, Shot)
         picture = overlay(picture_of(shot.source), detect(shot.source, shot.scene.rig))
-        png = cv2.imencode(".png", cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))[1]
+        png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
         error, reason = rows[index]["center_m"], rows[index]["reason"]
         found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"
         setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
         pictures.append(Picture(png=png.tobytes(), caption=f"Shot {index} ({method}): {found}; {setting}"))
     return pictures
+
+
+def _around_stripes(truth: Truth, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of an image that show the true stripes on the face, and what is beside them; else all."""
+    points_px = np.full((1, 2), np.nan) if truth.break_points_px is None else truth.break_points_px.reshape(-1, 2)
+    if not np.isfinite(points_px).any():
+        return slice(None), slice(None)
+    low, high = np.nanmin(points_px, axis=0) - MARGIN_PX, np.nanmax(points_px, axis=0) + MARGIN_PX
+    (left, top), (right, bottom) = np.maximum(low, 0).astype(int).tolist(), high.astype(int).tolist()
+    return slice(top, min(bottom, shape[0])), slice(left, min(right, shape[1]))

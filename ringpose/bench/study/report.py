@@ -11,14 +11,13 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from ringpose.bench.design.report import draw_side_view
 from ringpose.bench.study.table import (
-    HEADINGS,
-    PAPER_ROWS,
     Key,
-    Statistics,
     StudySummary,
-    sorted_keys,
-    statistics_cells,
+    cell_rows,
+    failure_rows,
+    paper_rows,
     value_text,
+    wide_columns,
 )
 from ringpose.bench.table import number
 from ringpose.report.figures import canvas, drawn, png_of
@@ -54,14 +53,14 @@ def study_report(
             text=[_set_up_text(study), "Methods: " + ", ".join(summary.methods) + "."],
             pictures=[_sketch(study, columns)],
         ),
-        Section(title="Errors in the form of the paper's tables", table=_paper_table(summary)),
+        Section(title="Errors in the form of the paper's tables", table=_paper_table(study, summary)),
         Section(
             title="Errors beside their Cramér-Rao bounds", table=_cells_table(summary, ERRORS_SHOWN), pictures=pictures
         ),
         Section(
             title="Availability, and consistency of the reported covariances",
             table=_cells_table(summary, CONSISTENCY_SHOWN),
-            pictures=[_nees(summary), _reliability(columns)],
+            pictures=[_nees(summary), *_reliability(columns)],
         ),
         Section(title="Failures", table=_failures(summary), pictures=overlays),
         Section(title="Time by stage", table=_times(study, summary)),
@@ -145,43 +144,33 @@ ERRORS_SHOWN = (
 CONSISTENCY_SHOWN = ("shots", "pose %", "center %", "ok %", "wrong", "center NEES", "normal NEES", "pose ms")
 
 
-def _paper_table(summary: StudySummary) -> Table:
+def _paper_table(study: Study, summary: StudySummary) -> Table:
     """Root mean square errors by components, a column for each value of the study's main factor."""
-    rows, headings = [], ["all"]
+    rows, heading = [], ["all"]
     for method in summary.methods:
-        keys, found = _wide(summary, method)
-        headings = [value_text(summary.table, key[0]) if key else "all" for key in keys]
-        block = [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
-        block.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
-        block.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
-        rows += [["" if number else method, *row] for number, row in enumerate(block)]
-    return Table(headings=("method", "root mean square", *headings), rows=rows)
-
-
-def _wide(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
-    keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
-    return keys, [summary.columns[method, key] for key in keys]
+        heading, first, *further = paper_rows(study, summary, method)
+        rows += [[method, *first], *(["", *row] for row in further)]
+    return Table(headings=("method", "root mean square", *heading), rows=rows)
 
 
 def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
     """A row for each cell and method; the values of a cell stand in its first row."""
-    rows = []
-    for key in sorted_keys(key for _, key in summary.cells):
-        values = [value_text(name, value) for name, value in zip(summary.by, key, strict=True)]
-        for method in summary.methods:
-            if (method, key) in summary.cells:
-                cells = dict(zip(HEADINGS, statistics_cells(summary.cells[method, key]), strict=True))
-                rows.append([*values, method, *(cells[heading] for heading in shown)])
-                values = [""] * len(values)
-    names = [name.removesuffix("_m").removesuffix("_rad").replace("_", " ") for name in summary.by]  # values have units
-    return Table(headings=(*names, "method", *shown), rows=rows)
+    heading, *rows = cell_rows(summary, shown)
+    factors = len(summary.by)
+    repeated = [number > 0 and row[:factors] == rows[number - 1][:factors] for number, row in enumerate(rows)]
+    rows = [[*([""] * factors), *row[factors:]] if again else row for row, again in zip(rows, repeated, strict=True)]
+    return Table(headings=(*map(factor_name, summary.by), *heading[factors:]), rows=rows)
+
+
+def factor_name(name: str) -> str:
+    """A factor's name beside values that have a unit of their own."""
+    return name.removesuffix("_m").removesuffix("_rad").replace("_", " ")
 
 
 def _failures(summary: StudySummary) -> Table:
     rows = [
-        [method, reason, str(count), f"{100 * count / max(summary.all(method).shots, 1):.3g} %"]
-        for method in summary.methods
-        for reason, count in sorted(summary.all(method).reasons.items(), key=lambda item: -item[1])
+        [method, reason, count, f"{100 * int(count) / max(summary.all(method).shots, 1):.3g} %"]
+        for method, count, reason in failure_rows(summary)
     ]
     return Table(
         headings=("method", "reason", "shots", "share"), rows=rows or [["-", "no shot without a pose", "0", ""]]
@@ -210,13 +199,13 @@ def _errors(study: Study, summary: StudySummary) -> Picture:
     axes = figure.subplots(1, len(ERROR_PLOTS))
     for axis, (name, label, factor) in zip(axes, ERROR_PLOTS, strict=True):
         for place, method in enumerate(summary.methods):
-            keys, found = _wide(summary, method)
+            keys, found = wide_columns(summary, method)
             values = np.array([factor * each.rms(name) for each in found])
             x = _positions(keys, place, len(summary.methods))
             axis.plot(x, values, "o-" if _numeric(keys) else "o", color=_color(summary.methods, method), markersize=4)
         bounds = [summary.methods[0], *(method for method in summary.methods if method == "ml-known")]
         for method, style in zip(bounds, ("k--", "k:"), strict=False):
-            keys, found = _wide(summary, method)
+            keys, found = wide_columns(summary, method)
             values = np.array([factor * each.bound(name) for each in found])
             if _numeric(keys):
                 axis.plot(_positions(keys, 0, 1), values, style, linewidth=1.2)
@@ -227,7 +216,7 @@ def _errors(study: Study, summary: StudySummary) -> Picture:
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
         _plain_ticks(axis)
-        axis.set_xlabel(drawn(summary.table))
+        axis.set_xlabel(drawn(factor_name(summary.table)))
         names = [value_text(summary.table, key[0]) if key else "all" for key in keys]
         axis.set_xticks(_positions(keys, 0, 1) if _numeric(keys) else range(len(keys)), names)
     handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, m)) for m in summary.methods]
@@ -304,7 +293,7 @@ def _nees(summary: StudySummary) -> Picture:
     for axis, (name, dof) in zip(figure.subplots(1, 2), NEES_DOF.items(), strict=True):
         shown = [method for method in summary.methods if name in summary.all(method).values]
         for place, method in enumerate(shown):
-            keys, found = _wide(summary, method)
+            keys, found = wide_columns(summary, method)
             for at, each in enumerate(found):
                 count = len(each.values.get(name, ()))
                 if not count:
@@ -314,9 +303,9 @@ def _nees(summary: StudySummary) -> Picture:
                 axis.plot([x, x], [low, high], color="0.75", linewidth=6, solid_capstyle="butt")
                 axis.plot(x, each.mean(name), "o", color=_color(summary.methods, method), markersize=5)
         axis.axhline(1.0, color="black", linewidth=0.7)
-        keys, _ = _wide(summary, summary.methods[0])
+        keys, _ = wide_columns(summary, summary.methods[0])
         axis.set_xticks(range(len(keys)), [value_text(summary.table, key[0]) if key else "all" for key in keys])
-        axis.set_xlabel(drawn(summary.table))
+        axis.set_xlabel(drawn(factor_name(summary.table)))
         axis.set_yscale("log")
         axis.set_title(
             f"NEES of the {name.partition('_')[0].replace('center', 'centre')}, by degree of freedom", fontsize=10
@@ -333,8 +322,8 @@ def _nees(summary: StudySummary) -> Picture:
     return Picture(png=png_of(figure), caption=caption)
 
 
-def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
-    """Actual against reported standard deviation of the centre, in bins of the reported one."""
+def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> list[Picture]:
+    """Actual against reported standard deviation of the centre, in bins of the reported one; none of too few shots."""
     figure = canvas(6.5, 5)
     axis = figure.subplots()
     limits: list[float] = []
@@ -343,19 +332,16 @@ def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
         if len(x):
             axis.plot(1e3 * x, 1e3 * y, "o-", color=_color(list(columns), method), markersize=4, label=drawn(method))
             limits += [float(1e3 * x.min()), float(1e3 * x.max())]
-    if limits:
-        _diagonal(axis, min(limits), max(limits))
-        axis.legend(fontsize=8)
+    if not limits:
+        return []
+    axis.plot([min(limits), max(limits)], [min(limits), max(limits)], color="black", linewidth=0.8)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.legend(fontsize=8)
     axis.set_xlabel("reported standard deviation of the centre (mm)")
     axis.set_ylabel("root mean square centre error (mm)")
     axis.grid(alpha=0.3, which="both")
-    return Picture(png=png_of(figure), caption="Reliability: on the line, errors are as large as reported.")
-
-
-def _diagonal(axis: Axes, low: float, high: float) -> None:
-    axis.plot([low, high], [low, high], color="black", linewidth=0.8)
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    return [Picture(png=png_of(figure), caption="Reliability: on the line, errors are as large as reported.")]
 
 
 def _binned(sigma: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -186,25 +186,35 @@ PAPER_TIMES = (("detection (ms)", "detect_s"), ("pose (ms)", "pose_s"))
 def study_text(study: Study, summary: StudySummary) -> str:
     """All tables of a study."""
     blocks = [f"{study.title}: {study.shots} shots ({study.level}), seed {study.seed}"]
-    blocks += [_paper_block(study, summary, method) for method in summary.methods]
-    blocks.append("\n".join(["errors beside their bounds, root mean square", *_cell_lines(summary)]))
-    if failures := _failures(summary):
-        blocks.append("\n".join(["shots with a visible ring but without a pose", *failures]))
+    for method in summary.methods:
+        heading, *rows = paper_rows(study, summary, method)
+        blocks.append("\n".join(aligned([[f"{method}, root mean square", *heading], *rows], 1)))
+    cells = aligned(cell_rows(summary, HEADINGS), len(summary.by) + 1)
+    blocks.append("\n".join(["errors beside their bounds, root mean square", *cells]))
+    if failures := failure_rows(summary):
+        blocks.append("\n".join(["shots with a visible ring but without a pose", *map("  ".join, failures)]))
     return "\n\n".join(blocks) + "\n"
 
 
-def _paper_block(study: Study, summary: StudySummary, method: str) -> str:
-    """The table in the paper's form: a column for each distance or light, a row for each component of the error."""
-    keys = sorted_keys(key for name, key in summary.columns if name == method and key)
-    found = [summary.columns[method, key] for key in keys] or [summary.all(method)]
-    heading = [f"{method}, root mean square", *(value_text(study.table, key[0]) for key in keys)]
-    rows = [heading if keys else [heading[0], "all"]]
+def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[str]]:
+    """The table in the paper's form: a column for each distance or light, a row for each component of the error.
+
+    The first row is the heading of the columns alone, without one for the labels.
+    """
+    keys, found = wide_columns(summary, method)
+    rows = [[value_text(study.table, key[0]) if key else "all" for key in keys]]
     rows += [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
     if study.level == "images":
         rows += [[label, *(number(each.median(name) * 1e3) for each in found)] for label, name in PAPER_TIMES]
     rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
     rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
-    return "\n".join(aligned(rows, 1))
+    return rows
+
+
+def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
+    """The statistics of a method by the values of the factor `table`; all shots under `()` if there is none."""
+    keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
+    return keys, [summary.columns[method, key] for key in keys]
 
 
 HEADINGS = (
@@ -213,18 +223,19 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def _cell_lines(summary: StudySummary) -> list[str]:
-    rows = [[*summary.by, "method", *HEADINGS]]
-    keys = sorted_keys(key for _, key in summary.cells)
-    for key in keys:
+def cell_rows(summary: StudySummary, shown: Sequence[str]) -> list[list[str]]:
+    """The heading, then a row for each cell and method with those of the columns `HEADINGS` that are shown."""
+    rows = [[*summary.by, "method", *shown]]
+    for key in sorted_keys(key for _, key in summary.cells):
         for method in summary.methods:
             if (method, key) in summary.cells:
-                cells = statistics_cells(summary.cells[method, key])
-                rows.append([*(value_text(name, v) for name, v in zip(summary.by, key, strict=True)), method, *cells])
-    return aligned(rows, len(summary.by) + 1)
+                cells = dict(zip(HEADINGS, _statistics_cells(summary.cells[method, key]), strict=True))
+                values = [value_text(name, value) for name, value in zip(summary.by, key, strict=True)]
+                rows.append([*values, method, *(cells[heading] for heading in shown)])
+    return rows
 
 
-def statistics_cells(each: Statistics) -> list[str]:
+def _statistics_cells(each: Statistics) -> list[str]:
     """The cells under `HEADINGS`."""
     return [
         str(each.shots),
@@ -247,13 +258,13 @@ def statistics_cells(each: Statistics) -> list[str]:
     ]
 
 
-def _failures(summary: StudySummary) -> list[str]:
-    rows = [
+def failure_rows(summary: StudySummary) -> list[list[str]]:
+    """Method, number of shots and reason of those without a pose, the most frequent first."""
+    return [
         [method, str(count), reason]
         for method in summary.methods
         for reason, count in sorted(summary.all(method).reasons.items(), key=lambda item: -item[1])
     ]
-    return ["  ".join(row) for row in rows]
 
 
 def exceeded_limits(study: Study, summary: StudySummary) -> list[str]:

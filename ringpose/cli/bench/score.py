@@ -84,7 +84,7 @@ def bench(
     quiet: Quiet = False,
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
-    from ringpose.bench.limits import error_limits
+    from ringpose.bench.summary import error_limits
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE, UsageError
@@ -292,8 +292,7 @@ def _judged(
     batch: "Batch",
 ) -> "tuple[list[Summary], list[str]]":
     """Summaries, and a message for each exceeded limit; `counts` limits missed shots and wrong quantities."""
-    from ringpose.bench.limits import exceeded_count_limits, exceeded_error_limits
-    from ringpose.bench.summary import summaries
+    from ringpose.bench.summary import exceeded_count_limits, exceeded_error_limits, summaries
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
 

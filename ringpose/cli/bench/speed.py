@@ -41,10 +41,10 @@ def start_times_s(rounds: int) -> dict[str, float]:
     from tempfile import TemporaryDirectory
     from time import perf_counter
 
-    from ringpose.bench.speed import drawn_shot, median_times_s
+    from ringpose.bench.speed import median_times_s, rendered_shot
 
     with TemporaryDirectory() as folder:
-        return median_times_s(start_calls(Path(folder), *drawn_shot()), rounds, perf_counter)
+        return median_times_s(start_calls(Path(folder), *rendered_shot()), rounds, perf_counter)
 
 
 def start_calls(folder: Path, shot: "Shot", rig: "Rig") -> dict[str, Callable[[], object]]:
