@@ -17,6 +17,9 @@ static const double MAX_PIXEL_SIGMAS = 1.25;
 /* Objects farther than this cast no shadow; origins of shadow rays are lifted off their surface. */
 static const double FAR_M = 100, LIFT_M = 1e-7;
 
+/* Reach of the rays of the camera. */
+static const double EVERYWHERE_M = 1e9;
+
 /* Shortest way to an intersection that shadows. */
 static const double NEAREST_M = 1e-9;
 
@@ -66,7 +69,7 @@ typedef struct {
     Laser laser[MAX_LASERS]; /* in the camera frame */
     Stand stand[MAX_TIMES];
     int times, lasers, dark;
-    double moved;    /* largest motion of a projector in the target frame */
+    double moved;    /* largest motion of the eye or a projector in the target frame */
     double baseline; /* largest distance of a projector from the camera */
     double relief;   /* largest displacement of a hit by a relief, for rays up to 60 degrees from the normal */
 } Scene;
@@ -133,8 +136,8 @@ typedef struct {
 } Beam;
 
 /* Parts of which light may cast a shadow on these hits: those near the bundle from their bounding sphere towards the
-   light. `spread` is the change of radius of the bundle with the distance. */
-static void may_shade(const Scene *scene, const Hits *hits, const Beam *beam, double spread, Choice *choice) {
+   light. `slope` is the change of radius of the bundle with the distance. */
+static void may_shade(const Scene *scene, const Hits *hits, const Beam *beam, double slope, Choice *choice) {
     Vector low = {INFINITY, INFINITY, INFINITY}, high = times(-1, low), towards = {0, 0, 0};
     double reach = 0;
     choice->count = 0;
@@ -146,13 +149,14 @@ static void may_shade(const Scene *scene, const Hits *hits, const Beam *beam, do
         reach = greater(reach, beam->reach[i]);
     }
     if (reach == 0) return;
-    const Vector middle = times(0.5, plus(low, high)), across = minus(high, low), axis = unit(towards);
+    const Vector across = minus(high, low), axis = unit(towards);
     const double radius = sqrt(dot(across, across)) / 2 + scene->relief + scene->moved + LIFT_M;
+    const Bundle bundle = {minus(times(0.5, plus(low, high)), times(radius, axis)), axis, (1 + 2 * slope) * radius, slope,
+                           reach + 2 * radius};
+    choice->length = reach;
     for (int i = 0; i < scene->target.parts; i++) {
-        const Part *part = scene->target.part + i;
-        const Vector to = minus(part->center, middle);
-        if (dot(to, axis) < reach + part->radius + radius && !bundle_misses(part, middle, radius, axis, spread))
-            choice->part[choice->count++] = i;
+        const double enter = bundle_enters(scene->target.part + i, &bundle);
+        if (enter < INFINITY) choose(choice, i, greater(enter - 2 * radius, 0));
     }
 }
 
@@ -466,25 +470,33 @@ typedef struct {
     int width;
 } PixelRays;
 
-/* Parts whose bounding sphere a cone around the rays may meet, at the first, the middle or the last time. */
+/* Parts that a cone around the rays may meet, as far as their bounds show, at the first, the middle or the last time. */
 static void parts_near(const Scene *scene, const PixelRays *rays, const int64_t *pixel, int count, Choice *choice) {
-    double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1;
+    double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1, length2 = 1;
     choice->count = 0;
     for (int i = 0; i < count; i++) {
         const double x = rays->x[pixel[i]], y = rays->y[pixel[i]];
         left = lesser(left, x), right = greater(right, x), top = lesser(top, y), bottom = greater(bottom, y);
     }
     const Vector axis = unit((Vector){(left + right) / 2, (top + bottom) / 2, 1});
-    for (int i = 0; i < 4; i++)
-        cosine = lesser(cosine, dot(axis, unit((Vector){i % 2 ? left : right, i / 2 ? top : bottom, 1})));
-    const double half = acos(lesser(cosine, 1)) + scene->light.angle_per_px;
-    for (int i = 0; i < scene->target.parts; i++)
-        for (int k = 0; k < (scene->times == 1 ? 1 : 3); k++) {
-            const Stand *stand = scene->stand + k * (scene->times - 1) / 2;
-            if (bundle_misses(scene->target.part + i, stand->eye, 0, rotated_back(stand->rotation, axis), half)) continue;
-            choice->part[choice->count++] = i;
-            break;
-        }
+    for (int i = 0; i < 4; i++) {
+        const Vector corner = {i % 2 ? left : right, i / 2 ? top : bottom, 1};
+        cosine = lesser(cosine, dot(axis, unit(corner)));
+        length2 = greater(length2, dot(corner, corner));
+    }
+    const double slope = sqrt(greater(1 - cosine * cosine, 0)) / cosine + scene->light.angle_per_px;
+    Bundle bundle[3];
+    const int times = scene->times == 1 ? 1 : 3;
+    for (int k = 0; k < times; k++) {
+        const Stand *stand = scene->stand + k * (scene->times - 1) / 2;
+        bundle[k] = (Bundle){stand->eye, rotated_back(stand->rotation, axis), 0, slope, EVERYWHERE_M};
+    }
+    choice->length = sqrt(length2) + scene->light.angle_per_px;
+    for (int i = 0; i < scene->target.parts; i++) {
+        double enter = INFINITY;
+        for (int k = 0; k < times; k++) enter = lesser(enter, bundle_enters(scene->target.part + i, bundle + k));
+        if (enter < INFINITY) choose(choice, i, greater(enter - scene->moved, 0));
+    }
 }
 
 static double reversed(int number, int base) {
@@ -672,8 +684,11 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
         for (int i = 0; i < scene->times; i++)
             place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
+        const Stand *begin = scene->stand, *end = scene->stand + scene->times - 1;
+        const Vector eye = minus(end->eye, begin->eye);
+        scene->moved = sqrt(dot(eye, eye));
         for (int i = 0; i < scene->lasers; i++) {
-            const Vector moved = minus(scene->stand[scene->times - 1].projector[i], scene->stand[0].projector[i]);
+            const Vector moved = minus(end->projector[i], begin->projector[i]);
             scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
         }
         const int step = scene->target.columns * scene->target.rows > 1 ? 1 : (int)number[9][0]; /* 1: edges of a print */
@@ -687,7 +702,9 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
 }
 
 static void choose_all(const Target *target, Choice *all) {
-    for (all->count = 0; all->count < target->parts; all->count++) all->part[all->count] = all->count;
+    all->count = 0;
+    all->length = INFINITY;
+    for (int i = 0; i < target->parts; i++) choose(all, i, 0);
 }
 
 PyObject *call_hits(PyObject *module, PyObject *tuple) {
