@@ -652,6 +652,33 @@ static void render_all(const Scene *scene, const PixelRays *rays, const int64_t 
     }
 }
 
+/* Which pixels an edge of a surface or of a laser's shadow may cross: those whose corners, at the first and the last
+   time, and middle do not all show the same. */
+static void find_crossed(const Scene *scene, const PixelRays *rays, const int64_t *chosen, size_t count,
+                         const int32_t *code, uint8_t *crossed) {
+    const int32_t shared = ~(SUN_SHADOW | EARTH_SHADOW | SECOND);
+    Block block;
+    Choice parts;
+    for (size_t next = 0, from = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, &block)) > 0; from = next) {
+        begin_block(rays, 4, 1, &block);
+        parts_near(scene, &block, &parts);
+        for (int corner = 0; corner < (scene->times == 1 ? 4 : 8); corner++) {
+            const double along = corner & 1 ? 0.5 : -0.5, down = corner & 2 ? 0.5 : -0.5;
+            const int time = corner & 4 ? scene->times - 1 : 0;
+            for (int i = 0; i < block.rays.count; i++) {
+                block.x[i] = block.middle_x[i] + along * block.per_px[0][0][i] + down * block.per_px[1][0][i];
+                block.y[i] = block.middle_y[i] + along * block.per_px[0][1][i] + down * block.per_px[1][1][i];
+                block.time[i] = time;
+            }
+            aim(scene->stand + time, &block);
+            intersect(&scene->target, &parts, &block.rays);
+            shade(scene, 1, 1, &block);
+            for (int i = 0; i < block.rays.count; i++)
+                crossed[from + (size_t)i] |= (((int32_t)block.code[i] ^ code[block.pixel[i]]) & shared) != 0;
+        }
+    }
+}
+
 /* The arguments that describe a target; those of a function follow. */
 #define TARGET \
     {"parts", 'd', {ANY, NUMBERS(Part)}}, {"points", 'd', {ANY, 2}}, {"gaps", 'd', {ANY, NUMBERS(Gap)}}, \
@@ -680,56 +707,98 @@ static int open_target(const Arguments *arguments, Target *target) {
     return require(fits, "the tables of the target do not fit each other");
 }
 
+/* The arguments that describe light, placements and rays; they follow those of the target. */
+#define VIEW \
+    {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}}, \
+        {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, \
+        {"width", 'L', {1, 1 << 30}}, {"?pixels", 'q', {ANY}}
+enum { AFTER_VIEW = AFTER_TARGET + 8 };
+
+typedef struct {
+    PixelRays rays;
+    const int64_t *chosen; /* NULL: all pixels */
+    size_t count;
+} Pixels;
+
+/* The scene and the chosen pixels; NULL and an exception if the arguments do not fit each other. */
+static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
+    const Py_buffer *view = arguments->view + AFTER_TARGET;
+    const double(*number)[MAX_NUMBERS] = arguments->number + AFTER_TARGET;
+    const size_t all = (size_t)view[4].shape[1];
+    const double *xy = view[4].buf, *per_px = view[5].obj ? view[5].buf : NULL;
+    Scene *scene = calloc(1, sizeof *scene);
+    if (!scene) return (Scene *)PyErr_NoMemory();
+    *pixels = (Pixels){{xy, xy + all, {{NULL, NULL}, {NULL, NULL}}, all, (int)number[6][0]},
+                       view[7].obj ? view[7].buf : NULL, view[7].obj ? (size_t)view[7].shape[0] : all};
+    int fits = open_target(arguments, &scene->target) &&
+               require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS,
+                       "there are too many poses or lasers");
+    for (size_t i = 0; fits && pixels->chosen && i < pixels->count; i++)
+        fits = require(pixels->chosen[i] >= 0 && (size_t)pixels->chosen[i] < all, "a pixel is outside the image");
+    if (!fits) {
+        free(scene);
+        return NULL;
+    }
+    for (int i = 0; per_px && i < 4; i++) pixels->rays.per_px[i / 2][i % 2] = per_px + (size_t)i * all;
+    memcpy(&scene->light, number[3], sizeof(Light));
+    memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
+    scene->times = (int)view[0].shape[0];
+    scene->lasers = (int)view[2].shape[0];
+    for (Py_ssize_t i = 0; i < arguments->view[9].shape[0]; i++)
+        scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
+    memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
+    for (int i = 0; i < scene->lasers; i++)
+        scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
+    scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
+    for (int i = 0; i < scene->times; i++) place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
+    const Stand *begin = scene->stand, *end = scene->stand + scene->times - 1;
+    const Vector eye = minus(end->eye, begin->eye);
+    scene->moved = sqrt(dot(eye, eye));
+    for (int i = 0; i < scene->lasers; i++) {
+        const Vector moved = minus(end->projector[i], begin->projector[i]);
+        scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
+    }
+    return scene;
+}
+
 PyObject *call_render(PyObject *module, PyObject *tuple) {
     static const Parameter parameter[] = {
-        TARGET,
-        {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}},
-        {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, {"width", 'L', {1, 1 << 30}},
-        {"?pixels", 'q', {ANY}}, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}}, {">?code", 'i', {N}},
-        {">?stripe", 'B', {N}}};
+        TARGET, VIEW, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}},
+        {">?code", 'i', {N}}, {">?stripe", 'B', {N}}};
     Arguments arguments;
+    Pixels pixels;
     (void)module;
     if (!OPEN(tuple, parameter, &arguments)) return NULL;
-    const Py_buffer *view = arguments.view + AFTER_TARGET;
-    const double(*number)[MAX_NUMBERS] = arguments.number + AFTER_TARGET;
-    Scene *scene = calloc(1, sizeof *scene);
-    if (!scene) return close_arguments(&arguments, PyErr_NoMemory());
-    const size_t pixels = (size_t)view[4].shape[1];
-    int fits = open_target(&arguments, &scene->target) &&
-               require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS &&
-                           view[10].shape[0] == view[2].shape[0] + 1 && (view[5].obj || number[8][0] == 1),
-                       "poses, lasers and radiance do not fit each other");
-    const int64_t *chosen = view[7].obj ? view[7].buf : NULL;
-    const size_t count = chosen ? (size_t)view[7].shape[0] : pixels;
-    for (size_t i = 0; fits && chosen && i < count; i++)
-        fits = require(chosen[i] >= 0 && (size_t)chosen[i] < pixels, "a pixel is outside the image");
+    const Py_buffer *view = arguments.view + AFTER_VIEW;
+    const int samples = (int)arguments.number[AFTER_VIEW][0], step = (int)arguments.number[AFTER_VIEW + 1][0];
+    Scene *scene = open_scene(&arguments, &pixels);
+    const int fits = scene && require(view[2].shape[0] == scene->lasers + 1 && (pixels.rays.per_px[0][0] || samples == 1),
+                                      "lasers, samples and radiance do not fit each other");
     if (fits) {
-        const double *xy = view[4].buf, *per_px = view[5].obj ? view[5].buf : NULL;
-        PixelRays rays = {xy, xy + pixels, {{NULL, NULL}, {NULL, NULL}}, pixels, (int)number[6][0]};
-        for (int i = 0; per_px && i < 4; i++) rays.per_px[i / 2][i % 2] = per_px + (size_t)i * pixels;
-        memcpy(&scene->light, number[3], sizeof(Light));
-        memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
-        scene->times = (int)view[0].shape[0];
-        scene->lasers = (int)view[2].shape[0];
-        for (Py_ssize_t i = 0; i < arguments.view[9].shape[0]; i++)
-            scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
-        memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
-        for (int i = 0; i < scene->lasers; i++)
-            scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
-        scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
-        for (int i = 0; i < scene->times; i++)
-            place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
-        const Stand *begin = scene->stand, *end = scene->stand + scene->times - 1;
-        const Vector eye = minus(end->eye, begin->eye);
-        scene->moved = sqrt(dot(eye, eye));
-        for (int i = 0; i < scene->lasers; i++) {
-            const Vector moved = minus(end->projector[i], begin->projector[i]);
-            scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
-        }
-        const int step = scene->target.columns * scene->target.rows > 1 ? 1 : (int)number[9][0]; /* 1: edges of a print */
-        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], step,
-                                          view[10].buf, view[11].obj ? view[11].buf : NULL,
-                                          view[12].obj ? view[12].buf : NULL);
+        const int is_printed = scene->target.columns * scene->target.rows > 1; /* then shade all: there are its edges */
+        Py_BEGIN_ALLOW_THREADS render_all(scene, &pixels.rays, pixels.chosen, pixels.count, samples,
+                                          is_printed ? 1 : step, view[2].buf, view[3].obj ? view[3].buf : NULL,
+                                          view[4].obj ? view[4].buf : NULL);
+        Py_END_ALLOW_THREADS
+    }
+    free(scene);
+    return close_arguments(&arguments, fits ? Py_NewRef(Py_None) : NULL);
+}
+
+PyObject *call_crossed(PyObject *module, PyObject *tuple) {
+    static const Parameter parameter[] = {TARGET, VIEW, {"code", 'i', {N}}, {">crossed", 'B', {ANY}}};
+    Arguments arguments;
+    Pixels pixels;
+    (void)module;
+    if (!OPEN(tuple, parameter, &arguments)) return NULL;
+    const Py_buffer *view = arguments.view + AFTER_VIEW;
+    Scene *scene = open_scene(&arguments, &pixels);
+    const int fits = scene && require(pixels.chosen && (size_t)view[1].shape[0] == pixels.count && pixels.rays.per_px[0][0],
+                                      "the result does not fit the pixels");
+    if (fits) {
+        scene->dark = 1; /* only the lasers' shadows are needed */
+        memset(view[1].buf, 0, pixels.count);
+        Py_BEGIN_ALLOW_THREADS find_crossed(scene, &pixels.rays, pixels.chosen, pixels.count, view[0].buf, view[1].buf);
         Py_END_ALLOW_THREADS
     }
     free(scene);
