@@ -1,8 +1,8 @@
 """An external renderer shows the same stripes and the same brightness of a metal ring and wrinkled foil.
 
 Both renderers have Lambert's law and a GGX lobe with the same roughness, and light that is reflected once. mitsuba's
-conductor reflects the share F0 at all angles; here Schlick's term adds less than 0.5 % of (1 - F0), as light and eye are
-within 45 degrees of the bisector. The foil is the same height field, there as a mesh with interpolated normals.
+conductor reflects the share F0 at all angles; here Schlick's term adds less than 0.5 % of (1 - F0), as light and eye
+are within 45 degrees of the bisector. The foil is the same height field, there as a mesh with interpolated normals.
 """
 
 import os
@@ -14,8 +14,8 @@ import pytest
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.renderer import layers, pixel_rays
-from ringpose.types.scene import LaserLight, Light, RingView
 from ringpose.simulate.target.foil import relief
+from ringpose.types.scene import LaserLight, Light, RingView
 from ringpose.types.target import MATERIALS, Body, Foil, RingShape
 
 pytestmark = pytest.mark.slow
