@@ -105,7 +105,9 @@ def _lines_by_shot(
     from ringpose.files.inputs import inputs as named
 
     lines: dict[str, PoseLine] = {}
+    is_empty = bool(files)
     for item in batch.valid_inputs(named(list(map(str, files)), (RECORDS_SUFFIX,))):
+        is_empty = False
         with batch.guarded():
             if not isinstance(item, Record):
                 if not item.exists():
@@ -116,6 +118,8 @@ def _lines_by_shot(
                 raise DataError(item.location, f"is a second pose line of the shot {line.shot}", "give one run")
             if line.shot:  # a track also has lines of instants without a shot
                 lines[line.shot] = line
+    if is_empty and batch.status == 0:
+        raise DataError(str(files[0]), f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
     return lines
 
 

@@ -29,6 +29,11 @@ RING_POINTS = 90
 
 ESTIMATE_COLOR, TRUTH_COLOR, TRACK_COLOR = (31, 95, 191), (70, 160, 60), (225, 120, 0)
 
+SKY_COLOR = (24, 26, 34)
+
+PANEL_PX = (400, 600, 900)
+"""Widths of the panel; the first leaves more than half of a page of 1024 px to the scene."""
+
 UNSEEN = np.zeros((1, 2, 3))
 """A line of length 0, for what is not known."""
 
@@ -42,9 +47,17 @@ def opened_server(host: str, port: int) -> viser.ViserServer:
         server = viser.ViserServer(host=host, port=port, label="ringpose", verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
     server.gui.main_panel.dock_right()
+    server.gui.main_panel.set_width(PANEL_PX[0])
     server.gui.set_panel_label("ringpose")
     server.scene.set_up_direction("-y")
+    server.scene.set_background_image(np.full((4, 4, 3), SKY_COLOR, np.uint8), format="png")
     return server
+
+
+def add_panel_width(server: viser.ViserServer) -> None:
+    """A control of the width of the panel, with which the pictures grow."""
+    width: Any = server.gui.add_dropdown("panel width (px)", [f"{each}" for each in PANEL_PX])
+    width.on_update(lambda _: server.gui.main_panel.set_width(int(width.value)))
 
 
 class Picture:
@@ -69,7 +82,7 @@ class SceneView:
         server.initial_camera.position = tuple(np.array([-1.7, -1.1, -1.5]) * distance_m)
         server.initial_camera.look_at = tuple(0.8 * target_m)
         self._frustum = server.scene.add_camera_frustum(
-            "/camera", *_field_of_view(rig.camera), scale=0.12, color=(40, 40, 40), thickness=2.0,
+            "/camera", *_field_of_view(rig.camera), scale=0.12, color=(200, 200, 200), thickness=2.0,
             thickness_units="screen",
         )  # fmt: skip
 

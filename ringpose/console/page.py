@@ -13,7 +13,17 @@ from typing import Any
 import numpy as np
 import viser.transforms
 
-from ringpose.console.display import Picture, Plots, SceneView, line_text, opened_server, plotted, surface, track_text
+from ringpose.console.display import (
+    Picture,
+    Plots,
+    SceneView,
+    add_panel_width,
+    line_text,
+    opened_server,
+    plotted,
+    surface,
+    track_text,
+)
 from ringpose.console.engine import ConsolePicture, Engine
 from ringpose.console.state import ConsoleState, Trajectory, first_state
 from ringpose.errors import DataError, RingposeError
@@ -43,8 +53,8 @@ SHOWN_MEASUREMENTS = 300
 COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
 """Of the target's materials; others are grey."""
 
-SKY_M = 8.0
-"""Distance at which sun and Earth are drawn."""
+EARTH_M = 2.0
+"""Distance from the ring at which the Earth is drawn, as large as it appears there."""
 
 EARTH = Earth(direction=np.array([0.9, -0.35, 0.25]))
 """The Earth of scenes without one: beside the target."""
@@ -127,6 +137,7 @@ class ConsolePage:
             self._details = gui.add_markdown("")
         with tabs.add_tab("Errors"):
             self._plots = Plots(self._server, "number")
+        add_panel_width(self._server)
         self._preset.on_update(lambda _: self._apply_preset())
         self._motion.on_update(lambda _: self._apply_motion())
         self._step.on_click(lambda _: self._advance(STEP_S))
@@ -390,7 +401,7 @@ class ConsolePage:
         self._view3d.show_stripes(points, state.mask)
 
     def _show_sky(self, state: ConsoleState) -> None:
-        """An arrow from the sun, and the Earth as large and where the camera sees it."""
+        """An arrow from the sun, and the Earth in its direction from the ring and as wide as it is seen."""
         server, light = self._server.scene, state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         arrow = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
@@ -403,11 +414,14 @@ class ConsolePage:
             head_length=0.05,
             visible=light.sun_w_m2 > 0,
         )
+        server.add_label("/sun/name", "sun", position=sun_m, visible=light.sun_w_m2 > 0)
         earth = light.earth or EARTH
+        earth_m = state.center_m + EARTH_M * earth.direction / np.linalg.norm(earth.direction)
         server.add_icosphere(
-            "/earth", SKY_M * float(np.sin(earth.angular_radius_rad)), (70, 110, 180), subdivisions=4,
-            position=SKY_M * earth.direction / np.linalg.norm(earth.direction), visible=light.earth is not None,
+            "/earth", EARTH_M * float(np.sin(earth.angular_radius_rad)), (70, 110, 180), subdivisions=4,
+            position=earth_m, visible=light.earth is not None,
         )  # fmt: skip
+        server.add_label("/earth name", "Earth", position=earth_m, visible=light.earth is not None)
 
     # Pictures
 

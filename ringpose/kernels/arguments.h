@@ -64,5 +64,6 @@ PyObject *call_hits(PyObject *module, PyObject *tuple);
 PyObject *call_blocked(PyObject *module, PyObject *tuple);
 PyObject *call_reflectances(PyObject *module, PyObject *tuple);
 PyObject *call_code_edges(PyObject *module, PyObject *tuple);
+PyObject *call_crossed(PyObject *module, PyObject *tuple);
 
 #endif

@@ -29,6 +29,7 @@ static PyMethodDef methods[] = {
     {"blocked", call_blocked, METH_VARARGS, "blocked(target tables, point, towards, blocked): fills the last"},
     {"reflectances", call_reflectances, METH_VARARGS,
      "reflectances(coating, normal, to_light, to_eye, reflectance): fills the last"},
+    {"crossed", call_crossed, METH_VARARGS, "crossed(*target, *view, code, crossed): fills the last"},
     {"code_edges", call_code_edges, METH_VARARGS, "code_edges(code, edge): fills the last"},
     {NULL, NULL, 0, NULL},
 };

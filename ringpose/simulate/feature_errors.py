@@ -8,6 +8,7 @@ stripe's peak.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import erfc, hypot, pi, sqrt
 
 import numpy as np
@@ -223,6 +224,7 @@ def end_errors_px(
     return np.asarray(np.sqrt(total.mean(axis=-1)))
 
 
+@lru_cache(maxsize=4)
 def edge_step_influence(blur_px: float) -> tuple[Float64[Array, "offset"], float]:
     """Influence of the light beyond an edge on its position, and the position's standard deviation by the noise.
 

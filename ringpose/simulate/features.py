@@ -15,7 +15,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import EDGE_SIGN, LIFT, STEP, RingArcs, edge_points, predicted_break_points, rotation_by
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rotations import cross, tilt_basis
 from ringpose.simulate.appearance import (
     EDGE_MARGIN_PX,
     Appearance,
@@ -227,7 +227,7 @@ class _Course(NamedTuple):
             return self.arcs.after(since_s, velocity_m_s, rate_rad_s), rotation_by(rate_rad_s * since_s) @ self.axes
         placement = target_placement(self.scene, self.view, time_s)
         center_m = placement.points_camera(np.array([0.0, 0.0, self.scene.ring.height_m]))
-        turn = np.cross(self.arcs.normal, placement.rotation[:, 2])
+        turn = cross(self.arcs.normal, placement.rotation[:, 2])
         length = float(np.linalg.norm(turn))
         turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
         return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringpose.geometry.rotations import cross
 from ringpose.kernels import render
 from ringpose.kernels.render import LightNumbers, PixelImage, TargetTables
 from ringpose.simulate.placement import Placement
@@ -90,7 +91,7 @@ def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[
     """Whether points lie within the fan angle."""
     from_projector = point - sheet.projector_m[laser][:, None]
     along = sheet.axis[laser] @ from_projector
-    aside = np.cross(sheet.normal[laser], sheet.axis[laser]) @ from_projector
+    aside = cross(sheet.normal[laser], sheet.axis[laser]) @ from_projector
     inside: Bool[Array, "n"] = np.abs(np.arctan2(aside, along)) <= sheet.light.fan_rad / 2
     return inside
 

@@ -19,7 +19,7 @@ from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rays import project
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.preview import preview
-from ringpose.types.scene import Earth, Light
+from ringpose.types.scene import Beacon, Earth, Light
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +239,12 @@ def test_the_running_measurement_tracks_a_moving_target():
     assert changed.track.validity == "lost"
 
 
-def test_a_saved_state_is_a_scene_with_that_view_and_rig(scene, state, tmp_path):
+MOTION = """
+motion: {angular_velocity_rad_s: [0, 0, 0.01], inertia_kg_m2: [1, 1, 1], center_of_mass_m: [0, 0, 0]}
+"""
+
+
+def test_a_saved_state_is_a_scene_with_that_view_and_rig_and_the_other_keys_of_the_original(scene, state, tmp_path):
     small_scene(tmp_path)
     changed = replace(
         state,
@@ -247,9 +252,16 @@ def test_a_saved_state_is_a_scene_with_that_view_and_rig(scene, state, tmp_path)
         masks=(0, 1, 2, 4),
         exposure_s=0.003,
         mask=3,
-        light=Light(name="console", ambient_w_m2=2.0, earth=Earth(direction=np.array([1.0, 0.0, 0.0]))),
+        light=Light(
+            name="console",
+            ambient_w_m2=2.0,
+            earth=Earth(direction=np.array([1.0, 0.0, 0.0])),
+            beacon=Beacon(ambient_w_m2=3.0, on_s=0.4, off_s=0.5),
+        ),
     )
     shown = changed.scene_of(scene)
+    original = tmp_path / "scene.yaml"
+    original.write_text(original.read_text() + MOTION)
 
     path = write_scene_copy(
         tmp_path / "saved", tmp_path / "scene.yaml", shown.rig, changed.view(scene), changed.light, shown.sequence,
@@ -257,7 +269,9 @@ def test_a_saved_state_is_a_scene_with_that_view_and_rig(scene, state, tmp_path)
     )  # fmt: skip
 
     saved = read_scene(path)
-    (view,) = ring_views(saved)
+    view = ring_views(saved)[0]
+    np.testing.assert_allclose(saved.motion.angular_velocity_rad_s, [0.0, 0.0, 0.01])
+    assert saved.lights["console"].beacon == changed.light.beacon
     np.testing.assert_allclose(view.center_m, changed.view(scene).center_m, atol=1e-12)
     np.testing.assert_allclose(view.normal, changed.view(scene).normal, atol=1e-12)
     np.testing.assert_allclose(saved.rig.lasers.normal, shown.rig.lasers.normal, atol=1e-12)

@@ -22,7 +22,7 @@ BOARDS = {
         kind="four_markers", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01, dictionary="DICT_4X4_50"
     ),
     "aruco_grid": Board(
-        kind="aruco_grid", squares_x=5, squares_y=4, marker_m=0.045, gap_m=0.012, dictionary="DICT_4X4_50"
+        kind="aruco_grid", squares_x=3, squares_y=2, marker_m=0.06, gap_m=0.02, dictionary="DICT_4X4_50"
     ),
 }
 

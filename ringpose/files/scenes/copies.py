@@ -1,6 +1,7 @@
 """A scene file with another rig, light and trajectory, as the console saves its state."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ def write_scene_copy(
     exposure_s: float | None,
     pixel_m: float | None = None,
 ) -> Path:
-    """Write scene.yaml, which has this single view of a still target, and rig.yaml into a new folder; returns its path.
+    """Write scene.yaml, which has this single view, and rig.yaml into a new folder; returns its path.
 
-    All other keys are those of the original file. Without `exposure_s` the exposure follows the original's rule.
+    All other keys are those of the original file, also its motion, unless that is a file with all poses. Without
+    `exposure_s` the exposure follows the original's rule.
     """
     if view.normal[2] >= 0:
         raise DataError(view.name, "the ring faces away from the camera, which a scene file cannot describe")
@@ -39,6 +41,7 @@ def write_scene_copy(
                 "sun_w_m2": light.sun_w_m2,
                 "sun_direction": light.sun_direction,
             }
+            | ({} if light.beacon is None else {"beacon": asdict(light.beacon)})
         },
         "trajectory": [
             {
@@ -50,7 +53,8 @@ def write_scene_copy(
             }
         ],
     }
-    values.pop("motion", None)
+    if "file" in values.get("motion", {}):
+        del values["motion"]
     values.pop("earth", None)
     if (earth := light.earth) is not None:
         values["earth"] = {

@@ -109,6 +109,29 @@ def render(
     )  # fmt: skip
 
 
+def crossed(
+    target: TargetTables,
+    poses: Float64[Array, "time column=12"],
+    lamps: Float64[Array, "lamp=4 column=5"],
+    lasers: Float64[Array, "laser column=11"],
+    light: LightNumbers,
+    xy: Float64[Array, "xy=2 pixel"],
+    per_px: Float64[Array, "axis=2 xy=2 pixel"],
+    width: int,
+    image: PixelImage,
+    pixels: Int64[Array, "chosen"],
+) -> Bool[Array, "chosen"]:
+    """Which of the chosen pixels an edge of a surface or of a laser's shadow may cross; the arguments are as above.
+
+    Those whose four corners, at the first and the last pose, and middle do not all have the code of the image.
+    """
+    result = np.empty(len(pixels), np.uint8)
+    _kernels.crossed(
+        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, image.code, result
+    )  # fmt: skip
+    return result.astype(np.bool_)
+
+
 def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
     """Where a neighbour of the eight shows another surface (2), or another side of the shadow of sun or Earth (1)."""
     edge = np.empty(code.shape, np.uint8)

@@ -17,6 +17,9 @@ static const double MAX_PIXEL_SIGMAS = 1.25;
 /* Objects farther than this cast no shadow; origins of shadow rays are lifted off their surface. */
 static const double FAR_M = 100, LIFT_M = 1e-7;
 
+/* Reach of the rays of the camera. */
+static const double EVERYWHERE_M = 1e9;
+
 /* Shortest way to an intersection that shadows. */
 static const double NEAREST_M = 1e-9;
 
@@ -66,7 +69,7 @@ typedef struct {
     Laser laser[MAX_LASERS]; /* in the camera frame */
     Stand stand[MAX_TIMES];
     int times, lasers, dark;
-    double moved;    /* largest motion of a projector in the target frame */
+    double moved;    /* largest motion of the eye or a projector in the target frame */
     double baseline; /* largest distance of a projector from the camera */
     double relief;   /* largest displacement of a hit by a relief, for rays up to 60 degrees from the normal */
 } Scene;
@@ -98,17 +101,14 @@ static void place(const Scene *scene, Stand *stand, const double pose[12]) {
         stand->projector[i] = rotated_back(pose, minus(scene->laser[i].projector, translation));
 }
 
-/* What varies from sample to sample: the time, and the places on the discs of sun and Earth. */
-typedef struct {
-    int time, sun, earth;
-} Draw;
-
 /* The rays of a block of neighbouring pixels, one sample of each. */
 typedef struct {
     int64_t pixel[BLOCK];
-    double x[BLOCK], y[BLOCK]; /* ray (x, y, 1) in the camera frame */
-    double turn[BLOCK], other[BLOCK]; /* shifts of the samples of each pixel */
-    Draw draw[BLOCK];
+    double middle_x[BLOCK], middle_y[BLOCK]; /* ray (x, y, 1) through the middle of each pixel in the camera frame */
+    double per_px[2][2][BLOCK];              /* its derivatives along the row and the column */
+    double x[BLOCK], y[BLOCK];               /* ray of the sample */
+    double turn[BLOCK], other[BLOCK];        /* shifts of the samples of each pixel */
+    int32_t time[BLOCK], sun[BLOCK], earth[BLOCK]; /* of the sample: time, and places on the discs of sun and Earth */
     Rays rays;
     Hits hits;
     float nx[BLOCK], ny[BLOCK], nz[BLOCK]; /* normals of the hits, rounded */
@@ -118,12 +118,14 @@ typedef struct {
     uint8_t stripe[BLOCK];
     int32_t row[BLOCK], column[BLOCK], entry[BLOCK];                        /* entry: of the ray's surface */
     int32_t surface[ENTRIES][BLOCK], count[ENTRIES][BLOCK], shaded[ENTRIES][BLOCK]; /* of each pixel */
-    double sum[ENTRIES][BLOCK][1 + MAX_LASERS];                             /* radiance of the shaded samples */
+    double sum[ENTRIES][1 + MAX_LASERS][BLOCK];                             /* radiance of the shaded samples, by source */
     uint32_t sources;                                                       /* that some ray shows, as bits */
 } Block;
 
-/* The sums of the light of the surface that a ray shows. */
-static double *sum_of(Block *block, int ray) { return block->sum[block->entry[ray]][ray]; }
+/* Adds light of a source to that of the surface that a ray shows. */
+static inline void add(Block *block, int source, int ray, double radiance) {
+    block->sum[block->entry[ray]][source][ray] += radiance;
+}
 
 /* Light that falls on the hits of a block from a point or a distant source. */
 typedef struct {
@@ -132,38 +134,39 @@ typedef struct {
     double reach[BLOCK];                 /* and its distance */
 } Beam;
 
-/* Parts of which light may cast a shadow on these hits: those near the bundle from their bounding sphere towards the
-   light. `spread` is the change of radius of the bundle with the distance. */
-static void may_shade(const Scene *scene, const Hits *hits, const Beam *beam, double spread, Choice *choice) {
-    Vector low = {INFINITY, INFINITY, INFINITY}, high = times(-1, low), towards = {0, 0, 0};
-    double reach = 0;
+/* Parts of which light may cast a shadow on the hits that are `on`: those near the bundle from their bounding sphere
+   towards the light; not a box on which all of them are. `slope` is the change of radius of the bundle with the
+   distance. */
+static void may_shade(const Scene *scene, const Hits *hits, const uint8_t *on, Vector towards, double slope, double reach,
+                      Choice *choice) {
+    Vector low = {INFINITY, INFINITY, INFINITY}, high = times(-1, low);
+    int own = EMPTY, mixed = 0;
     choice->count = 0;
+    choice->length = reach;
     for (int i = 0; i < hits->count; i++) {
-        if (!beam->on[i]) continue;
+        if (!on[i]) continue;
         low = (Vector){lesser(low.x, hits->x[i]), lesser(low.y, hits->y[i]), lesser(low.z, hits->z[i])};
         high = (Vector){greater(high.x, hits->x[i]), greater(high.y, hits->y[i]), greater(high.z, hits->z[i])};
-        towards = plus(towards, (Vector){beam->x[i], beam->y[i], beam->z[i]});
-        reach = greater(reach, beam->reach[i]);
+        mixed |= own != EMPTY && own != hits->part[i];
+        own = hits->part[i];
     }
-    if (reach == 0) return;
-    const Vector middle = times(0.5, plus(low, high)), across = minus(high, low), axis = unit(towards);
+    if (own == EMPTY) return;
+    const Vector across = minus(high, low), axis = unit(towards);
     const double radius = sqrt(dot(across, across)) / 2 + scene->relief + scene->moved + LIFT_M;
+    const Bundle bundle = {minus(times(0.5, plus(low, high)), times(radius, axis)), axis, (1 + 2 * slope) * radius, slope,
+                           reach + 2 * radius};
     for (int i = 0; i < scene->target.parts; i++) {
-        const Part *part = scene->target.part + i;
-        const Vector to = minus(part->center, middle);
-        if (dot(to, axis) < reach + part->radius + radius && !bundle_misses(part, middle, radius, axis, spread))
-            choice->part[choice->count++] = i;
+        if (i == own && !mixed && scene->target.part[i].kind == BOX) continue;
+        const double enter = bundle_enters(scene->target.part + i, &bundle);
+        if (enter < INFINITY) choose(choice, i, greater(enter - 2 * radius, 0));
     }
 }
 
-/* Finds which hits within a beam are in the shadow of a part. */
-static void find_shadows(const Scene *scene, const Hits *hits, double spread, Beam *beam) {
+/* Finds which hits within a beam are in the shadow of one of the chosen parts. */
+static void find_shadows(const Scene *scene, const Hits *hits, const Choice *choice, Beam *beam) {
     Rays rays;
-    Choice choice;
     int32_t hit[BLOCK];
     memset(beam->shadowed, 0, sizeof beam->shadowed);
-    may_shade(scene, hits, beam, spread, &choice);
-    if (choice.count == 0) return;
     rays.count = 0;
     for (int i = 0; i < hits->count; i++) {
         if (!beam->on[i]) continue;
@@ -178,7 +181,7 @@ static void find_shadows(const Scene *scene, const Hits *hits, double spread, Be
         rays.best[at] = 1;
         rays.own[at] = scene->target.part[hits->part[i]].kind == BOX ? hits->part[i] : EMPTY;
     }
-    intersect(&scene->target, &choice, &rays);
+    intersect(&scene->target, choice, &rays);
     for (int i = 0; i < rays.count; i++) beam->shadowed[hit[i]] = rays.part[i] != EMPTY;
 }
 
@@ -248,19 +251,28 @@ VECTOR_LOOP static void reflect(const Block *restrict block, const Beam *restric
    is shadowed if a part hides the place on the disc that was drawn. */
 static void find_disc(const Scene *scene, const Block *block, int is_sun, double radius, Beam *beam) {
     const Hits *hits = &block->hits;
+    const Stand *middle = scene->stand + scene->times / 2;
     const Vector turned = minus(scene->stand[scene->times - 1].sun, scene->stand[0].sun);
+    Choice choice;
+    for (int i = 0; i < hits->count; i++) {
+        const Stand *stand = scene->stand + block->time[hits->ray[i]];
+        const Vector light = is_sun ? stand->sun : stand->lit;
+        beam->x[i] = light.x, beam->y[i] = light.y, beam->z[i] = light.z;
+        beam->on[i] = hits->fx[i] * light.x + hits->fy[i] * light.y + hits->fz[i] * light.z > 0;
+        beam->shadowed[i] = 0;
+    }
+    may_shade(scene, hits, beam->on, is_sun ? middle->sun : middle->earth, 1.1 * tan(radius) + sqrt(dot(turned, turned)),
+              FAR_M, &choice);
+    if (choice.count == 0) return;
     Beam drawn;
     for (int i = 0; i < hits->count; i++) {
-        const Draw *draw = block->draw + hits->ray[i];
-        const Stand *stand = scene->stand + draw->time;
-        const Vector light = is_sun ? stand->sun : stand->lit;
-        const Vector place = is_sun ? stand->on_sun[draw->sun] : stand->on_earth[draw->earth];
-        beam->x[i] = light.x, beam->y[i] = light.y, beam->z[i] = light.z;
+        const Stand *stand = scene->stand + block->time[hits->ray[i]];
+        const Vector place = is_sun ? stand->on_sun[block->sun[hits->ray[i]]] : stand->on_earth[block->earth[hits->ray[i]]];
         drawn.x[i] = place.x, drawn.y[i] = place.y, drawn.z[i] = place.z;
         drawn.reach[i] = FAR_M;
-        beam->on[i] = drawn.on[i] = hits->fx[i] * light.x + hits->fy[i] * light.y + hits->fz[i] * light.z > 0;
+        drawn.on[i] = beam->on[i];
     }
-    find_shadows(scene, hits, 2.2 * tan(radius) + sqrt(dot(turned, turned)), &drawn);
+    find_shadows(scene, hits, &choice, &drawn);
     memcpy(beam->shadowed, drawn.shadowed, sizeof beam->shadowed);
 }
 
@@ -288,7 +300,7 @@ static void add_ambient(const Scene *scene, Block *block) {
             radiance[i] += (float)light->earth * reflected[i];
         }
     }
-    for (int i = 0; i < hits->count; i++) sum_of(block, hits->ray[i])[0] += radiance[i];
+    for (int i = 0; i < hits->count; i++) add(block, 0, hits->ray[i], radiance[i]);
 }
 
 /* Distances of the hits from a sheet of light, and its thickness there, in the camera frame. */
@@ -311,22 +323,28 @@ static void add_laser(const Scene *scene, int number, Block *block) {
     const Hits *hits = &block->hits;
     double off[BLOCK], sigma[BLOCK], range[BLOCK];
     float reflected[BLOCK];
-    int any = 0;
+    double reach = 0;
+    Vector towards = {0, 0, 0};
     Beam beam;
+    Choice choice;
     find_sheet(scene, laser, block, off, sigma, range);
     for (int i = 0; i < hits->count; i++) {
-        const Vector projector = scene->stand[block->draw[hits->ray[i]].time].projector[number];
+        const Vector projector = scene->stand[block->time[hits->ray[i]]].projector[number];
         beam.on[i] = fabs(off[i]) < MAX_SIGMAS * sigma[i];
         beam.x[i] = (projector.x - hits->x[i]) / range[i];
         beam.y[i] = (projector.y - hits->y[i]) / range[i];
         beam.z[i] = (projector.z - hits->z[i]) / range[i];
         beam.reach[i] = range[i];
-        any |= beam.on[i];
+        if (beam.on[i]) {
+            reach = greater(reach, range[i]);
+            towards = plus(towards, (Vector){beam.x[i], beam.y[i], beam.z[i]});
+        }
         if (fabs(off[i]) < MAX_SIGMAS * sigma[i] + block->footprint[i])
             block->stripe[hits->ray[i]] |= block->footprint[i] > MAX_PIXEL_SIGMAS * sigma[i] ? THIN : WIDE;
     }
-    if (!any) return;
-    find_shadows(scene, hits, 0, &beam);
+    if (reach == 0) return;
+    may_shade(scene, hits, beam.on, towards, 0, reach, &choice);
+    find_shadows(scene, hits, &choice, &beam);
     reflect(block, &beam, 0, reflected);
     for (int i = 0; i < hits->count; i++) {
         if (beam.shadowed[i]) block->code[hits->ray[i]] |= 1u << number;
@@ -335,7 +353,7 @@ static void add_laser(const Scene *scene, int number, Block *block) {
         const Vector from = minus((Vector){z * block->cx[i], z * block->cy[i], z}, laser->projector);
         if (fabs(atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from))) > light->fan / 2) continue;
         const double across = exp(-0.5 * off[i] * off[i] / (sigma[i] * sigma[i])) / (sqrt(2 * PI) * sigma[i]);
-        sum_of(block, hits->ray[i])[1 + number] += light->power / (light->fan * range[i]) * across * reflected[i];
+        add(block, 1 + number, hits->ray[i], light->power / (light->fan * range[i]) * across * reflected[i]);
     }
 }
 
@@ -364,19 +382,23 @@ VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Bloc
                                          uint8_t *restrict wanted) {
     const Rays *rays = &block->rays;
     const int count = rays->count;
+    const double least = MAX_SIGMAS * (scene->light.sigma + scene->light.divergence * scene->baseline) + scene->relief;
+    const double slope = MAX_SIGMAS * scene->light.divergence, per_px = scene->light.angle_per_px;
+    double limit[BLOCK];
     uint32_t lasers = 0;
     memset(wanted, 0, BLOCK);
+    for (int i = 0; i < count; i++) {
+        const double x = block->x[i], y = block->y[i];
+        limit[i] = least + rays->best[i] * (slope * sqrt(x * x + y * y + 1) + per_px);
+    }
     for (int k = 0; k < scene->lasers; k++) {
         const Laser *laser = scene->laser + k;
         const double nx = laser->normal.x, ny = laser->normal.y, nz = laser->normal.z, distance = laser->distance;
-        const double least = MAX_SIGMAS * (scene->light.sigma + scene->light.divergence * scene->baseline) + scene->relief;
-        const double slope = MAX_SIGMAS * scene->light.divergence, per_px = scene->light.angle_per_px;
         int any = 0;
         if (laser->on <= 0) continue;
         for (int i = 0; i < count; i++) {
-            const double x = block->x[i], y = block->y[i], depth = rays->best[i];
-            const double limit = least + depth * (slope * sqrt(x * x + y * y + 1) + per_px);
-            const int near = (rays->part[i] != EMPTY) & (fabs(depth * (nx * x + ny * y + nz) - distance) < limit);
+            const double off = rays->best[i] * (nx * block->x[i] + ny * block->y[i] + nz) - distance;
+            const int near = (rays->part[i] != EMPTY) & (fabs(off) < limit[i]);
             wanted[i] |= (uint8_t)near;
             any |= near;
         }
@@ -439,8 +461,8 @@ static void shade(const Scene *scene, double size, int step, Block *block) {
     for (int i = 0; i < rays->count; i++) {
         if (scene->dark) wanted[i] &= near[i];
         if (rays->part[i] == EMPTY && wanted[i] && !scene->dark)
-            sum_of(block, i)[0] += sky(scene, scene->stand + block->draw[i].time,
-                                       (Vector){rays->dx[i], rays->dy[i], rays->dz[i]}, block->code + i);
+            add(block, 0, i, sky(scene, scene->stand + block->time[i], (Vector){rays->dx[i], rays->dy[i], rays->dz[i]},
+                                 block->code + i));
     }
     if (scene->dark && !lasers) return;
     complete_hits(&scene->target, rays, wanted, hits);
@@ -466,25 +488,33 @@ typedef struct {
     int width;
 } PixelRays;
 
-/* Parts whose bounding sphere a cone around the rays may meet, at the first, the middle or the last time. */
-static void parts_near(const Scene *scene, const PixelRays *rays, const int64_t *pixel, int count, Choice *choice) {
-    double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1;
+/* Parts that a cone around the rays may meet, as far as their bounds show, at the first, the middle or the last time. */
+static void parts_near(const Scene *scene, const Block *block, Choice *choice) {
+    double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1, length2 = 1;
     choice->count = 0;
-    for (int i = 0; i < count; i++) {
-        const double x = rays->x[pixel[i]], y = rays->y[pixel[i]];
+    for (int i = 0; i < block->rays.count; i++) {
+        const double x = block->middle_x[i], y = block->middle_y[i];
         left = lesser(left, x), right = greater(right, x), top = lesser(top, y), bottom = greater(bottom, y);
     }
     const Vector axis = unit((Vector){(left + right) / 2, (top + bottom) / 2, 1});
-    for (int i = 0; i < 4; i++)
-        cosine = lesser(cosine, dot(axis, unit((Vector){i % 2 ? left : right, i / 2 ? top : bottom, 1})));
-    const double half = acos(lesser(cosine, 1)) + scene->light.angle_per_px;
-    for (int i = 0; i < scene->target.parts; i++)
-        for (int k = 0; k < (scene->times == 1 ? 1 : 3); k++) {
-            const Stand *stand = scene->stand + k * (scene->times - 1) / 2;
-            if (bundle_misses(scene->target.part + i, stand->eye, 0, rotated_back(stand->rotation, axis), half)) continue;
-            choice->part[choice->count++] = i;
-            break;
-        }
+    for (int i = 0; i < 4; i++) {
+        const Vector corner = {i % 2 ? left : right, i / 2 ? top : bottom, 1};
+        cosine = lesser(cosine, dot(axis, unit(corner)));
+        length2 = greater(length2, dot(corner, corner));
+    }
+    const double slope = sqrt(greater(1 - cosine * cosine, 0)) / cosine + scene->light.angle_per_px;
+    Bundle bundle[3];
+    const int times = scene->times == 1 ? 1 : 3;
+    for (int k = 0; k < times; k++) {
+        const Stand *stand = scene->stand + k * (scene->times - 1) / 2;
+        bundle[k] = (Bundle){stand->eye, rotated_back(stand->rotation, axis), 0, slope, EVERYWHERE_M};
+    }
+    choice->length = sqrt(length2) + scene->light.angle_per_px;
+    for (int i = 0; i < scene->target.parts; i++) {
+        double enter = INFINITY;
+        for (int k = 0; k < times; k++) enter = lesser(enter, bundle_enters(scene->target.part + i, bundle + k));
+        if (enter < INFINITY) choose(choice, i, greater(enter - scene->moved, 0));
+    }
 }
 
 static double reversed(int number, int base) {
@@ -493,10 +523,33 @@ static double reversed(int number, int base) {
     return sum;
 }
 
+/* The rays of one sample of each pixel in the camera frame, and what is drawn for it.
+
+   The samples are a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated by
+   the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
+VECTOR_LOOP static void draw(int times, int sample, int samples, Block *restrict block) {
+    const double column = (double)sample / samples, row_px = reversed(sample, 2) + 0.5 / samples - 0.5;
+    const double when = reversed(sample, 3);
+    const int count = block->rays.count;
+    for (int i = 0; i < count; i++) {
+        const int first = (int)(block->turn[i] * DISC);
+        block->sun[i] = (first + sample) & (DISC - 1);
+        block->earth[i] = (7 * first + 5 * sample + 3) & (DISC - 1);
+        block->time[i] = samples > 1 ? (int)(fraction(when + block->other[i]) * times) : times / 2;
+        block->x[i] = block->middle_x[i], block->y[i] = block->middle_y[i];
+    }
+    for (int i = 0; i < count && samples > 1; i++) {
+        const double column_px = fraction(column + block->turn[i]) - 0.5;
+        block->x[i] += column_px * block->per_px[0][0][i] + row_px * block->per_px[1][0][i];
+        block->y[i] += column_px * block->per_px[0][1][i] + row_px * block->per_px[1][1][i];
+    }
+}
+
 /* Directions of rays of one time. */
-VECTOR_LOOP static void aim(const Stand *restrict stand, const Block *restrict block, Rays *restrict rays) {
+VECTOR_LOOP static void aim(const Stand *restrict stand, Block *restrict block) {
     const double *m = stand->rotation;
     const Vector eye = stand->eye;
+    Rays *rays = &block->rays;
     const int count = rays->count;
     for (int i = 0; i < count; i++) {
         const double x = block->x[i], y = block->y[i];
@@ -504,42 +557,59 @@ VECTOR_LOOP static void aim(const Stand *restrict stand, const Block *restrict b
         rays->dx[i] = m[0] * x + m[3] * y + m[6];
         rays->dy[i] = m[1] * x + m[4] * y + m[7];
         rays->dz[i] = m[2] * x + m[5] * y + m[8];
+        rays->least[i] = 0, rays->best[i] = INFINITY, rays->own[i] = EMPTY;
     }
 }
 
-/* One sample of each pixel of a block: its rays, and where they hit the target.
-
-   The samples are a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated by
-   the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
-static void cast_block(const Scene *scene, const PixelRays *rays, const Choice *parts, int sample, int samples,
-                       Block *block) {
+/* One sample of each pixel of a block: where its ray hits the target. */
+static void cast_block(const Scene *scene, const Choice *parts, int sample, int samples, Block *block) {
     Rays *cast = &block->rays;
-    const double column = (double)sample / samples, row_px = reversed(sample, 2) + 0.5 / samples - 0.5;
-    const double when = reversed(sample, 3);
-    for (int i = 0; i < cast->count; i++) {
-        const int64_t at = block->pixel[i];
-        const int first = (int)(block->turn[i] * DISC);
-        double x = rays->x[at], y = rays->y[at];
-        Draw *draw = block->draw + i;
-        *draw = (Draw){scene->times / 2, (first + sample) % DISC, (7 * first + 5 * sample + 3) % DISC};
-        if (samples > 1) {
-            const double column_px = fraction(column + block->turn[i]) - 0.5;
-            x += column_px * rays->per_px[0][0][at] + row_px * rays->per_px[1][0][at];
-            y += column_px * rays->per_px[0][1][at] + row_px * rays->per_px[1][1][at];
-            if (scene->times > 1) draw->time = (int)(fraction(when + block->other[i]) * scene->times);
-        }
-        block->x[i] = x, block->y[i] = y;
-        cast->least[i] = 0;
-        cast->best[i] = INFINITY;
-        cast->own[i] = EMPTY;
-        if (samples == 1 || scene->times == 1) continue;
-        const Stand *stand = scene->stand + draw->time;
-        const Vector direction = rotated_back(stand->rotation, (Vector){x, y, 1});
+    draw(scene->times, sample, samples, block);
+    aim(scene->stand + scene->times / 2, block);
+    for (int i = 0; i < cast->count && samples > 1 && scene->times > 1; i++) {
+        const Stand *stand = scene->stand + block->time[i];
+        const Vector direction = rotated_back(stand->rotation, (Vector){block->x[i], block->y[i], 1});
         cast->ox[i] = stand->eye.x, cast->oy[i] = stand->eye.y, cast->oz[i] = stand->eye.z;
         cast->dx[i] = direction.x, cast->dy[i] = direction.y, cast->dz[i] = direction.z;
     }
-    if (samples == 1 || scene->times == 1) aim(scene->stand + scene->times / 2, block, cast);
     intersect(&scene->target, parts, cast);
+}
+
+/* The rays through the middle of each pixel of a block, and its shifts. */
+static void begin_block(const PixelRays *rays, int samples, int entries, Block *block) {
+    const int count = block->rays.count;
+    for (int k = 0; k < entries; k++) {
+        memset(block->sum[k], 0, sizeof block->sum[k]);
+        memset(block->count[k], 0, sizeof block->count[k]);
+        memset(block->shaded[k], 0, sizeof block->shaded[k]);
+    }
+    for (int i = 0; i < count; i++) {
+        block->middle_x[i] = rays->x[block->pixel[i]], block->middle_y[i] = rays->y[block->pixel[i]];
+        block->turn[i] = fraction(0.7548776662 * block->column[i] + 0.5698402910 * block->row[i]);
+        block->other[i] = fraction(0.8191725134 * block->column[i] + 0.6710436067 * block->row[i]);
+    }
+    for (int k = 0; k < 4 && samples > 1; k++)
+        for (int i = 0; i < count; i++) block->per_px[k / 2][k % 2][i] = rays->per_px[k / 2][k % 2][block->pixel[i]];
+    block->sources = 1;
+}
+
+/* Writes the mean radiance of the samples. */
+static void end_block(const Scene *scene, const Block *block, int samples, int step, int all, size_t pixels,
+                      float *radiance, uint32_t *code, uint8_t *stripe) {
+    const int count = block->rays.count;
+    for (int k = 0; k <= scene->lasers; k++) {
+        float *of_source = radiance + (size_t)k * pixels;
+        if (all && !(block->sources >> k & 1)) continue; /* it is 0 already */
+        for (int i = 0; i < count; i++) {
+            double sum = block->sum[0][k][i];
+            if (step > 1) sum = 0;
+            for (int entry = 0; step > 1 && entry < ENTRIES && block->count[entry][i] > 0; entry++)
+                sum += (double)block->count[entry][i] / block->shaded[entry][i] * block->sum[entry][k][i];
+            of_source[block->pixel[i]] = (float)(sum / samples);
+        }
+    }
+    for (int i = 0; i < count && code; i++) code[block->pixel[i]] = block->code[i];
+    for (int i = 0; i < count && stripe; i++) stripe[block->pixel[i]] = block->stripe[i];
 }
 
 /* The next pixels of an image, or of those chosen, as a block: a tile of an image of several rows. */
@@ -571,36 +641,40 @@ static void render_all(const Scene *scene, const PixelRays *rays, const int64_t 
                        int step, float *radiance, uint32_t *code, uint8_t *stripe) {
     Block block;
     Choice parts;
-    const int entries = step == 1 ? 1 : ENTRIES;
-    const double per_sample = 1.0 / samples;
     for (size_t next = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, &block)) > 0;) {
-        for (int k = 0; k < entries; k++) {
-            memset(block.sum[k], 0, sizeof block.sum[k]);
-            memset(block.count[k], 0, sizeof block.count[k]);
-            memset(block.shaded[k], 0, sizeof block.shaded[k]);
-        }
-        for (int i = 0; i < block.rays.count; i++) {
-            block.turn[i] = fraction(0.7548776662 * block.column[i] + 0.5698402910 * block.row[i]);
-            block.other[i] = fraction(0.8191725134 * block.column[i] + 0.6710436067 * block.row[i]);
-        }
-        block.sources = 1;
-        parts_near(scene, rays, block.pixel, block.rays.count, &parts);
+        begin_block(rays, samples, step == 1 ? 1 : ENTRIES, &block);
+        parts_near(scene, &block, &parts);
         for (int sample = 0; sample < samples; sample++) {
-            cast_block(scene, rays, &parts, sample, samples, &block);
+            cast_block(scene, &parts, sample, samples, &block);
             shade(scene, 1 / sqrt(samples), step, &block);
         }
-        for (int i = 0; i < block.rays.count; i++) {
-            const size_t at = (size_t)block.pixel[i];
-            double sum[1 + MAX_LASERS] = {0};
-            for (int entry = 0; entry < entries && block.count[entry][i] > 0; entry++) {
-                const double share = step == 1 ? 1 : (double)block.count[entry][i] / block.shaded[entry][i];
-                for (int k = 0; k <= scene->lasers; k++)
-                    if (block.sources >> k & 1) sum[k] += share * block.sum[entry][i][k];
+        end_block(scene, &block, samples, step, !chosen, rays->pixels, radiance, code, stripe);
+    }
+}
+
+/* Which pixels an edge of a surface or of a laser's shadow may cross: those whose corners, at the first and the last
+   time, and middle do not all show the same. */
+static void find_crossed(const Scene *scene, const PixelRays *rays, const int64_t *chosen, size_t count,
+                         const int32_t *code, uint8_t *crossed) {
+    const int32_t shared = ~(SUN_SHADOW | EARTH_SHADOW | SECOND);
+    Block block;
+    Choice parts;
+    for (size_t next = 0, from = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, &block)) > 0; from = next) {
+        begin_block(rays, 4, 1, &block);
+        parts_near(scene, &block, &parts);
+        for (int corner = 0; corner < (scene->times == 1 ? 4 : 8); corner++) {
+            const double along = corner & 1 ? 0.5 : -0.5, down = corner & 2 ? 0.5 : -0.5;
+            const int time = corner & 4 ? scene->times - 1 : 0;
+            for (int i = 0; i < block.rays.count; i++) {
+                block.x[i] = block.middle_x[i] + along * block.per_px[0][0][i] + down * block.per_px[1][0][i];
+                block.y[i] = block.middle_y[i] + along * block.per_px[0][1][i] + down * block.per_px[1][1][i];
+                block.time[i] = time;
             }
-            for (int k = 0; k <= scene->lasers; k++)
-                if (chosen || block.sources >> k & 1) radiance[(size_t)k * rays->pixels + at] = (float)(sum[k] * per_sample);
-            if (code) code[at] = block.code[i];
-            if (stripe) stripe[at] = block.stripe[i];
+            aim(scene->stand + time, &block);
+            intersect(&scene->target, &parts, &block.rays);
+            shade(scene, 1, 1, &block);
+            for (int i = 0; i < block.rays.count; i++)
+                crossed[from + (size_t)i] |= (((int32_t)block.code[i] ^ code[block.pixel[i]]) & shared) != 0;
         }
     }
 }
@@ -633,53 +707,98 @@ static int open_target(const Arguments *arguments, Target *target) {
     return require(fits, "the tables of the target do not fit each other");
 }
 
+/* The arguments that describe light, placements and rays; they follow those of the target. */
+#define VIEW \
+    {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}}, \
+        {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, \
+        {"width", 'L', {1, 1 << 30}}, {"?pixels", 'q', {ANY}}
+enum { AFTER_VIEW = AFTER_TARGET + 8 };
+
+typedef struct {
+    PixelRays rays;
+    const int64_t *chosen; /* NULL: all pixels */
+    size_t count;
+} Pixels;
+
+/* The scene and the chosen pixels; NULL and an exception if the arguments do not fit each other. */
+static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
+    const Py_buffer *view = arguments->view + AFTER_TARGET;
+    const double(*number)[MAX_NUMBERS] = arguments->number + AFTER_TARGET;
+    const size_t all = (size_t)view[4].shape[1];
+    const double *xy = view[4].buf, *per_px = view[5].obj ? view[5].buf : NULL;
+    Scene *scene = calloc(1, sizeof *scene);
+    if (!scene) return (Scene *)PyErr_NoMemory();
+    *pixels = (Pixels){{xy, xy + all, {{NULL, NULL}, {NULL, NULL}}, all, (int)number[6][0]},
+                       view[7].obj ? view[7].buf : NULL, view[7].obj ? (size_t)view[7].shape[0] : all};
+    int fits = open_target(arguments, &scene->target) &&
+               require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS,
+                       "there are too many poses or lasers");
+    for (size_t i = 0; fits && pixels->chosen && i < pixels->count; i++)
+        fits = require(pixels->chosen[i] >= 0 && (size_t)pixels->chosen[i] < all, "a pixel is outside the image");
+    if (!fits) {
+        free(scene);
+        return NULL;
+    }
+    for (int i = 0; per_px && i < 4; i++) pixels->rays.per_px[i / 2][i % 2] = per_px + (size_t)i * all;
+    memcpy(&scene->light, number[3], sizeof(Light));
+    memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
+    scene->times = (int)view[0].shape[0];
+    scene->lasers = (int)view[2].shape[0];
+    for (Py_ssize_t i = 0; i < arguments->view[9].shape[0]; i++)
+        scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
+    memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
+    for (int i = 0; i < scene->lasers; i++)
+        scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
+    scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
+    for (int i = 0; i < scene->times; i++) place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
+    const Stand *begin = scene->stand, *end = scene->stand + scene->times - 1;
+    const Vector eye = minus(end->eye, begin->eye);
+    scene->moved = sqrt(dot(eye, eye));
+    for (int i = 0; i < scene->lasers; i++) {
+        const Vector moved = minus(end->projector[i], begin->projector[i]);
+        scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
+    }
+    return scene;
+}
+
 PyObject *call_render(PyObject *module, PyObject *tuple) {
     static const Parameter parameter[] = {
-        TARGET,
-        {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}},
-        {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, {"width", 'L', {1, 1 << 30}},
-        {"?pixels", 'q', {ANY}}, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}}, {">?code", 'i', {N}},
-        {">?stripe", 'B', {N}}};
+        TARGET, VIEW, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}},
+        {">?code", 'i', {N}}, {">?stripe", 'B', {N}}};
     Arguments arguments;
+    Pixels pixels;
     (void)module;
     if (!OPEN(tuple, parameter, &arguments)) return NULL;
-    const Py_buffer *view = arguments.view + AFTER_TARGET;
-    const double(*number)[MAX_NUMBERS] = arguments.number + AFTER_TARGET;
-    Scene *scene = calloc(1, sizeof *scene);
-    if (!scene) return close_arguments(&arguments, PyErr_NoMemory());
-    const size_t pixels = (size_t)view[4].shape[1];
-    int fits = open_target(&arguments, &scene->target) &&
-               require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS &&
-                           view[10].shape[0] == view[2].shape[0] + 1 && (view[5].obj || number[8][0] == 1),
-                       "poses, lasers and radiance do not fit each other");
-    const int64_t *chosen = view[7].obj ? view[7].buf : NULL;
-    const size_t count = chosen ? (size_t)view[7].shape[0] : pixels;
-    for (size_t i = 0; fits && chosen && i < count; i++)
-        fits = require(chosen[i] >= 0 && (size_t)chosen[i] < pixels, "a pixel is outside the image");
+    const Py_buffer *view = arguments.view + AFTER_VIEW;
+    const int samples = (int)arguments.number[AFTER_VIEW][0], step = (int)arguments.number[AFTER_VIEW + 1][0];
+    Scene *scene = open_scene(&arguments, &pixels);
+    const int fits = scene && require(view[2].shape[0] == scene->lasers + 1 && (pixels.rays.per_px[0][0] || samples == 1),
+                                      "lasers, samples and radiance do not fit each other");
     if (fits) {
-        const double *xy = view[4].buf, *per_px = view[5].obj ? view[5].buf : NULL;
-        PixelRays rays = {xy, xy + pixels, {{NULL, NULL}, {NULL, NULL}}, pixels, (int)number[6][0]};
-        for (int i = 0; per_px && i < 4; i++) rays.per_px[i / 2][i % 2] = per_px + (size_t)i * pixels;
-        memcpy(&scene->light, number[3], sizeof(Light));
-        memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
-        scene->times = (int)view[0].shape[0];
-        scene->lasers = (int)view[2].shape[0];
-        for (Py_ssize_t i = 0; i < arguments.view[9].shape[0]; i++)
-            scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
-        memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
-        for (int i = 0; i < scene->lasers; i++)
-            scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
-        scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
-        for (int i = 0; i < scene->times; i++)
-            place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
-        for (int i = 0; i < scene->lasers; i++) {
-            const Vector moved = minus(scene->stand[scene->times - 1].projector[i], scene->stand[0].projector[i]);
-            scene->moved = greater(scene->moved, sqrt(dot(moved, moved)));
-        }
-        const int step = scene->target.columns * scene->target.rows > 1 ? 1 : (int)number[9][0]; /* 1: edges of a print */
-        Py_BEGIN_ALLOW_THREADS render_all(scene, &rays, chosen, count, (int)number[8][0], step,
-                                          view[10].buf, view[11].obj ? view[11].buf : NULL,
-                                          view[12].obj ? view[12].buf : NULL);
+        const int is_printed = scene->target.columns * scene->target.rows > 1; /* then shade all: there are its edges */
+        Py_BEGIN_ALLOW_THREADS render_all(scene, &pixels.rays, pixels.chosen, pixels.count, samples,
+                                          is_printed ? 1 : step, view[2].buf, view[3].obj ? view[3].buf : NULL,
+                                          view[4].obj ? view[4].buf : NULL);
+        Py_END_ALLOW_THREADS
+    }
+    free(scene);
+    return close_arguments(&arguments, fits ? Py_NewRef(Py_None) : NULL);
+}
+
+PyObject *call_crossed(PyObject *module, PyObject *tuple) {
+    static const Parameter parameter[] = {TARGET, VIEW, {"code", 'i', {N}}, {">crossed", 'B', {ANY}}};
+    Arguments arguments;
+    Pixels pixels;
+    (void)module;
+    if (!OPEN(tuple, parameter, &arguments)) return NULL;
+    const Py_buffer *view = arguments.view + AFTER_VIEW;
+    Scene *scene = open_scene(&arguments, &pixels);
+    const int fits = scene && require(pixels.chosen && (size_t)view[1].shape[0] == pixels.count && pixels.rays.per_px[0][0],
+                                      "the result does not fit the pixels");
+    if (fits) {
+        scene->dark = 1; /* only the lasers' shadows are needed */
+        memset(view[1].buf, 0, pixels.count);
+        Py_BEGIN_ALLOW_THREADS find_crossed(scene, &pixels.rays, pixels.chosen, pixels.count, view[0].buf, view[1].buf);
         Py_END_ALLOW_THREADS
     }
     free(scene);
@@ -687,7 +806,9 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
 }
 
 static void choose_all(const Target *target, Choice *all) {
-    for (all->count = 0; all->count < target->parts; all->count++) all->part[all->count] = all->count;
+    all->count = 0;
+    all->length = INFINITY;
+    for (int i = 0; i < target->parts; i++) choose(all, i, 0);
 }
 
 PyObject *call_hits(PyObject *module, PyObject *tuple) {

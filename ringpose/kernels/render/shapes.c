@@ -10,24 +10,42 @@ static int is_aligned(const Part *part) {
     return part->rotation[0] == 1 && part->rotation[4] == 1 && part->rotation[8] == 1;
 }
 
-int bundle_misses(const Part *part, Vector middle, double radius, Vector axis, double spread) {
-    const Vector to = minus(part->center, middle);
-    const double along = dot(to, axis), both = part->radius + radius, aside2 = dot(to, to) - along * along;
-    const double within = both + greater(along + both, 0) * tan(spread);
-    if (along < -both || aside2 > within * within) return 1;
-    if (part->kind == BOX) return 0;
-    /* where the bundle is within the heights of the surface: distances from its axis */
-    const Vector o = rotated(part->rotation, minus(middle, part->origin)), d = rotated(part->rotation, axis);
-    const double steep = fabs(d.z) - spread;
-    if (steep < 0.1) return 0;
-    const double one = (part->low.z - o.z) / d.z, other = (part->high.z - o.z) / d.z;
-    const double first = greater(lesser(one, other), 0), last = greater(greater(one, other), 0);
-    const double margin = (radius + last * tan(spread)) / steep;
-    if (greater(one, other) < -radius / steep) return 1;
-    const double x = o.x + first * d.x, y = o.y + first * d.y, dx = (last - first) * d.x, dy = (last - first) * d.y;
-    const double square = dx * dx + dy * dy, share = square > 0 ? lesser(greater(-(x * dx + y * dy) / square, 0), 1) : 0;
-    const double nearest = hypot(x + share * dx, y + share * dy), farthest = greater(hypot(x, y), hypot(x + dx, y + dy));
-    return nearest - margin > part->high.x || farthest + margin < part->low.x;
+/* Narrows the distances at which rays may be between two planes, for coordinates o +- radius and d +- spread. */
+static void clip(double low, double high, double o, double d, double radius, double spread, double *enter, double *leave) {
+    const double to_low = low - radius - o, to_high = high + radius - o, least = d - spread, most = d + spread;
+    if (to_low > 0) {
+        *enter = most > 0 ? greater(*enter, to_low / most) : INFINITY;
+        if (least > 0) *leave = lesser(*leave, to_high / least);
+    } else if (to_high < 0) {
+        *enter = least < 0 ? greater(*enter, to_high / least) : INFINITY;
+        if (most < 0) *leave = lesser(*leave, to_low / most);
+    } else {
+        if (least > 0) *leave = lesser(*leave, to_high / least);
+        if (most < 0) *leave = lesser(*leave, to_low / most);
+    }
+}
+
+double bundle_enters(const Part *part, const Bundle *bundle) {
+    const double radius = bundle->radius, slope = bundle->slope, both = part->radius + radius;
+    const Vector to = minus(part->center, bundle->middle);
+    const double along = dot(to, bundle->axis), aside2 = dot(to, to) - along * along;
+    const double within = both + greater(along + both, 0) * slope;
+    if (along < -both || along - both > bundle->reach || aside2 > within * within) return INFINITY;
+    const Vector o = rotated(part->rotation, minus(bundle->middle, part->origin)), d = rotated(part->rotation, bundle->axis);
+    const int round = part->kind == REVOLUTION;
+    const double least = round ? -part->high.x : part->low.y, most = round ? part->high.x : part->high.y;
+    double enter = 0, leave = bundle->reach;
+    clip(part->low.z, part->high.z, o.z, d.z, radius, slope, &enter, &leave);
+    clip(round ? least : part->low.x, part->high.x, o.x, d.x, radius, slope, &enter, &leave);
+    clip(least, most, o.y, d.y, radius, slope, &enter, &leave);
+    if (enter > leave) return INFINITY;
+    if (round) { /* through the hole: the farthest point of the axis is at one of the ends */
+        const double room = part->low.x - radius - leave * slope, near_x = o.x + enter * d.x, near_y = o.y + enter * d.y;
+        const double far_x = o.x + leave * d.x, far_y = o.y + leave * d.y;
+        if (room > 0 && greater(near_x * near_x + near_y * near_y, far_x * far_x + far_y * far_y) < room * room)
+            return INFINITY;
+    }
+    return greater(enter - radius, 0);
 }
 
 /* Rays in the frame of a part, which may hit it; `ray` is the number of each in the rays of the target. */
@@ -279,12 +297,29 @@ static void hit_revolution(const Target *target, const Part *part, Near *near) {
     for (int i = 0; part->gaps > 0 && i < count; i++) hit_gaps(target, part, near, i);
 }
 
+static double farthest(const Rays *rays) {
+    double best = 0;
+    for (int i = 0; i < rays->count; i++) best = greater(best, rays->best[i]);
+    return best;
+}
+
+void choose(Choice *choice, int part, double enter) {
+    int at = choice->count++;
+    for (; at > 0 && choice->enter[at - 1] > enter; at--) {
+        choice->part[at] = choice->part[at - 1];
+        choice->enter[at] = choice->enter[at - 1];
+    }
+    choice->part[at] = part;
+    choice->enter[at] = enter;
+}
+
 void intersect(const Target *target, const Choice *choice, Rays *rays) {
     Near near;
     int32_t is_near[BLOCK];
     for (int i = 0; i < rays->count; i++) rays->part[i] = EMPTY;
     for (int k = 0; k < choice->count; k++) {
         const Part *part = target->part + choice->part[k];
+        if (choice->enter[k] > 0 && choice->enter[k] > farthest(rays) * choice->length) break;
         find_near(part, choice->part[k], rays, is_near);
         near.count = 0;
         for (int i = 0; i < rays->count; i++) {

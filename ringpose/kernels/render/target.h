@@ -85,10 +85,18 @@ typedef struct {
     int32_t own[BLOCK];  /* convex part that the ray leaves, or EMPTY */
 } Rays;
 
-/* Some of the parts. */
+/* Some of the parts, by the distance at which rays can meet them first; no ray's direction is longer than `length`. */
 typedef struct {
     int count, part[MAX_PARTS];
+    double enter[MAX_PARTS], length;
 } Choice;
+
+/* Rays: at a distance t from a point along the axis, up to `reach`, they are within radius + t slope of the axis, and
+   they begin within the radius of the point. */
+typedef struct {
+    Vector middle, axis;
+    double radius, slope, reach;
+} Bundle;
 
 /* Where rays hit surfaces, sorted by surface. */
 typedef struct {
@@ -130,9 +138,11 @@ static inline Vector rotated_back(const double m[9], Vector a) {
                     m[2] * a.x + m[5] * a.y + m[8] * a.z};
 }
 
-/* Whether all rays of a bundle miss a part, as far as its bounds show; the bundle begins within a sphere, and its
-   directions differ from the axis, a unit vector, by at most the angle `spread`. */
-int bundle_misses(const Part *part, Vector middle, double radius, Vector axis, double spread);
+/* Lower bound of the distance at which a ray of a bundle can meet a part, from its bounds; INFINITY if none can. */
+double bundle_enters(const Part *part, const Bundle *bundle);
+
+/* Inserts a part where it belongs in the order of distances. */
+void choose(Choice *choice, int part, double enter);
 
 /* Nearest intersections of the rays with the chosen parts; parts that no ray can hit cost little. */
 void intersect(const Target *target, const Choice *choice, Rays *rays);

@@ -198,26 +198,16 @@ def check_three_clients(numbers, missed, frames):
     np.testing.assert_array_equal(missed[1:], skipped[1:])
 
 
-def test_a_client_that_stops_reading_is_skipped_and_others_lose_nothing(serve, monkeypatch):
-    monkeypatch.setattr(image_clients, "MAX_QUEUED", 60)  # a busy machine may stop the other clients for 0.6 s
-
-    def until_the_others_have_most(numbers):
-        while min(map(len, numbers[:2])) < 150:
-            time.sleep(0.01)
-
-    check_three_clients(*three_clients(serve(rate_hz=100.0), 180, until_the_others_have_most), 180)
-
-
 @pytest.mark.slow
-def test_a_thousand_frames_reach_two_clients_while_a_third_stops_for_ten_seconds(serve, monkeypatch):
-    monkeypatch.setattr(image_clients, "MAX_QUEUED", 200)
+def test_a_thousand_frames_reach_two_clients_while_a_third_stops_for_ten_seconds(serve):
+    """At the rate of previews that a server sustains at least, a queue lasts for 0.8 s."""
 
     def ten_seconds(numbers):
         time.sleep(10.0)
-        while min(map(len, numbers[:2])) < 600:
+        while min(map(len, numbers[:2])) < 400:
             time.sleep(0.01)
 
-    check_three_clients(*three_clients(serve(rate_hz=80.0), 1000, ten_seconds), 1000)
+    check_three_clients(*three_clients(serve(rate_hz=20.0), 1000, ten_seconds), 1000)
 
 
 def test_settings_change_from_the_frame_that_the_answer_names(serve):
@@ -483,8 +473,9 @@ def test_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkey
 
 @pytest.mark.slow
 def test_ten_thousand_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
+    """In 2,500 connections of four headers each."""
     monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)
-    check_fuzzed(serve(rate_hz=100.0), 10_000)
+    check_fuzzed(serve(rate_hz=100.0), 2_500)
 
 
 def test_a_client_with_the_secret_is_admitted_and_others_are_not(serve):
