@@ -372,7 +372,7 @@ static double mark_saturation(Profile *profile, ptrdiff_t i, const Section *sect
     for (int k = 0; k < section->rows; k++)
         if (section->bright[k] >= params->saturation) {
             profile->saturated[i] = 1;
-            if (section->ambient[k] < params->saturation / 2) widest = fmax(widest, section->offset[k]);
+            if (section->ambient[k] < 0.95 * params->saturation) widest = fmax(widest, section->offset[k]);
         }
     return widest;
 }
