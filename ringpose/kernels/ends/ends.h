@@ -40,7 +40,7 @@ typedef struct {
     ptrdiff_t first, count, face_first, face_last; /* face: indices, inclusive */
     double *y, *amplitude, *headroom[LIGHT_LEVELS], *texture, *scratch;
     double *residual_variance; /* of the fitted cross-section */
-    double *ambient; /* range of the background across the section; without an image of it, what its facets may be */
+    double *ambient;           /* range of the subtracted background across the section; infinite without one */
     unsigned char *saturated;
     int clipped;        /* in some column a part of the stripe is saturated */
     double sigma, gain; /* of the cross-section; variance of the amplitude over that of a pixel */

@@ -295,12 +295,9 @@ enum { PEAK_COLUMNS = 24 };
 #define MAX_PEAK 4
 #define MIN_GROWTH 1.02
 
-/* Ambient light, in amplitudes of the stripe, from which it may leave texture; its range across a section where it is
-   subtracted (a tenth of it remains where the target has moved by a tenth of a pixel). */
+/* Range of the ambient light across a section, in amplitudes of the stripe, from which its subtraction may leave texture:
+   a tenth of it remains where the target has moved by a tenth of a pixel. */
 #define MIN_CONTRAST 0.3
-
-/* Brightness of facets in the light that shows beside them. */
-#define FACET_PEAK 3
 
 /* Mean over lower quartile of the residual variances of sections with normal noise. */
 #define LOW_TO_MEAN 1.4
@@ -405,7 +402,7 @@ static double unlit_residual_variance(Profile *profile) {
 
 /* Variance of the amplitudes due to background texture: the residual variance beyond twice that of noise and of the
    stripe itself (median over the face); beyond four times that it counts as certain and enters `background`. Where the
-   background is too faint, the residuals are those of speckle and of stripes beside the line. */
+   background was subtracted and is faint, the residuals are those of speckle and of stripes beside the line. */
 static void fill_texture(Profile *profile, double expected, const EndParams *params) {
     size_t n = (size_t)profile->count, face = (size_t)(profile->face_last - profile->face_first + 1);
     double white = unlit_residual_variance(profile), factor = params->texture_factor * params->texture_factor;
@@ -512,7 +509,7 @@ static double scan_column(const Images *images, Profile *profile, ptrdiff_t i, i
             maximum = here > maximum ? here : maximum;
         }
         double start = pixel(images, images->lit, row, column), end = pixel(images, images->lit, row + 2 * reach, column);
-        profile->ambient[i] = FACET_PEAK * fmax(start, end);
+        profile->ambient[i] = INFINITY;
         if (maximum < params->saturation) return fmin(start, end);
     }
     Section section;
@@ -523,8 +520,7 @@ static double scan_column(const Images *images, Profile *profile, ptrdiff_t i, i
         brightest = fmax(brightest, section.ambient[k]);
         darkest = fmin(darkest, section.ambient[k]);
     }
-    profile->ambient[i] = images->dark ? brightest - darkest
-                                        : FACET_PEAK * fmax(section.bright[0], section.bright[section.rows - 1]);
+    profile->ambient[i] = images->dark ? brightest - darkest : INFINITY;
     return brightest;
 }
 
