@@ -274,7 +274,7 @@ WIDTH_SPREAD = 0.1
 """Relative standard deviation of the blur between ends: depth of field, pixels."""
 
 BLUNT_GAIN = 3.0
-"""Gain in log likelihood, over all ends of an image, above which edges wider than the stripe's cross-section are
+"""Gain in log likelihood, over all ends of an edge, above which edges wider than the stripe's cross-section are
 accepted: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
 
 CLIPPED_SHAPE = 0.45

@@ -45,7 +45,7 @@ class EndParams(NamedTuple):
     width_spread: float
     """Relative standard deviation of the widths of edges in one image."""
     blunt_gain: float
-    """Gain in log likelihood, summed over all ends, by widths larger than the cross-section's, above which ends are
+    """Gain in log likelihood, over the ends of an edge, by widths larger than the cross-section's, above which ends are
     blunt (rounded or chamfered)."""
     clipped_shape: float
     """Relative error of the shape of a saturated edge, in widths of its blur."""

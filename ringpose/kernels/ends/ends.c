@@ -35,7 +35,7 @@ typedef struct {
 typedef struct {
     double correlation; /* of the speckle of neighbouring columns */
     EdgeWidth width;
-    double blunt_gain_of;
+    double blunt_gain[2]; /* left, right ends */
 } Pooled;
 
 static int argmin(const double *cost, int count) {
@@ -46,8 +46,8 @@ static int argmin(const double *cost, int count) {
 }
 
 /* Gain in log likelihood by widths larger than that of the cross-section. */
-static double blunt_gain_of(const EdgeFit *fit, double correlation_length) {
-    return (fit->cost[argmin(fit->cost, SHARP_WIDTHS)] - fit->cost[argmin(fit->cost, WIDTHS)]) / correlation_length;
+static double blunt_gain(const double cost[WIDTHS]) {
+    return cost[argmin(cost, SHARP_WIDTHS)] - cost[argmin(cost, WIDTHS)];
 }
 
 /* Share of the last six columns before an edge with a saturated pixel. */
@@ -106,7 +106,7 @@ static double line_at(const Draft *draft, double x) {
 static StripeEnd end_of(const Draft *draft, const EdgeFit *fit, const Pooled *pooled, const EndParams *params) {
     Edge edge;
     const Columns *columns = &draft->columns;
-    int blunt = pooled->blunt_gain_of > params->blunt_gain && argmin(fit->cost, WIDTHS) >= SHARP_WIDTHS - 1;
+    int blunt = pooled->blunt_gain[draft->outward > 0] > params->blunt_gain && argmin(fit->cost, WIDTHS) >= SHARP_WIDTHS - 1;
     double variance = combine_widths(columns, fit, draft->sigma, blunt, pooled, params, &edge);
     double x = draft->near + draft->outward * edge.position;
     return (StripeEnd){x,
@@ -140,12 +140,13 @@ static int draft_ends(const Images *images, const StripeLine *line, const Lens *
     return read >= 0;
 }
 
-/* Fits an edge at every end. All edges of a ring are machined alike, so their bluntness is pooled. */
+/* Fits an edge at every end. Each edge of a ring is machined alike all around: its ends are blunt together or not. */
 static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, StripeEnd *end) {
     Columns **columns = malloc((ends + 1) * sizeof *columns);
     EdgeWidth *width = malloc((ends + 1) * sizeof *width);
     EdgeFit *fit = malloc((ends + 1) * sizeof *fit);
-    Pooled pooled = {0, {0, 0}, 0};
+    Pooled pooled = {0, {0, 0}, {0, 0}};
+    double cost[2][WIDTHS] = {{0}, {0}};
     const int done = columns && width && fit;
     size_t found = 0, fitted = 0;
     for (size_t k = 0; done && k < ends; k++)
@@ -156,8 +157,10 @@ static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, Strip
         const Columns *own = &draft[k].columns;
         fit_edge(own, draft[k].sigma, &fit[k]);
         width[fitted++] = blur_width(own, &fit[k], draft[k].sigma, pooled.correlation);
-        pooled.blunt_gain_of += blunt_gain_of(&fit[k], correlation_length(own, pooled.correlation));
+        double length = correlation_length(own, pooled.correlation);
+        for (int s = 0; s < WIDTHS; s++) cost[draft[k].outward > 0][s] += fit[k].cost[s] / length;
     }
+    for (int side = 0; side < 2; side++) pooled.blunt_gain[side] = blunt_gain(cost[side]);
     if (found) pooled.width = pooled_width(width, found, params);
     for (size_t k = 0; done && k < ends; k++) {
         end[k] = (StripeEnd){NAN, NAN, NAN, NAN, NAN, NAN, NAN, draft[k].sigma, NAN, draft[k].background};
