@@ -13,6 +13,8 @@ from ringpose.files.rigs import read_rig
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 
+pytestmark = pytest.mark.slow
+
 FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]
 
 
