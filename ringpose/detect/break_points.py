@@ -23,8 +23,7 @@ from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
-from ringpose.kernels import ends as kernels
-from ringpose.kernels.ends import EndParams, Ends, MarkParams, flagged_ends
+from ringpose.kernels.ends import EndParams, Ends, LitLines, MarkParams, flagged_ends, stripe_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -168,14 +167,15 @@ def ends_clear(found: BreakPoints) -> bool:
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:
     """The ends of the face's tracks, each in the image that shows its stripe."""
-    order, found = [], []
-    for image in images:
-        shown = [number for number, laser in enumerate(face.lasers) if laser in image.lasers]
-        if shown:
-            order += shown
-            found.append(stripe_ends(face.tracks[shown], image, rig.camera, saturation_dn))
+    shown = [[number for number, laser in enumerate(face.lasers) if laser in image.lasers] for image in images]
+    order = [number for numbers in shown for number in numbers]
+    lit = [
+        LitLines(image.lit, image.dark, face.tracks[numbers][:, LINE])
+        for image, numbers in zip(images, shown, strict=True)
+        if numbers
+    ]
+    ends = stripe_ends(lit, lens(rig.camera), _end_params(saturation_dn))
     lasers = tuple(face.lasers[number] for number in order)
-    ends = found[0] if len(found) == 1 else np.concatenate(found)
     return flagged_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_params(rig.camera.image_width))
 
 
@@ -274,7 +274,7 @@ WIDTH_SPREAD = 0.1
 """Relative standard deviation of the blur between ends: depth of field, pixels."""
 
 BLUNT_GAIN = 3.0
-"""Gain in log likelihood, over all ends of an image, above which edges wider than the stripe's cross-section are
+"""Gain in log likelihood, over all ends of an edge, above which edges wider than the stripe's cross-section are
 accepted: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
 
 CLIPPED_SHAPE = 0.45
@@ -282,13 +282,7 @@ CLIPPED_SHAPE = 0.45
 clipped, too, and light on a wall or glare adds to it."""
 
 LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
-
-
-def stripe_ends(
-    tracks: Float64[Array, "track column=11"], image: LaserImage, camera: Camera, saturation_dn: int
-) -> Float64[Array, "track end=2 column=10"]:
-    """The left and right end of each segment in the image that shows its stripe; columns as returned by the kernel."""
-    return kernels.stripe_ends(image.lit, image.dark, tracks[:, LINE], lens(camera), _end_params(saturation_dn))
+"""Columns of a track that describe its line."""
 
 
 @lru_cache(maxsize=4)

@@ -254,10 +254,11 @@ def _plane_of(face: Face, rig: Rig) -> _Plane:
     return _Plane(ends_m, [math.dist(*ends) for ends in ends_m], origin_m, -np.sign(normal @ origin_m) * normal)
 
 
-def _long_enough(tracks: Float64[Array, "track column=11"]) -> list[list[float]]:
-    """Segments that are not truncated by the image, and longer than most reflections."""
-    rows: list[list[float]] = tracks[(tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)].tolist()
-    return rows
+def _others(face: Face, tracks: Float64[Array, "track column=11"]) -> list[list[float]]:
+    """The other segments that are not truncated by the image, and longer than most reflections."""
+    long = tracks[(tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
+    used = face.tracks.tolist()
+    return [row for row in long.tolist() if row not in used]
 
 
 def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
@@ -267,12 +268,11 @@ def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig:
     it, which is an annulus, too. False for a single laser, whose stripe does not determine a plane; segments that are
     not assigned to a laser are not examined.
     """
-    if len(face.lasers) < 2:
+    others = [row for row in _others(face, tracks) if int(row[LASER]) in face.lasers]
+    if len(face.lasers) < 2 or not others:
         return False
     _, lengths_m, origin, normal = _plane_of(face, rig)
-    for row in _long_enough(tracks):
-        if int(row[LASER]) not in face.lasers:
-            continue
+    for row in others:
         ends = _points_m(row, int(row[LASER]), rig)
         length_m = math.dist(*ends)
         low_m, high_m = sorted(((np.array(ends) - origin) @ normal).tolist())
@@ -291,15 +291,14 @@ def displaced_lasers(
     Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
     are those that an unlabelled segment may belong to.
     """
-    if len(face.lasers) != CONFIRMED - 1:
+    others = _others(face, tracks)
+    if len(face.lasers) != CONFIRMED - 1 or not others:
         return ()
     ends_m, lengths_m, origin, normal = _plane_of(face, rig)
     across = ends_m[1].mean(axis=0) - ends_m[0].mean(axis=0)
     along = across / np.linalg.norm(across)
-    used, found = face.tracks.tolist(), []
-    for row in _long_enough(tracks):
-        if row in used:
-            continue
+    found = []
+    for row in others:
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
             ends = np.array(_points_m(row, laser, rig))
             offset = ends.mean(axis=0) - origin

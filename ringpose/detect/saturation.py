@@ -45,20 +45,20 @@ def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], s
     What is seen of them then lies in shadows, and the ring's face is among what is saturated: metal in the sun is
     brighter than foil. Edges seen there are borders of the shadows.
     """
-    courses = []
+    saturated, stripes = 0, 0
     for image in images:
         ambient, rows = _ambient(image)
+        start, end = points.face_start_px[list(image.lasers)], points.face_end_px[list(image.lasers)]
+        known = np.isfinite(start + end).all(axis=1)
+        start, end = start[known], end[known]
         column = np.arange(0, ambient.shape[1], COURSE_STEP)
-        for laser in image.lasers:
-            start, end = points.face_start_px[laser], points.face_end_px[laser]
-            if not np.isfinite(start + end).all():
-                continue
-            slope = (end[1] - start[1]) / (end[0] - start[0])
-            row = np.rint(start[1] + slope * (column - start[0]) + rows[:, None]).astype(int)
-            inside = (row >= 0) & (row < ambient.shape[0])
-            course = ambient[row.clip(0, ambient.shape[0] - 1), column] >= saturation_dn
-            courses.append(bool(course[inside].mean() > HIDDEN_COURSE) if inside.any() else False)
-    return 2 * sum(courses) > len(courses)
+        slope = (end[:, 1:] - start[:, 1:]) / (end[:, :1] - start[:, :1])
+        row = np.rint((start[:, 1:] + slope * (column - start[:, :1]))[:, None] + rows[:, None]).astype(int)
+        inside = (row >= 0) & (row < ambient.shape[0])
+        course = inside & (ambient[row.clip(0, ambient.shape[0] - 1), column] >= saturation_dn)
+        saturated += int((course.sum(axis=(1, 2)) > HIDDEN_COURSE * inside.sum(axis=(1, 2))).sum())
+        stripes += len(start)
+    return 2 * saturated > stripes
 
 
 def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Array, "offset"]]:

@@ -44,8 +44,8 @@ PARAMETER_PENALTY = 4.0
 OUTLIER_PENALTY = 12.0
 """Penalty for any rejection: a factor of 400 in likelihood."""
 
-ALARM_SIGMAS = 3.7
-"""Limit of the chi-squared test as a normal quantile: one shot in ten thousand exceeds it by chance."""
+ALARM_SIGMAS = 3.0
+"""Limit of the chi-squared test as a normal quantile: one right shot in seven hundred exceeds it by chance."""
 
 SUSPICIOUS_REDUCTION = 20.0
 """Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""

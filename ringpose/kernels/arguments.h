@@ -54,6 +54,7 @@ PyObject *call_joins(PyObject *module, PyObject *tuple);
 PyObject *call_stripes(PyObject *module, PyObject *tuple);
 PyObject *call_tracks(PyObject *module, PyObject *tuple);
 PyObject *call_faces(PyObject *module, PyObject *tuple);
+PyObject *call_end_columns(PyObject *module, PyObject *tuple);
 PyObject *call_ends(PyObject *module, PyObject *tuple);
 PyObject *call_marks(PyObject *module, PyObject *tuple);
 PyObject *call_edge_places(PyObject *module, PyObject *tuple);

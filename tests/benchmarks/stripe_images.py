@@ -23,6 +23,12 @@ from ringpose.types.rig import LaserPlanes, Rig
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06
 EDGE_SIGMA_PX = 1.0
+PIXEL_SIGMA_PX = 12**-0.5
+"""Blur of a sharp edge by the extent of a pixel: standard deviation of a uniform distribution."""
+
+SPECKLE_CONTRAST = 0.25
+"""Standard deviation of speckle behind the lens, relative to its mean."""
+
 SHADOW_PX = 12
 """Columns between the rim and the pieces on the body, which lie in the shadow of the ring or behind its wall."""
 
@@ -35,7 +41,7 @@ class Kind(StrEnum):
     DIM = "dim"
     """Peaks of 32 to 45 on black."""
     SPECKLE = "speckle"
-    """As dark, with speckle of 25 % contrast and grains of 3 px."""
+    """As dark, with speckle of 25 % contrast and grains of 3 px: those of a rough surface, blurred by the lens."""
     SATURATED = "saturated"
     """Peaks of 350 to 500, clipped at 255."""
     FOIL = "foil"
@@ -172,10 +178,17 @@ def _image_and_frames(
     pieces = np.array([_pieces(laser, center, normal, rig) for laser in range(3)])
     curves = [_curve_pair(laser, center, normal, rig) for laser in range(3)]
     shape = (rig.camera.image_height, rig.camera.image_width)
-    stripes = [_stripe(shape, curves[laser], pieces[laser], (float(peak[laser]), sigma)) for laser in range(3)]
-    grains = _speckle(shape, rng) if kind is Kind.SPECKLE else np.ones(shape)
+    # the lens blurs the stripe and, with it, the grains of the surface
+    blur_px = math.sqrt(EDGE_SIGMA_PX**2 - PIXEL_SIGMA_PX**2) if kind is Kind.SPECKLE else 0.0
+    own = math.sqrt(sigma**2 - blur_px**2)
+    edge_px = PIXEL_SIGMA_PX if blur_px else EDGE_SIGMA_PX
+    sections = [(float(each) * sigma / own, own) for each in peak]
+    stripes = [_stripe(shape, curves[laser], pieces[laser], sections[laser], edge_px) for laser in range(3)]
+    if blur_px:
+        grains = _speckle(shape, blur_px, rng)
+        stripes = [cv2.GaussianBlur(stripe * grains, (0, 0), blur_px) for stripe in stripes]
     background = _background(kind, shape, rng)
-    frames = [_exposed(sum((stripes[i] for i in lasers), np.zeros(shape)) * grains + background, rng) for lasers in lit]
+    frames = [_exposed(sum((stripes[i] for i in lasers), np.zeros(shape)) + background, rng) for lasers in lit]
     image = StripeImage(
         image=frames[0],
         rig=rig,
@@ -241,21 +254,21 @@ def _curve_pair(laser: int, center: Array, normal: Array, rig: Rig) -> list[Floa
 
 
 def _stripe(
-    shape: tuple[int, int], curves: list[Array], pieces: Array, section: tuple[float, float]
+    shape: tuple[int, int], curves: list[Array], pieces: Array, section: tuple[float, float], edge_px: float
 ) -> Float64[Array, "row column"]:
     """The light of one laser."""
     light = np.zeros(shape)
     for part, (start, end) in enumerate(pieces):
-        _draw(light, curves[0 if part == 1 else 1], (float(start[0]), float(end[0])), section)
+        _draw(light, curves[0 if part == 1 else 1], (float(start[0]), float(end[0])), section, edge_px)
     return light
 
 
-def _draw(light: Array, curve: Array, ends: tuple[float, float], section: tuple[float, float]) -> None:
+def _draw(light: Array, curve: Array, ends: tuple[float, float], section: tuple[float, float], edge_px: float) -> None:
     """Add a stripe with a Gaussian section to the light, faded in and out at its ends."""
     peak, sigma = section
     x = np.arange(max(int(ends[0]) - 6, 0), min(int(ends[1]) + 7, light.shape[1]))
     y = np.interp(x, curve[:, 0], curve[:, 1])
-    fade = _normal_cdf((x - ends[0]) / EDGE_SIGMA_PX) * _normal_cdf((ends[1] - x) / EDGE_SIGMA_PX)
+    fade = _normal_cdf((x - ends[0]) / edge_px) * _normal_cdf((ends[1] - x) / edge_px)
     reach = math.ceil(5 * sigma)
     rows = np.rint(y).astype(np.int64) + np.arange(-reach, reach + 1)[:, None]
     inside = (rows >= 0) & (rows < light.shape[0])
@@ -267,11 +280,10 @@ def _normal_cdf(values: Float64[Array, "n"]) -> Float64[Array, "n"]:
     return np.array([0.5 * (1 + math.erf(value / math.sqrt(2))) for value in values])
 
 
-def _speckle(shape: tuple[int, ...], rng: np.random.Generator) -> Float64[Array, "row column"]:
-    """Speckle factors of mean one and 25 % contrast, correlated over about three pixels."""
-    grains = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.0)
-    factors: Float64[Array, "row column"] = np.maximum(1 + 0.25 * grains / grains.std(), 0.0)
-    return factors
+def _speckle(shape: tuple[int, ...], blur_px: float, rng: np.random.Generator) -> Float64[Array, "row column"]:
+    """Independent factors of mean one, of `SPECKLE_CONTRAST` when blurred."""
+    variance = (SPECKLE_CONTRAST * 2 * math.sqrt(math.pi) * blur_px) ** 2
+    return rng.gamma(1 / variance, variance, shape)
 
 
 def _background(kind: Kind, shape: tuple[int, ...], rng: np.random.Generator) -> Float64[Array, "row column"]:

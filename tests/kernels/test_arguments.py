@@ -49,7 +49,7 @@ CALLS = {
         (0.6, 0.5, 1.5, 2.5, 3.0, 10.0, 800.0, 40.0),
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
-    "ends": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),
+    "end_columns": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),
     "marks": (
         TRACKS,
         numbers(2, 2, 10),
@@ -137,7 +137,7 @@ def test_extents_that_do_not_fit_the_other_arrays_are_a_value_error(name, i):
         except ValueError:
             refused += 1
 
-    free = {("cuts", 0), ("cuts", 1), ("fits", 1), ("fits", 2), ("ends", 2), ("stripes", 2), ("stripes", 3)}
+    free = {("cuts", 0), ("cuts", 1), ("fits", 1), ("fits", 2), ("end_columns", 2), ("stripes", 2), ("stripes", 3)}
     free |= {("faces", 0), ("faces", 2), ("tracks", 3), ("fits", 0), ("chains", 0), ("edge_profiles", 0)}
     assert refused == array.ndim or (name, i) in free
 
@@ -157,14 +157,14 @@ def test_an_array_that_cannot_be_filled_is_a_value_error(name, i):
         call(name, i, read_only(CALLS[name][i]))
 
 
-@pytest.mark.parametrize(("name", "i"), [("stripes", 0), ("ends", 0), ("edge_profiles", 0), ("gradient", 0)])
+@pytest.mark.parametrize(("name", "i"), [("stripes", 0), ("end_columns", 0), ("edge_profiles", 0), ("gradient", 0)])
 @pytest.mark.parametrize("shape", [(0, 9), (8, 0)])
 def test_an_image_without_pixels_is_a_value_error(name, i, shape):
     with pytest.raises(ValueError, match=r"2\^31|extent"):
         call(name, i, np.zeros(shape, np.uint8))
 
 
-@pytest.mark.parametrize("name", ["stripes", "ends"])
+@pytest.mark.parametrize("name", ["stripes", "end_columns"])
 def test_a_dark_frame_of_another_depth_is_rejected(name):
     with pytest.raises((TypeError, ValueError), match="dark"):
         call(name, 1, IMAGE.astype(np.uint16))

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.kernels.ends import EndParams, stripe_ends
+from ringpose.kernels.ends import EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import Lens
 
 RULES = EndParams(
@@ -51,7 +51,7 @@ def image(values, rng=None, noise=0.0, dtype=np.uint8):
 def test_a_drawn_end_is_found_without_bias(shift, blur):
     lit = image(drawn(100 + shift, 200 - shift, blur=blur))
 
-    left, right = stripe_ends(lit, None, LINE, STRAIGHT, RULES)[0, :, 0]
+    left, right = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)[0, :, 0]
 
     assert left == pytest.approx(100 + shift, abs=0.03)
     assert right == pytest.approx(200 - shift, abs=0.03)
@@ -63,7 +63,7 @@ def test_ends_before_a_dark_frame_are_found_as_well_as_their_sigmas_say(rng, pea
     lit = image(drawn(100.3, 199.6, peak=peak, ambient=0.0) + facets, rng, 1.5)
     dark = image(facets, rng, 1.5)
 
-    found = stripe_ends(lit, dark, LINE, STRAIGHT, RULES)[0]
+    found = stripe_ends([LitLines(lit, dark, LINE)], STRAIGHT, RULES)[0]
 
     assert np.all(np.abs(found[:, 0] - [100.3, 199.6]) < 4 * found[:, SIGMA])
     assert np.all(found[:, SIGMA] < 0.5)
@@ -78,7 +78,7 @@ def test_ends_of_a_stripe_that_the_lens_bends_lie_on_the_bent_line(rng):
     along = 150 * np.array([0.25 * math.erfc((100.3 - k) / 1.4) * math.erfc((k - 199.6) / 1.4) for k in range(320)])
     lit = image(10 + along * np.exp(-0.5 * ((np.arange(120.0)[:, None] - y) / 1.6) ** 2), rng, 1.5)
 
-    found = stripe_ends(lit, None, np.array([[150.0, 20.0, 0.0, 101.0, 199.0]]), BENT, RULES)[0]
+    found = stripe_ends([LitLines(lit, None, np.array([[150.0, 20.0, 0.0, 101.0, 199.0]]))], BENT, RULES)[0]
 
     assert found[:, 0] == pytest.approx([100.3, 199.6], abs=0.15)
     assert found[:, 1] == pytest.approx(np.interp([100.3, 199.6], *bent.T), abs=0.01)
@@ -88,7 +88,7 @@ def test_ends_of_a_stripe_that_the_lens_bends_lie_on_the_bent_line(rng):
 def test_a_level_beyond_the_end_is_reported_as_a_share_of_that_inside():
     lit = image(drawn(100.3, 199.6) + drawn(20.0, 300.0, peak=45.0, ambient=0.0))
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)[0]
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)[0]
 
     assert found[:, 4] == pytest.approx(45.0 / 195.0, abs=0.02)
     assert found[:, 0] == pytest.approx([100.3, 199.6], abs=0.05)
@@ -100,7 +100,7 @@ def test_ends_on_noise_stay_in_the_image_or_are_none(seed):
     lit = rng.integers(0, 256, (120, 320)).astype(np.uint8)
     line = np.array([[rng.uniform(20, 300), rng.uniform(-5, 125), rng.uniform(-0.3, 0.3), 60.0, rng.uniform(62, 310)]])
 
-    found = stripe_ends(lit, None, line, BENT, RULES)[0]
+    found = stripe_ends([LitLines(lit, None, line)], BENT, RULES)[0]
 
     seen = found[np.isfinite(found[:, 0])]
     assert ((seen[:, 0] > -1) & (seen[:, 0] < 320) & (seen[:, SIGMA] > 0)).all()
@@ -109,7 +109,7 @@ def test_ends_on_noise_stay_in_the_image_or_are_none(seed):
 def test_scatter_is_the_reported_sigma(rng):
     errors = []
     for _ in range(60):
-        found = stripe_ends(image(drawn(100.3, 199.6), rng, 6.0), None, LINE, STRAIGHT, RULES)[0]
+        found = stripe_ends([LitLines(image(drawn(100.3, 199.6), rng, 6.0), None, LINE)], STRAIGHT, RULES)[0]
         errors += [(found[0, 0] - 100.3) / found[0, 3], (found[1, 0] - 199.6) / found[1, 3]]
 
     assert 0.5 < np.mean(np.square(errors)) < 1.6
@@ -117,7 +117,7 @@ def test_scatter_is_the_reported_sigma(rng):
 
 @pytest.mark.parametrize("peak", [400.0, 600.0])
 def test_saturation_does_not_move_an_end_outward(peak):
-    found = stripe_ends(image(drawn(100.0, 200.0, peak=peak)), None, LINE, STRAIGHT, RULES)[0]
+    found = stripe_ends([LitLines(image(drawn(100.0, 200.0, peak=peak)), None, LINE)], STRAIGHT, RULES)[0]
 
     assert found[0, 0] == pytest.approx(100.0, abs=0.2)
     assert found[1, 0] == pytest.approx(200.0, abs=0.2)
@@ -127,7 +127,7 @@ def test_saturation_does_not_move_an_end_outward(peak):
 def test_sixteen_bits_are_read():
     lit = image(drawn(100.0, 200.0, peak=3000.0, ambient=100.0), dtype=np.uint16)
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES._replace(saturation_dn=4095.0))[0]
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES._replace(saturation_dn=4095.0))[0]
 
     assert found[:, 0] == pytest.approx([100.0, 200.0], abs=0.03)
 
@@ -135,21 +135,21 @@ def test_sixteen_bits_are_read():
 def test_a_line_outside_the_image_has_no_end():
     far = np.array([[5000.0, 60.0, 0.0, 4950.0, 5050.0]])
 
-    assert np.all(np.isnan(stripe_ends(image(drawn(100, 200)), None, far, STRAIGHT, RULES)[..., 0]))
+    assert np.all(np.isnan(stripe_ends([LitLines(image(drawn(100, 200)), None, far)], STRAIGHT, RULES)[..., 0]))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_wild_lines_have_no_end(value):
     wild = np.array([[150.0, value, 0.0, 100.0, 200.0], [150.0, 60.0, 0.0, 100.0, value]])
 
-    assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 10)
+    assert stripe_ends([LitLines(image(drawn(100, 200)), None, wild)], STRAIGHT, RULES).shape == (2, 2, 10)
 
 
 @pytest.mark.parametrize(("blur", "blunt"), [(0.6, 0.0), (1.2, 0.0), (3.0, 1.0)])
 def test_an_end_that_fades_over_more_than_the_stripe_is_thick_is_blunt(rng, blur, blunt):
     lit = image(drawn(100.3, 199.6, blur=blur), rng, 1.5)
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)
 
     np.testing.assert_array_equal(found[0, :, 8], [blunt, blunt])
 
@@ -157,7 +157,7 @@ def test_an_end_that_fades_over_more_than_the_stripe_is_thick_is_blunt(rng, blur
 def test_a_blunt_end_is_known_no_better_than_it_is_wide(rng):
     lit = image(drawn(100.3, 199.6, blur=3.0), rng, 1.5)
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)
 
     assert np.all(found[0, :, 3] > 2.0)
 
@@ -167,7 +167,7 @@ def test_a_blunt_end_is_known_no_better_than_it_is_wide(rng):
 def test_the_width_of_the_section_is_found_under_noise_and_saturation(rng, sigma, peak):
     lit = image(drawn(100.0, 200.0, peak=peak, sigma=sigma), rng, 1.5)
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)
 
     np.testing.assert_allclose(found[0, :, 7], sigma, rtol=0.06)
 
@@ -176,7 +176,7 @@ def test_a_step_of_the_light_beneath_moves_an_end_by_no_more_than_its_sigmas(rng
     background = np.where(np.arange(320.0) + 0.4 * np.arange(120.0)[:, None] > 225.0, 60.0, 20.0)
     lit = image(drawn(100.3, 199.6, ambient=0.0) + background, rng, 1.5)
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)
 
     assert abs(found[0, 1, 0] - 199.6) < 3 * found[0, 1, 3]
     assert found[0, 1, 3] < 1.0
@@ -194,7 +194,7 @@ def two_ends(rng):
 
 
 def test_where_an_end_may_as_well_lie_elsewhere_both_places_are_within_three_sigmas(rng):
-    found = np.array([stripe_ends(two_ends(rng), None, LINE, STRAIGHT, RULES)[0, 1] for _ in range(100)])
+    found = np.array([stripe_ends([LitLines(two_ends(rng), None, LINE)], STRAIGHT, RULES)[0, 1] for _ in range(100)])
 
     off = np.abs(found[:, :1] - [199.6, 199.6 + FARTHER]) / found[:, [SIGMA]]
     assert np.mean(off.max(axis=1) < 3) > 0.55
@@ -203,7 +203,7 @@ def test_where_an_end_may_as_well_lie_elsewhere_both_places_are_within_three_sig
 def test_ends_where_all_is_saturated_have_a_sigma_that_says_so():
     lit = image(drawn(100.3, 199.6, ambient=40.0))
 
-    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES._replace(saturation_dn=30.0))[0]
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES._replace(saturation_dn=30.0))[0]
 
     assert np.all(np.isfinite(found[:, 0]))
     assert np.all(found[:, SIGMA] > 3.0)

@@ -78,7 +78,7 @@ def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(
     ring_scene, face_points, rng, rig, distance_m
 ):
     named, told, right = 0, 0.0, 0
-    for _ in range(150):
+    for _ in range(60):
         which = rng.integers(len(RINGS) + 1)
         if which < len(RINGS):
             radii = rng.uniform(*RINGS[which].radius_inner_m), rng.uniform(*RINGS[which].radius_outer_m)

@@ -51,12 +51,11 @@ def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
     ("by", "laser"),
     [
         pytest.param({"tilt_rad": (2 * TILT_RAD, 0.0)}, 0, id="tilt-0"),
-        pytest.param({"shift_m": 2 * SHIFT_M}, 1, id="shift-1"),
         pytest.param({"shift_m": 2 * SHIFT_M}, 2, id="shift-2"),
     ],
 )
 def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
-    lines, warnings = measured_stream(rig, poses(moved(drawn(rig, rng), laser, **by)))
+    lines, warnings = measured_stream(rig, poses(moved(drawn(rig, rng), laser, **by), 25))
 
     named = [text for text in warnings.values() if "the light plane of laser" in text]
     assert named
@@ -66,14 +65,14 @@ def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
 
 
 def test_after_a_drift_was_named_the_poses_are_right_again(poses, rng, rig):
-    scenes = list(poses(moved(rig, 0, (0.0, 0.005), 0.001)))
+    scenes = list(poses(moved(rig, 0, (0.0, 0.005), 0.001), 30))
 
     lines, warnings = measured_stream(rig, scenes)
 
     assert any("laser left" in text for text in warnings.values())
     drift = [line.flags & (PoseFlag.RIG_DRIFT | PoseFlag.INCONSISTENT) == PoseFlag.RIG_DRIFT for line in lines]
     corrected = drift.index(True)
-    assert corrected < SHOTS / 2
+    assert corrected < 25
     assert all(drift[corrected:])
     for (scene, _), line in list(zip(scenes, lines, strict=True))[corrected:]:
         tilt = tilt_error_rad(line.pose.normal, scene.ring.normal)
@@ -117,20 +116,18 @@ def test_a_target_at_rest_counts_once(poses, rig):
 
 
 def test_wrong_break_points_in_a_few_shots_are_no_drift(poses, rng, rig):
-    scenes = list(poses(rig))
-    for scene, points in scenes[10:40:10]:
+    scenes = list(poses(rig, 30))
+    for _, points in scenes[5:30:10]:
         points.position_px[rng.integers(3), rng.integers(2), 0] += 12.0
-        assert scene is not None
 
     _, warnings = measured_stream(rig, scenes)
 
     assert not warnings
 
 
-@pytest.mark.parametrize("shift_px", [2.0, 8.0])
-@pytest.mark.parametrize("laser", range(3))
+@pytest.mark.parametrize(("laser", "shift_px"), [(0, 2.0), (1, 8.0)])
 def test_a_wrong_stripe_in_one_shot_is_no_drift(poses, rig, laser, shift_px):
-    scenes = list(poses(rig, 25))
+    scenes = list(poses(rig, 15))
     _, points = scenes[3]
     points.position_px[laser, :, 1] += shift_px
     points.face_start_px[laser, 1] += shift_px
@@ -143,7 +140,7 @@ def test_a_wrong_stripe_in_one_shot_is_no_drift(poses, rig, laser, shift_px):
 
 
 def test_shots_without_a_pose_since_a_plane_has_moved_count_too(poses, rig):
-    lines, warnings = measured_stream(rig, poses(moved(rig, 1, (0.0, 0.02)), 15))
+    lines, warnings = measured_stream(rig, poses(moved(rig, 1, (0.0, 0.02)), 12))
 
     assert any(line.pose is None for line in lines[:3])
     assert any("laser middle" in text for text in warnings.values())

@@ -4,6 +4,7 @@ The sources are profile.c (intensity along the stripe), end_noise.c (noise model
 (variance of the fitted edge) and ends.c (all of it, covariances and flags).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,32 +45,43 @@ class EndParams(NamedTuple):
     width_spread: float
     """Relative standard deviation of the widths of edges in one image."""
     blunt_gain: float
-    """Gain in log likelihood, summed over all ends, by widths larger than the cross-section's, above which ends are
+    """Gain in log likelihood, over the ends of an edge, by widths larger than the cross-section's, above which ends are
     blunt (rounded or chamfered)."""
     clipped_shape: float
     """Relative error of the shape of a saturated edge, in widths of its blur."""
 
 
-def stripe_ends(
-    lit: UInt[Array, "row column"],
-    dark: UInt[Array, "row column"] | None,
-    lines: Float64[Array, "track column=5"],
-    lens: Lens,
-    params: EndParams,
-) -> Float64[Array, "track end=2 column=10"]:
-    """Left and right end of the stripe on each line, to a fraction of a column.
+class LitLines(NamedTuple):
+    """Lines whose stripes an image shows."""
 
-    Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. `dark` is the same view with the lasers
-    off. The amplitude of the Gaussian cross-section in each column is modelled as a level inside, a level outside and
-    an error function between; position, width and levels are estimated by maximum likelihood, with the pooled width of
-    all ends as a prior. Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the
-    level outside as a share of that inside, the share of saturated columns at the end, the edge's width, the sigma of
-    the cross-section, whether the edge is blunt, and the relative variance of the amplitudes due to the background; NaN
-    where no edge fits.
+    lit: UInt[Array, "row column"]
+    dark: UInt[Array, "row column"] | None
+    """The same view with these lasers off."""
+    lines: Float64[Array, "track column=5"]
+    """middle_x, middle_y, slope, x_start, x_end, in undistorted pixels."""
+
+
+def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Float64[Array, "track end=2 column=10"]:
+    """Left and right end of the stripe on each line of the images in turn, to a fraction of a column.
+
+    The amplitude of the Gaussian cross-section in each column is modelled as a level inside, a level outside and an
+    error function between; position, width and levels are estimated by maximum likelihood. What the images of a shot
+    have in common, noise, speckle and the width of the blur, is estimated from all ends. Columns of the result: x, y
+    and slope of the line there (distorted pixels), sigma along x, the level outside as a share of that inside, the
+    share of saturated columns at the end, the edge's width, the sigma of the cross-section, whether the edge is blunt,
+    and the relative variance of the amplitudes due to the background; NaN where no edge fits.
     """
-    black = None if dark is None else np.ascontiguousarray(dark)
-    found = _kernels.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), lens, params)
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 10)
+    columns = b"".join(
+        _kernels.end_columns(
+            np.ascontiguousarray(image.lit),
+            None if image.dark is None else np.ascontiguousarray(image.dark),
+            np.ascontiguousarray(image.lines),
+            lens,
+            params,
+        )
+        for image in images
+    )
+    return np.frombuffer(_kernels.ends(columns, params), dtype=np.float64).reshape(-1, 2, 10)
 
 
 class MarkParams(NamedTuple):

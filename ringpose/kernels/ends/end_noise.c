@@ -49,6 +49,7 @@ static int measure_face(Columns *columns, const EndParams *params) {
     columns->level = median(some, inner);
     if (!(columns->level > 0)) return 0;
     measure_scatter(columns, full, inner);
+    columns->inner = (int)inner;
     return 1;
 }
 
@@ -81,6 +82,7 @@ int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const En
         inner += along < -3;
         outer += along > 1;
         columns->along[count] = along;
+        columns->y[count] = profile->y[i];
         columns->amplitude[count] = profile->amplitude[i];
         for (int k = 0; k < LIGHT_LEVELS; k++) columns->headroom[k][count] = profile->headroom[k][i];
         columns->texture[count] = profile->texture[i];
@@ -112,20 +114,9 @@ static void split_scatter(Columns *columns, double pooled_scatter, double pooled
     columns->minimum = fmax(columns->noise, minimum * minimum);
 }
 
-double estimate_noise_model(Columns *const columns[], size_t ends, const EndParams *params) {
-    double scatter = 0, noise = 0, correlated = 0, all = 0;
-    for (size_t i = 0; i < ends; i++) {
-        scatter += log(relative_scatter(columns[i])) / (double)ends;
-        noise += log(columns[i]->beyond) / (double)ends;
-    }
-    for (size_t i = 0; i < ends; i++) {
-        Columns *each = columns[i];
-        split_scatter(each, scatter, noise, params);
-        double white = (each->noise + each->shot) / (each->level * each->level);
-        correlated += each->scatter - each->step;
-        all += fmax(each->scatter - white, MIN_SPECKLE);
-    }
-    return ends ? fmin(fmax(correlated / all, 0), 0.9) : 0;
+/* Columns per independent one at a Gaussian autocorrelation, correlation^(lag^2). */
+static double columns_per_grain(double correlation) {
+    return 1 + 2 * (correlation + pow(correlation, 4) + pow(correlation, 9));
 }
 
 static double speckle_share(const Columns *columns) {
@@ -133,7 +124,38 @@ static double speckle_share(const Columns *columns) {
 }
 
 double correlation_length(const Columns *columns, double correlation) {
-    return 1 + 2 * speckle_share(columns) * (correlation + pow(correlation, 4) + pow(correlation, 9));
+    return 1 + speckle_share(columns) * (columns_per_grain(correlation) - 1);
+}
+
+/* Variance over the expected scatter of correlated columns about their own mean. */
+static double scatter_correction(const Columns *columns, double correlation) {
+    double independent = fmax(columns->inner / correlation_length(columns, correlation), 3);
+    return independent / (independent - 1);
+}
+
+double estimate_noise_model(Columns *const columns[], size_t ends, const EndParams *params) {
+    double scatter = 0, noise = 0, correlation = 0;
+    for (size_t i = 0; i < ends; i++) {
+        scatter += log(relative_scatter(columns[i])) / (double)ends;
+        noise += log(columns[i]->beyond) / (double)ends;
+    }
+    for (size_t i = 0; i < ends; i++) split_scatter(columns[i], scatter, noise, params);
+    for (int round = 0; round < 2; round++) { /* the correction depends on the correlation */
+        double correlated = 0, all = 0;
+        for (size_t i = 0; i < ends; i++) {
+            const Columns *each = columns[i];
+            double unbiased = each->scatter * (round ? scatter_correction(each, correlation) : 1);
+            correlated += unbiased - each->step;
+            all += fmax(unbiased - (each->noise + each->shot) / (each->level * each->level), MIN_SPECKLE);
+        }
+        correlation = ends ? fmin(fmax(correlated / all, 0), 0.9) : 0;
+    }
+    for (size_t i = 0; i < ends; i++) {
+        double correction = scatter_correction(columns[i], correlation);
+        /* a mean of logarithms of chi-squared with n degrees of freedom is smaller than log(n) by 1 / n */
+        columns[i]->speckle *= correction * exp(correction - 1);
+    }
+    return correlation;
 }
 
 /* The derivative of an edge with respect to its width is that of a Gaussian; its autocorrelation at lag l is

@@ -12,9 +12,6 @@ enum { LAGS = 5 };
 #define ROOT_OF_TWO 1.4142135623730951
 #define ROOT_OF_TWO_PI 2.5066282746310002
 
-/* Share of speckle grains that the optics resolve. */
-#define RESOLVED 0.25
-
 /* Derivative of the position, in widths, with respect to the relative error of the level: half the level over the slope
    at half the level. */
 #define LEVEL_TO_POSITION (0.5 * ROOT_OF_TWO_PI)
@@ -82,13 +79,10 @@ static void fill_influence(const Columns *columns, const Shapes *shapes, int has
                        (shapes->slope[k] - inside * shapes->shown[k] - outside * shapes->beyond[k]) / information;
 }
 
-/* Speckle covariance of two columns over that on the face. A column shows of a resolved grain what it shows of the
-   stripe; unresolved grains are averaged by the blur, and the edge cuts off some of them. The image does not tell which
-   they are: grains before a lens of f/8 are as wide as a pixel, smaller than most blurs. */
+/* Speckle covariance of two columns over that on the face: the lens averages grains that are smaller than its blur, and
+   the edge cuts off some of them. */
 static double shared_light(const Columns *columns, const Shapes *shapes, int i, int lag) {
-    double resolved = shapes->shown[i] * shapes->shown[i - lag];
-    double averaged = shapes->fine[2 * i - lag] * columns->headroom[FULL][i] * columns->headroom[FULL][i - lag];
-    return RESOLVED * resolved + (1 - RESOLVED) * averaged;
+    return shapes->fine[2 * i - lag] * columns->headroom[FULL][i] * columns->headroom[FULL][i - lag];
 }
 
 /* Variance due to speckle, with a Gaussian autocorrelation: correlation^(lag^2). */

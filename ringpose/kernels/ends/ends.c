@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "ends.h"
 #include "median.h"
@@ -22,19 +23,19 @@ typedef struct {
     double *track_end, *straight_sigma; /* ends of the tracks, undistorted pixels */
 } Marks;
 
-/* State of one end. */
+/* One end, as read from its image. */
 typedef struct {
-    int fitted;
-    double near; /* column */
+    int found, outward;
+    double near;              /* column */
+    double sigma, background; /* of the stripe, as in Profile; NaN without a face */
     Columns columns;
-    EdgeFit fit;
 } Draft;
 
-/* Estimates from all ends of an image. */
+/* Estimates from all ends of a shot, which have the lens, and the kind of surface, in common. */
 typedef struct {
     double correlation; /* of the speckle of neighbouring columns */
     EdgeWidth width;
-    double blunt_gain_of;
+    double blunt_gain[2]; /* left, right ends */
 } Pooled;
 
 static int argmin(const double *cost, int count) {
@@ -45,8 +46,8 @@ static int argmin(const double *cost, int count) {
 }
 
 /* Gain in log likelihood by widths larger than that of the cross-section. */
-static double blunt_gain_of(const EdgeFit *fit, double correlation_length) {
-    return (fit->cost[argmin(fit->cost, SHARP_WIDTHS)] - fit->cost[argmin(fit->cost, WIDTHS)]) / correlation_length;
+static double blunt_gain(const double cost[WIDTHS]) {
+    return cost[argmin(cost, SHARP_WIDTHS)] - cost[argmin(cost, WIDTHS)];
 }
 
 /* Share of the last six columns before an edge with a saturated pixel. */
@@ -78,94 +79,96 @@ static double clipped_error(const Columns *columns, const Edge *edge, const EndP
 }
 
 /* The edge at the combined width; returns the variance of its position. */
-static double combine_widths(const Draft *draft, double sigma, int blunt, const Pooled *pooled, const EndParams *params,
-                     Edge *edge) {
-    EdgeWidth own = blur_width(&draft->columns, &draft->fit, sigma, pooled->correlation);
+static double combine_widths(const Columns *columns, const EdgeFit *fit, double sigma, int blunt, const Pooled *pooled,
+                             const EndParams *params, Edge *edge) {
+    EdgeWidth own = blur_width(columns, fit, sigma, pooled->correlation);
     EdgeWidth width = combined_width(&own, &pooled->width, params);
-    *edge = edge_of_width(&draft->fit, sigma, exp(width.logarithm));
+    *edge = edge_of_width(fit, sigma, exp(width.logarithm));
     if (blunt) {
-        int k = argmin(draft->fit.cost, WIDTHS);
-        *edge = (Edge){draft->fit.position[k], WIDTH[k] * sigma, draft->fit.outside[k], 0};
+        int k = argmin(fit->cost, WIDTHS);
+        *edge = (Edge){fit->position[k], WIDTH[k] * sigma, fit->outside[k], 0};
     }
-    double variance = edge_variance(&draft->columns, edge, pooled->correlation, width.information, params);
-    variance = variance_over_places(&draft->columns, &draft->fit, edge, variance, pooled->correlation);
-    double clipped = clipped_error(&draft->columns, edge, params);
+    double variance = edge_variance(columns, edge, pooled->correlation, width.information, params);
+    variance = variance_over_places(columns, fit, edge, variance, pooled->correlation);
+    double clipped = clipped_error(columns, edge, params);
     variance += clipped * clipped;
     return blunt ? variance + edge->width * edge->width : variance;
 }
 
-static StripeEnd end_of(const Draft *draft, const Profile *profile, int outward, const Pooled *pooled,
-                        const EndParams *params) {
+/* The y of the stripe's line at any x; columns ascend or descend in x. */
+static double line_at(const Draft *draft, double x) {
+    const Columns *columns = &draft->columns;
+    double at = draft->outward * (x - draft->near) - columns->along[0];
+    int low = at <= 0 ? 0 : at >= columns->count - 2 ? columns->count - 2 : (int)at;
+    return columns->y[low] + (columns->y[low + 1] - columns->y[low]) * (at - low);
+}
+
+static StripeEnd end_of(const Draft *draft, const EdgeFit *fit, const Pooled *pooled, const EndParams *params) {
     Edge edge;
-    int blunt = pooled->blunt_gain_of > params->blunt_gain && argmin(draft->fit.cost, WIDTHS) >= SHARP_WIDTHS - 1;
-    double variance = combine_widths(draft, profile->sigma, blunt, pooled, params, &edge);
-    double x = draft->near + outward * edge.position;
+    const Columns *columns = &draft->columns;
+    int blunt = pooled->blunt_gain[draft->outward > 0] > params->blunt_gain && argmin(fit->cost, WIDTHS) >= SHARP_WIDTHS - 1;
+    double variance = combine_widths(columns, fit, draft->sigma, blunt, pooled, params, &edge);
+    double x = draft->near + draft->outward * edge.position;
     return (StripeEnd){x,
-                       stripe_y(profile, x),
-                       stripe_y(profile, x + 0.5) - stripe_y(profile, x - 0.5),
+                       line_at(draft, x),
+                       line_at(draft, x + 0.5) - line_at(draft, x - 0.5),
                        sqrt(variance),
                        edge.outside,
-                       saturated_share(&draft->columns, edge.position),
+                       saturated_share(columns, edge.position),
                        edge.width,
-                       profile->sigma,
+                       draft->sigma,
                        blunt,
-                       profile->background};
+                       draft->background};
 }
 
 /* Reads a line's profile and the columns about both its ends; 0 without memory. */
 static int draft_ends(const Images *images, const StripeLine *line, const Lens *lens, const EndParams *params,
-                      Profile *profile, Draft draft[2]) {
-    int read = read_profile(images, line, lens, params, profile);
-    for (int side = 0; read > 0 && side < 2; side++) {
-        int outward = side ? 1 : -1;
-        ptrdiff_t near = last_undimmed(profile, side ? profile->face_last : profile->face_first, outward, params);
-        draft[side].near = (double)(profile->first + near);
-        draft[side].fitted = gather_columns(profile, near, outward, params, &draft[side].columns);
+                      Draft draft[2]) {
+    Profile profile = {0};
+    int read = read_profile(images, line, lens, params, &profile);
+    for (int side = 0; side < 2; side++) {
+        draft[side] = (Draft){0, side ? 1 : -1, 0, NAN, NAN, {0}};
+        if (read <= 0) continue;
+        ptrdiff_t near = last_undimmed(&profile, side ? profile.face_last : profile.face_first, draft[side].outward,
+                                       params);
+        draft[side].near = (double)(profile.first + near);
+        draft[side].sigma = profile.sigma;
+        draft[side].background = profile.background;
+        draft[side].found = gather_columns(&profile, near, draft[side].outward, params, &draft[side].columns);
     }
+    free_profile(&profile);
     return read >= 0;
 }
 
-/* Fits an edge at every end. All edges of a ring are machined alike, so their bluntness is pooled. */
-static int fit_ends(const Profile *profile, Draft *draft, size_t ends, const EndParams *params, Pooled *pooled) {
-    Columns **columns = malloc((ends ? ends : 1) * sizeof *columns);
-    EdgeWidth *width = malloc((ends ? ends : 1) * sizeof *width);
-    size_t fitted = 0, found = 0;
-    for (size_t k = 0; columns && k < ends; k++)
-        if (draft[k].fitted) columns[fitted++] = &draft[k].columns;
-    if (columns && width) pooled->correlation = estimate_noise_model(columns, fitted, params);
-    for (size_t k = 0; columns && width && k < ends; k++) {
-        if (!draft[k].fitted) continue;
+/* Fits an edge at every end. Each edge of a ring is machined alike all around: its ends are blunt together or not. */
+static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, StripeEnd *end) {
+    Columns **columns = malloc((ends + 1) * sizeof *columns);
+    EdgeWidth *width = malloc((ends + 1) * sizeof *width);
+    EdgeFit *fit = malloc((ends + 1) * sizeof *fit);
+    Pooled pooled = {0, {0, 0}, {0, 0}};
+    double cost[2][WIDTHS] = {{0}, {0}};
+    const int done = columns && width && fit;
+    size_t found = 0, fitted = 0;
+    for (size_t k = 0; done && k < ends; k++)
+        if (draft[k].found) columns[found++] = &draft[k].columns;
+    if (found) pooled.correlation = estimate_noise_model(columns, found, params);
+    for (size_t k = 0; done && k < ends; k++) {
+        if (!draft[k].found) continue;
         const Columns *own = &draft[k].columns;
-        fit_edge(own, profile[k / 2].sigma, &draft[k].fit);
-        width[found++] = blur_width(own, &draft[k].fit, profile[k / 2].sigma, pooled->correlation);
-        pooled->blunt_gain_of += blunt_gain_of(&draft[k].fit, correlation_length(own, pooled->correlation));
+        fit_edge(own, draft[k].sigma, &fit[k]);
+        width[fitted++] = blur_width(own, &fit[k], draft[k].sigma, pooled.correlation);
+        double length = correlation_length(own, pooled.correlation);
+        for (int s = 0; s < WIDTHS; s++) cost[draft[k].outward > 0][s] += fit[k].cost[s] / length;
     }
-    if (found) pooled->width = pooled_width(width, found, params);
-    int done = columns && width;
+    for (int side = 0; side < 2; side++) pooled.blunt_gain[side] = blunt_gain(cost[side]);
+    if (found) pooled.width = pooled_width(width, found, params);
+    for (size_t k = 0; done && k < ends; k++) {
+        end[k] = (StripeEnd){NAN, NAN, NAN, NAN, NAN, NAN, NAN, draft[k].sigma, NAN, draft[k].background};
+        if (draft[k].found) end[k] = end_of(&draft[k], &fit[k], &pooled, params);
+    }
     free(columns);
     free(width);
-    return done;
-}
-
-int stripe_ends(const Images *images, const StripeLine *line, size_t lines, const Lens *lens, const EndParams *params,
-                StripeEnd *end) {
-    Profile *profile = calloc(lines ? lines : 1, sizeof *profile);
-    Draft *draft = calloc(lines ? 2 * lines : 1, sizeof *draft);
-    Pooled pooled = {0, {0, 0}, 0};
-    int done = profile && draft;
-    for (size_t i = 0; done && i < lines; i++)
-        done = draft_ends(images, &line[i], lens, params, &profile[i], &draft[2 * i]);
-    done = done && fit_ends(profile, draft, 2 * lines, params, &pooled);
-    for (size_t k = 0; done && k < 2 * lines; k++) {
-        const Profile *own = &profile[k / 2];
-        double sigma = own->face_last > own->face_first ? own->sigma : NAN;
-        double background = own->face_last > own->face_first ? own->background : NAN;
-        end[k] = (StripeEnd){NAN, NAN, NAN, NAN, NAN, NAN, NAN, sigma, NAN, background};
-        if (draft[k].fitted) end[k] = end_of(&draft[k], own, k % 2 ? 1 : -1, &pooled, params);
-    }
-    for (size_t i = 0; profile && i < lines; i++) free_profile(&profile[i]);
-    free(profile);
-    free(draft);
+    free(fit);
     return done;
 }
 
@@ -234,7 +237,7 @@ static void mark_ends(const Track *track, const StripeEnd end[2], ptrdiff_t lase
     }
 }
 
-PyObject *call_ends(PyObject *module, PyObject *tuple) {
+PyObject *call_end_columns(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {{"lit", 'I', {N, M}},
                                           {"?dark", 'I', {N, M}},
@@ -243,23 +246,39 @@ PyObject *call_ends(PyObject *module, PyObject *tuple) {
                                           {"params", 'T', {NUMBERS(EndParams)}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    const Py_buffer *laser_on = &a.view[0], *laser_off = a.view[1].obj ? &a.view[1] : NULL;
-    if (laser_off && laser_off->itemsize != laser_on->itemsize) {
+    const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL;
+    if (dark && dark->itemsize != lit->itemsize) {
         PyErr_SetString(PyExc_TypeError, "dark: must be of the same type as lit");
         return close_arguments(&a, NULL);
     }
-    Images images = {laser_on->buf, laser_off ? laser_off->buf : NULL, laser_on->shape[0],
-                     laser_on->shape[1], laser_on->itemsize == 2};
-    const size_t lines = (size_t)a.view[2].shape[0], bytes = 2 * lines * sizeof(StripeEnd);
-    StripeEnd *end = malloc(bytes ? bytes : 1);
-    int done = 0;
+    Images images = {lit->buf, dark ? dark->buf : NULL, lit->shape[0], lit->shape[1], lit->itemsize == 2};
+    List drafts = {NULL, 0, 0, sizeof(Draft)};
+    const StripeLine *line = a.view[2].buf;
+    int done = reserve(&drafts, 2 * (size_t)a.view[2].shape[0]);
     Py_BEGIN_ALLOW_THREADS
-    done = end && stripe_ends(&images, a.view[2].buf, lines, (const Lens *)a.number[3], (const EndParams *)a.number[4],
-                              end);
+    for (Py_ssize_t i = 0; done && i < a.view[2].shape[0]; i++, drafts.used += 2)
+        done = draft_ends(&images, &line[i], (const Lens *)a.number[3], (const EndParams *)a.number[4],
+                          (Draft *)drafts.data + 2 * i);
     Py_END_ALLOW_THREADS
-    PyObject *result = done ? PyBytes_FromStringAndSize((const char *)end, (Py_ssize_t)bytes) : PyErr_NoMemory();
-    free(end);
-    return close_arguments(&a, result);
+    return close_arguments(&a, list_bytes(done, &drafts));
+}
+
+PyObject *call_ends(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"columns", 'B', {ANY}}, {"params", 'T', {NUMBERS(EndParams)}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    const size_t bytes = (size_t)a.view[0].shape[0], ends = bytes / sizeof(Draft);
+    List found = {NULL, 0, 0, sizeof(StripeEnd)};
+    Draft *draft = malloc(bytes + 1); /* the buffer is not writable, nor aligned */
+    int done = draft && reserve(&found, ends + 1);
+    if (done) memcpy(draft, a.view[0].buf, ends * sizeof(Draft));
+    Py_BEGIN_ALLOW_THREADS
+    done = done && stripe_ends(draft, ends, (const EndParams *)a.number[1], found.data);
+    Py_END_ALLOW_THREADS
+    free(draft);
+    found.used = ends;
+    return close_arguments(&a, list_bytes(done, &found));
 }
 
 static int check_lasers(const int64_t *laser, Py_ssize_t tracks, Py_ssize_t lasers) {

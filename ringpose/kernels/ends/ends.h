@@ -40,6 +40,7 @@ typedef struct {
     ptrdiff_t first, count, face_first, face_last; /* face: indices, inclusive */
     double *y, *amplitude, *headroom[LIGHT_LEVELS], *texture, *scratch;
     double *residual_variance; /* of the fitted cross-section */
+    double *ambient;           /* range of the subtracted background across the section; infinite without one */
     unsigned char *saturated;
     int clipped;        /* in some column a part of the stripe is saturated */
     double sigma, gain; /* of the cross-section; variance of the amplitude over that of a pixel */
@@ -55,9 +56,6 @@ int read_profile(const Images *images, const StripeLine *line, const Lens *lens,
 
 void free_profile(Profile *profile);
 
-/* The y of the line at any x. */
-double stripe_y(const Profile *profile, double x);
-
 /* Index of the last column beyond `near` up to which the stripe keeps its level. */
 ptrdiff_t last_undimmed(const Profile *profile, ptrdiff_t near, int outward, const EndParams *params);
 
@@ -68,8 +66,8 @@ enum { MAX_COLUMNS = 64 };
 /* The columns about an end, outwards. Variances are those of amplitudes. N, S and C^2 of ringpose-method(7), section 3,
    are `noise`, `shot` and `speckle`. */
 typedef struct {
-    int count, clipped; /* clipped: in some column a part of the stripe is saturated */
-    double along[MAX_COLUMNS], amplitude[MAX_COLUMNS], texture[MAX_COLUMNS], headroom[LIGHT_LEVELS][MAX_COLUMNS];
+    int count, inner, clipped; /* inner: on the face; clipped: in some column a part of the stripe is saturated */
+    double along[MAX_COLUMNS], y[MAX_COLUMNS], amplitude[MAX_COLUMNS], texture[MAX_COLUMNS], headroom[LIGHT_LEVELS][MAX_COLUMNS];
     unsigned char saturated[MAX_COLUMNS];
     double facet;                 /* correlation of the background of neighbouring columns */
     double level;                 /* of the face's stripe */

@@ -288,6 +288,17 @@ enum { CURVE_POINTS = 64, WINDOW = 64, RUN = 5 };
 /* Columns beyond the face in which no light is expected, before the stripe on the body behind begins. */
 enum { NEAR_FIRST = 2, NEAR_LAST = 9 };
 
+/* Search for the peak of a clipped stripe: columns of the face, ratio of steps, largest peak in saturation values, least
+   growth of what is visible by a step. */
+enum { PEAK_COLUMNS = 24 };
+#define PEAK_STEP 1.25
+#define MAX_PEAK 4
+#define MIN_GROWTH 1.02
+
+/* Range of the ambient light across a section, in amplitudes of the stripe, from which its subtraction may leave texture:
+   a tenth of it remains where the target has moved by a tenth of a pixel. */
+#define MIN_CONTRAST 0.3
+
 /* Mean over lower quartile of the residual variances of sections with normal noise. */
 #define LOW_TO_MEAN 1.4
 
@@ -304,14 +315,6 @@ static double interpolated(double at, const double *x, const double *y, ptrdiff_
             high = middle;
     }
     return y[low] + (y[high] - y[low]) / (x[high] - x[low]) * (at - x[low]);
-}
-
-double stripe_y(const Profile *profile, double x) {
-    double at = x - (double)profile->first;
-    if (at <= 0) return profile->y[0];
-    if (at >= (double)(profile->count - 1)) return profile->y[profile->count - 1];
-    ptrdiff_t low = (ptrdiff_t)at;
-    return profile->y[low] + (profile->y[low + 1] - profile->y[low]) * (at - (double)low);
 }
 
 void free_profile(Profile *profile) {
@@ -338,14 +341,15 @@ static int distort_line(const StripeLine *line, const Lens *lens, const EndParam
     profile->first = (ptrdiff_t)first;
     profile->count = (ptrdiff_t)(last - first) + 1;
     ptrdiff_t n = profile->count;
-    profile->y = malloc((5 + LIGHT_LEVELS) * (size_t)n * sizeof(double));
+    profile->y = malloc((6 + LIGHT_LEVELS) * (size_t)n * sizeof(double));
     profile->saturated = malloc((size_t)n);
     if (!profile->y || !profile->saturated) return -1;
     profile->amplitude = profile->y + n;
     profile->residual_variance = profile->y + 2 * n;
     profile->texture = profile->y + 3 * n;
     profile->scratch = profile->y + 4 * n;
-    for (int k = 0; k < LIGHT_LEVELS; k++) profile->headroom[k] = profile->y + (5 + k) * n;
+    profile->ambient = profile->y + 5 * n;
+    for (int k = 0; k < LIGHT_LEVELS; k++) profile->headroom[k] = profile->y + (6 + k) * n;
     profile->face_first = n;
     profile->face_last = -1;
     for (ptrdiff_t i = 0; i < n; i++) {
@@ -397,7 +401,8 @@ static double unlit_residual_variance(Profile *profile) {
 }
 
 /* Variance of the amplitudes due to background texture: the residual variance beyond twice that of noise and of the
-   stripe itself (median over the face); beyond four times that it counts as certain and enters `background`. */
+   stripe itself (median over the face); beyond four times that it counts as certain and enters `background`. Where the
+   background was subtracted and is faint, the residuals are those of speckle and of stripes beside the line. */
 static void fill_texture(Profile *profile, double expected, const EndParams *params) {
     size_t n = (size_t)profile->count, face = (size_t)(profile->face_last - profile->face_first + 1);
     double white = unlit_residual_variance(profile), factor = params->texture_factor * params->texture_factor;
@@ -413,8 +418,40 @@ static void fill_texture(Profile *profile, double expected, const EndParams *par
         profile->texture[i] = factor * fmax(profile->residual_variance[i] - 2 * (white + own), 0);
         if ((ptrdiff_t)i >= profile->face_first && (ptrdiff_t)i <= profile->face_last)
             background += fmax(profile->texture[i] - 2 * factor * own, 0);
+        if (profile->ambient[i] < MIN_CONTRAST * expected) profile->texture[i] = 0;
     }
     profile->background = background / ((double)face * expected * expected);
+}
+
+/* Amplitude that a fit finds of a stripe with this peak, where saturation clips it. */
+static double visible_peak(const Section *section, double peak, const Parts *parts, const EndParams *params) {
+    double shown[MAX_ROWS];
+    for (int k = 0; k < section->rows; k++)
+        shown[k] = fmin(peak * section->shape[k], fmax(params->saturation - section->ambient[k], 0));
+    return fitted_peak(section, shown, parts).value;
+}
+
+/* Peak of which clipping leaves the observed amplitude: in the median of some columns of the face. */
+static double unclipped_peak(const Images *images, const Profile *profile, int reach, const Parts *parts,
+                             double observed, const EndParams *params) {
+    double shown[PEAK_COLUMNS], before = 0;
+    const ptrdiff_t face = profile->face_last - profile->face_first + 1;
+    const ptrdiff_t some = face < PEAK_COLUMNS ? face : PEAK_COLUMNS;
+    for (double peak = observed; peak < MAX_PEAK * params->saturation; peak *= PEAK_STEP) {
+        for (ptrdiff_t k = 0; k < some; k++) {
+            Section section;
+            const ptrdiff_t i = profile->face_first + k * face / some;
+            read_section(images, profile->y[i], profile->first + i, reach, &section);
+            shape_section(images, profile->y[i], profile->sigma, reach, &section);
+            shown[k] = visible_peak(&section, peak, parts, params);
+        }
+        const double here = median(shown, (size_t)some);
+        if (here >= observed)
+            return before > 0 ? peak * pow(PEAK_STEP, (observed - here) / (here - before)) : peak;
+        if (before > 0 && here < MIN_GROWTH * before) return peak; /* what is visible hardly depends on the peak */
+        before = here;
+    }
+    return MAX_PEAK * params->saturation;
 }
 
 /* Headroom of each column for a stripe of the expected amplitude. */
@@ -422,17 +459,12 @@ static void fill_room(const Images *images, Profile *profile, int reach, const P
                       const EndParams *params) {
     static const double lit[LIGHT_LEVELS] = {0.1, 0.5, 1};
     Section section;
-    double shown[MAX_ROWS];
     profile->clipped = 1;
     for (ptrdiff_t i = 0; i < profile->count; i++) {
         read_section(images, profile->y[i], profile->first + i, reach, &section);
         shape_section(images, profile->y[i], profile->sigma, reach, &section);
-        for (int r = 0; r < LIGHT_LEVELS; r++) {
-            double peak = lit[r] * expected;
-            for (int k = 0; k < section.rows; k++)
-                shown[k] = fmin(peak * section.shape[k], fmax(params->saturation - section.ambient[k], 0));
-            profile->headroom[r][i] = fitted_peak(&section, shown, parts).value / peak;
-        }
+        for (int r = 0; r < LIGHT_LEVELS; r++)
+            profile->headroom[r][i] = visible_peak(&section, lit[r] * expected, parts, params) / (lit[r] * expected);
     }
 }
 
@@ -476,13 +508,19 @@ static double scan_column(const Images *images, Profile *profile, ptrdiff_t i, i
             double here = pixel(images, images->lit, row + k, column);
             maximum = here > maximum ? here : maximum;
         }
-        double end = pixel(images, images->lit, row + 2 * reach, column);
-        if (maximum < params->saturation) return fmin(pixel(images, images->lit, row, column), end);
+        double start = pixel(images, images->lit, row, column), end = pixel(images, images->lit, row + 2 * reach, column);
+        profile->ambient[i] = INFINITY;
+        if (maximum < params->saturation) return fmin(start, end);
     }
     Section section;
     read_section(images, profile->y[i], column, reach, &section);
     profile->scratch[i] = mark_saturation(profile, i, &section, params);
-    for (int k = 0; k < section.rows; k++) brightest = fmax(brightest, section.ambient[k]);
+    double darkest = INFINITY;
+    for (int k = 0; k < section.rows; k++) {
+        brightest = fmax(brightest, section.ambient[k]);
+        darkest = fmin(darkest, section.ambient[k]);
+    }
+    profile->ambient[i] = images->dark ? brightest - darkest : INFINITY;
     return brightest;
 }
 
@@ -499,7 +537,10 @@ static void fill_profile(const Images *images, Profile *profile, const EndParams
     fill_peaks(images, profile, reach, &parts);
     memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
     double expected = fmax(median(profile->scratch, face), 1);
-    if (expected + brightest > params->saturation) fill_room(images, profile, reach, &parts, expected, params);
+    if (expected + brightest > params->saturation) {
+        expected = unclipped_peak(images, profile, reach, &parts, expected, params);
+        fill_room(images, profile, reach, &parts, expected, params);
+    }
     fill_texture(profile, expected, params);
 }
 

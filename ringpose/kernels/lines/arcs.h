@@ -5,7 +5,7 @@
 typedef struct {
     double x, y;
     int arc, used;
-    } End;
+} End;
 
 /* a (x^2 + y^2) + x + b y + c_arc = 0, by least squares over the used points. */
 typedef struct {

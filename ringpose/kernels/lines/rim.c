@@ -329,7 +329,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
         double x = member[e / 2]->x[e % 2], y = member[e / 2]->y[e % 2];
         end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
                        d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
-                       !(x < params->left || x > params->right || y < params->top || y > params->bottom), 0, 0};
+                       !(x < params->left || x > params->right || y < params->top || y > params->bottom)};
     }
     return middle[2];
 }
