@@ -23,7 +23,7 @@ GATE = 0.999
 MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
 
-MIN_TESTED_SHARE = 0.5
+MIN_TESTED_SHARE = 0.1
 """Share of the largest weight from which an explanation or a motion model takes part in the test of an innovation."""
 
 MIN_PROBABILITY = 1e-12
