@@ -130,6 +130,21 @@ def test_records_of_a_second_clock_do_not_disturb_the_first(records):
     np.testing.assert_array_equal(final_state(tracker), final_state(alone))
 
 
+@pytest.mark.parametrize(("offset_s", "status"), [(-100.0, FusionStatus.TOO_OLD), (5000.0, FusionStatus.TOO_NEW)])
+def test_a_track_ages_while_all_newer_records_have_impossible_stamps(records, offset_s, status):
+    tracker = Tracker(None)
+    statuses(tracker, records[:6])
+    found = []
+    for number in range(16):
+        stamp_s = records[5].pose_stamp_s + offset_s + 0.2 * number
+        attempt = tracker.add(at(records[5], stamp_s), NOW_S)
+        assert attempt.fusion_status is status
+        found.append(tracker.line_of(attempt).validity)
+
+    assert found[0] is Validity.VALID  # a single one may be an error of its stamp
+    assert (found[4], found[11], found[15]) == (Validity.PREDICTED, Validity.STALE, Validity.LOST)
+
+
 def test_a_clock_that_was_set_back_starts_the_track_anew(records, rng):
     motion = drawn_motion(rng)
     earlier = [at(each, each.pose_stamp_s - 1e6) for each in stream(motion, 5.0, Shots(), rng, 2.0)]
