@@ -48,9 +48,7 @@ class CameraMotion:
         time_s, after = self._interval(stamp_s)
         first_s, interval_s = poses.stamp_s[after - 1], poses.stamp_s[after] - poses.stamp_s[after - 1]
         rotation, position_m = poses.rotation[after - 1], poses.position_m[after - 1]
-        turn_rad, shift_m = _logarithm(
-            rotation.T @ poses.rotation[after], rotation.T @ (poses.position_m[after] - position_m)
-        )
+        turn_rad, shift_m = self._twist(after)
         share = (time_s - first_s) / interval_s
         base_from_tool = rotation @ rotation_by(share * turn_rad)
         tool_m = position_m + rotation @ (_left_jacobian(share * turn_rad) @ (share * shift_m))
@@ -67,6 +65,22 @@ class CameraMotion:
             rate_rad_s=rate,
             displacement_root=root,
         )
+
+    def going_on_until(self, stamp_s: float) -> "CameraMotion":
+        """The motion with further poses up to a stamp, for a robot that goes on at its last twist."""
+        poses, missing_s = self.poses, stamp_s + self.mount.delay_s - self.poses.stamp_s[-1:]
+        if len(poses.stamp_s) < 2 or missing_s <= 0.0:
+            return self
+        turn_rad, shift_m = self._twist(len(poses.stamp_s) - 1)
+        share = (np.arange(int(missing_s[0] / MAX_GAP_S) + 1) + 1.0) * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
+        last, position_m = poses.rotation[-1], poses.position_m[-1]
+        moved = np.array([_left_jacobian(each * turn_rad) @ (each * shift_m) for each in share])
+        further = RobotPoses(
+            stamp_s=np.append(poses.stamp_s, poses.stamp_s[-1] + MAX_GAP_S * np.arange(1, len(share) + 1)),
+            position_m=np.concatenate([poses.position_m, position_m + moved @ last.T]),
+            rotation=np.concatenate([poses.rotation, last @ rotation_by(share[:, None] * turn_rad)]),
+        )
+        return replace(self, poses=further)
 
     def why_not_at(self, stamp_s: float) -> str:
         """Why `at` has no camera for this stamp; empty if it has one."""
@@ -93,6 +107,12 @@ class CameraMotion:
         time_s = stamp_s + self.mount.delay_s
         after = int(np.searchsorted(self.poses.stamp_s, time_s, side="right"))
         return time_s, min(max(after, 1), len(self.poses.stamp_s) - 1)
+
+    def _twist(self, after: int) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
+        """Rotation vector (rad) and translation (m) of the tool from the pose before to pose `after`, tool frame."""
+        rotation, position_m = self.poses.rotation, self.poses.position_m
+        back = rotation[after - 1].T
+        return _logarithm(back @ rotation[after], back @ (position_m[after] - position_m[after - 1]))
 
     def displacements(self, reference_s: float, instant_s: Float64[Array, "instant"]) -> CameraDisplacements | None:
         """How the camera is displaced at instants after `reference_s`; None if the robot's poses do not cover them.

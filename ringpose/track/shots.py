@@ -12,6 +12,7 @@ import numpy as np
 
 from ringpose.detect.difference_images import laser_images
 from ringpose.detect.pipeline import MOVED_PX, detect
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import PredictedRing, motion_px, predicted_ring, predicted_stripes
@@ -78,7 +79,7 @@ class ShotTracker:
         stamps_s = np.full(len(rig.lasers.names), shot.measured_at_s)
         for image in laser_images(shot, len(stamps_s)):
             stamps_s[list(image.lasers)] = image.stamp_s
-        rings = {stamp_s: self._ring_at(stamp_s) for stamp_s in set(stamps_s.tolist())}
+        rings = {stamp_s: self._ring_at(stamp_s, self._tracker.camera) for stamp_s in set(stamps_s.tolist())}
         each = [rings[stamp_s] for stamp_s in stamps_s.tolist()]
         predicted = None if None in each else predicted_stripes([ring for ring in each if ring is not None], rig)
         if predicted is None or self._seen is None:
@@ -88,16 +89,19 @@ class ShotTracker:
 
     def assigns_lasers(self, rig: Rig) -> bool:
         """Whether the track will assign the stripes of the next frame with all lasers on to their lasers."""
-        ring = self._ring_at(self._tracker.track.stamp_s + AHEAD * self._interval_s) if self._is_followed else None
+        stamp_s, camera = self._tracker.track.stamp_s + AHEAD * self._interval_s, self._tracker.camera
+        if camera is not None:
+            camera = camera.going_on_until(stamp_s)  # poses of a robot that arrive meanwhile are not known ahead
+        ring = self._ring_at(stamp_s, camera) if self._is_followed else None
         predicted = None if ring is None else predicted_stripes([ring] * len(rig.lasers.names), rig)
         return predicted is not None and predicted.labelled
 
-    def _ring_at(self, stamp_s: float) -> PredictedRing | None:
+    def _ring_at(self, stamp_s: float, camera: CameraMotion | None) -> PredictedRing | None:
         track = self._tracker.track
         if not track.stamp_s <= stamp_s or validity(track, stamp_s, self._tracker.options) not in FOLLOWED:
             return None
         with np.errstate(all="ignore"):  # improbable states may be far off
-            return predicted_ring(track, stamp_s, self._tracker.camera)
+            return predicted_ring(track, stamp_s, camera)
 
     def _usable_background(self, shot: Shot, rig: Rig) -> Frame | None:
         """The newest frame without lasers, unless the ring's edges have moved since, or the exposure is another."""
