@@ -184,7 +184,7 @@ SLOW = pytest.mark.slow
 
 @pytest.mark.parametrize("delay_s", [pytest.param(0.0, marks=SLOW), 0.03, pytest.param(0.08, marks=SLOW)])
 def test_the_settling_time_is_measured_once(shots_of, monkeypatch, delay_s):
-    monkeypatch.setattr("ringpose.capture.settling_time.MAX_DURATION_S", 0.15)
+    monkeypatch.setattr("ringpose.capture.pipeline.MAX_SETTLE_S", 0.15)
     how = procedure(settle_s=None)
 
     shots, _ = shots_of(how, RelayFaults(operate_s=delay_s / 2, release_s=delay_s), names="ab")
@@ -196,7 +196,7 @@ def test_the_settling_time_is_measured_once(shots_of, monkeypatch, delay_s):
 
 
 def test_what_does_not_show_cannot_be_measured(shots_of, monkeypatch):
-    monkeypatch.setattr("ringpose.capture.settling_time.MAX_DURATION_S", 0.05)
+    monkeypatch.setattr("ringpose.capture.pipeline.MAX_SETTLE_S", 0.05)
 
     with pytest.raises(DeviceError, match="no laser shows in the image"):
         shots_of(procedure(settle_s=None), RelayFaults(dead=frozenset({0, 1, 2})))
