@@ -41,7 +41,7 @@ from ringpose.track.states import (
     step_rates,
 )
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseLine, RingMeasurement
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseFlag, PoseLine, RingMeasurement
 
 _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
@@ -73,6 +73,8 @@ class Observation:
     target: Float64[Array, "row"]
     of_ring: int
     """Number of rows that depend on the ring; the others depend on common errors alone."""
+    determines_plane: bool
+    """Whether the shot alone determines the normal; about another normal the rows do not hold, so no track begins."""
 
     @property
     def chart(self) -> RingStates:
@@ -128,6 +130,7 @@ def observation(
         common_root=common.root,
         target=rows[:, -1],
         of_ring=min(len(rows), count),
+        determines_plane=PoseFlag.NORMAL_WEAK not in line.flags,
     )
     return observed if camera is None else _in_base(observed, camera, common.of_mount)
 

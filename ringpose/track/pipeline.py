@@ -45,6 +45,7 @@ REPORTED_FLAGS = PoseFlag.RIG_DRIFT | PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RA
 
 REASONS = {
     FusionStatus.PENDING: "it does not continue the track; a second one that agrees with it starts the track anew",
+    FusionStatus.REJECTED_COVARIANCE: "it does not determine the ring's plane, or a track has another one",
     FusionStatus.REJECTED_GATE: "it contradicts the track",
 }
 """Why a measurement that was tested is not used."""
