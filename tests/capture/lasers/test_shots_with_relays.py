@@ -93,7 +93,7 @@ def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(op
 def test_lasers_are_waited_for_no_longer_than_the_watchdog_allows(shots_of, monkeypatch):
     monkeypatch.setattr("ringpose.capture.lasers.watchdog.WatchdogLasers.longest_on_s", 0.3)
 
-    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.14}))
+    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.23}))
 
     assert shot.meta["settle_s"] == pytest.approx(0.24)
 
