@@ -100,15 +100,15 @@ class Tracker:
         """After all records so far."""
         return self._entries[-1].track if self._entries else self._base
 
-    def add(self, line: PoseLine, now_s: float = float("inf")) -> Attempt:
-        """Use one record, if it can be used; `now_s` is the host's clock.
+    def add(self, line: PoseLine, now_s: float = float("inf"), inflation: float = 1.0) -> Attempt:
+        """Use one record, if it can be used; `now_s` is the host's clock, `inflation` a factor on its variances.
 
         Raises `DataError` for a record that does not belong to this track: of another rig, repeated, or with other
         nuisance parameters.
         """
         try:
             with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
-                status, ratio, reason = self._fused(line, now_s)
+                status, ratio, reason = self._fused(line, now_s, inflation)
         except np.linalg.LinAlgError:
             status, ratio, reason = FusionStatus.REJECTED_COVARIANCE, nan, "its equations are singular"
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
@@ -135,7 +135,7 @@ class Tracker:
         used = [e.flags for e in self._entries if e.fusion.status is FusionStatus.FUSED]
         return (used[-1] if used else self._base_flags) & REPORTED_FLAGS
 
-    def _fused(self, line: PoseLine, now_s: float) -> tuple[FusionStatus, float, str]:
+    def _fused(self, line: PoseLine, now_s: float, inflation: float) -> tuple[FusionStatus, float, str]:
         """What becomes of a record, the ratio of its test, and why it is not used."""
         measurement, newest_s = line.measurement, self.track.stamp_s
         if measurement is None or not isfinite(line.pose_stamp_s):
@@ -153,9 +153,8 @@ class Tracker:
             self._leave_out(stamp_s)
             return FusionStatus.TOO_OLD, nan, f"it is older than the buffer of {BUFFER_S:g} s"
         self._unused.clear()
-        inflation = 1.0
         if line.flags & PoseFlag.INCONSISTENT:
-            inflation = max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
+            inflation *= max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
         camera = None if self.camera is None else self.camera.at(stamp_s)
         if self.camera is not None and camera is None:

@@ -28,6 +28,13 @@ FOLLOWED = (Validity.VALID, Validity.PREDICTED)
 """States of a track whose prediction is used."""
 
 
+SHARED_BACKGROUND = 1.0 + 8 * 0.3
+"""Factor on the variances of a shot that shares its background with eight others.
+
+Of a target at rest, 12 to 36 % of the variance of a stripe's centre come from the background's noise (from a dark
+scene to one with half of the stripe's light), which the mean of such shots retains.
+"""
+
 AHEAD = 2.0
 """Intervals between shots after the last measurement at which the next frame is expected at the latest ..."""
 
@@ -45,6 +52,8 @@ class ShotTracker:
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None
         """Break points that the last shot with a pose showed."""
+        self._shares_background = False
+        """Whether the background of an earlier shot was subtracted from the last one."""
         self._is_followed = False
         """Whether the last measurement continued the track."""
         self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
@@ -60,6 +69,7 @@ class ShotTracker:
         if isinstance(points, BreakPoints):
             self._seen = points.seen
         dark = np.flatnonzero(shot.lasers == 0)
+        self._shares_background = background is not None and not len(dark)
         if len(dark):
             self._background = list(shot.frames)[int(dark[-1])]
         return found
@@ -70,7 +80,7 @@ class ShotTracker:
         if line.stamp_s > self._stamp_s:
             self._interval_s = line.stamp_s - self._stamp_s
         self._stamp_s = line.stamp_s
-        attempt = self._tracker.add(line, now_s)
+        attempt = self._tracker.add(line, now_s, SHARED_BACKGROUND if self._shares_background else 1.0)
         self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
         return self._tracker.line_of(attempt)
 
