@@ -66,6 +66,7 @@ def test_a_suspended_capture_switches_off_and_can_be_continued(board, capturing,
     assert fastest(measured, OFF_WITHIN_S) < OFF_WITHIN_S
 
 
+@pytest.mark.slow
 def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_freed(board, capturing, time_until):
     def measured():
         ballast = "ballast = b'x' * 700_000_000"
