@@ -31,6 +31,10 @@ OnRead = Callable[[Path], None]
 """Called with each file that is read."""
 
 
+OFF_EVERY = 10
+"""Number of shots with all lasers on for each frame without lasers, which shows the background."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureRequest:
     """The options of a capture; None leaves a setting to the device or the recording."""
@@ -98,6 +102,32 @@ def camera_source(request: CaptureRequest) -> Source:
 def switched_steps(count: int) -> tuple[Step, ...]:
     """Each of `count` lasers alone in one frame, between two frames without lasers."""
     return (Step("off"), *(Step(str(number + 1)) for number in range(count)), Step("off"))
+
+
+class TrackedSequence:
+    """Chooses the lasers of each shot by what a track has last reported: all while it assigns their stripes.
+
+    A frame with all lasers on has a single time, so that the target does not move within it.
+    """
+
+    def __init__(self) -> None:
+        self._is_assigned = False
+        self._since_off = 0
+
+    def report(self, *, is_assigned: bool) -> None:
+        """Whether the track will assign the stripes of the next frame with all lasers on; from any thread."""
+        self._is_assigned = is_assigned
+
+    def __call__(self, switched: tuple[Step, ...]) -> tuple[Step, ...]:
+        """The steps of the next shot; `switched` are those of a shot in which the frames tell the lasers apart."""
+        if not self._is_assigned:
+            self._since_off = 0  # switched shots begin and end without lasers
+            return switched
+        self._since_off += 1
+        if self._since_off < OFF_EVERY:
+            return (Step("all"),)
+        self._since_off = 0
+        return (Step("off"), Step("all"))
 
 
 def laser_driver(request: CaptureRequest, camera: CameraDriver | None) -> LaserDriver:

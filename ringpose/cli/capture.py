@@ -8,15 +8,31 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.capture_checks import check_devices, list_devices
 from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose
 from ringpose.cli.options.devices import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
+from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
-    from ringpose.capture.source import Source
+    from ringpose.capture.source import CaptureRequest, Source
     from ringpose.cli.batch import Batch
     from ringpose.files.images.sessions import Existing, SessionWriter
-    from ringpose.types.rig import Rig
+
+
+def _list_devices(is_requested: bool) -> bool:
+    """Write one record for each camera and serial port to stdout; ends the command."""
+    if not is_requested:
+        return is_requested
+
+    from ringpose.capture import device_discovery
+    from ringpose.cli import messages
+    from ringpose.files import records
+
+    for line in device_discovery.remarks():
+        messages.echo(line)
+    for found in (*device_discovery.cameras(), *device_discovery.serial_ports()):
+        records.write(found)
+    raise typer.Exit
+
 
 CameraUri = Annotated[
     str,
@@ -29,7 +45,7 @@ SessionFolder = Annotated[
 ]
 ReplaceSession = Annotated[bool, typer.Option("--force", help="Replace a session that exists already.")]
 ListDevices = Annotated[
-    bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=list_devices, is_eager=True)
+    bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=_list_devices, is_eager=True)
 ]
 TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
 HeldStill = Annotated[
@@ -64,10 +80,10 @@ def capture(
     from ringpose.capture.source import CaptureRequest
     from ringpose.cli.acquisition import source_of
     from ringpose.cli.batch import Batch
-    from ringpose.errors import UsageError
     from ringpose.files.images.sessions import SessionWriter, folder_of_now
+    from ringpose.files.rigs import read_rig
 
-    rig_of_shots = None if rig is None else _rig(rig)
+    rig_of_shots = None if rig is None else read_rig(rig)
     request = CaptureRequest(
         camera=camera,
         lasers=lasers,
@@ -84,7 +100,7 @@ def capture(
     )
     existing, batch = _existing(force, append), Batch()
     if test:
-        check_devices(request, batch)
+        _check_devices(request, batch)
     source = source_of(request, batch)
     folder = output or folder_of_now()
     if str(folder) == "-":
@@ -95,15 +111,28 @@ def capture(
     batch.finish()
 
 
-def _rig(path: Path) -> "Rig":
-    from ringpose.files.rigs import read_rig
+def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
+    """Write one record for each check to stdout, the overall verdict last; ends the command."""
+    from dataclasses import asdict
 
-    return read_rig(path)
+    from ringpose.capture.self_test import opened_devices, run_self_test, summary
+    from ringpose.cli.acquisition import source_of
+    from ringpose.files import records
+
+    source = source_of(request, batch)
+    if not source.devices:
+        raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
+    checks = []
+    with opened_devices(source) as (camera, lasers):
+        for check in run_self_test(camera, lasers, request.fixed_exposure_s):
+            checks.append(check)
+            records.write({key: value for key, value in asdict(check).items() if value})
+    overall = summary(checks)
+    records.write({key: value for key, value in asdict(overall).items() if value})
+    raise typer.Exit(NO_POSE if overall.verdict == "fault" else 0)
 
 
 def _existing(force: bool, append: bool) -> "Existing":
-    from ringpose.errors import UsageError
-
     if force and append:
         raise UsageError("", "--force and --append contradict each other", "give one of them")
     if append:

@@ -63,7 +63,7 @@ from ringpose.types.options import STDIN, Method
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ringpose.capture.tracked_sequence import TrackedSequence
+    from ringpose.capture.source import TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
     from ringpose.geometry.camera_motion import CameraMotion
@@ -165,7 +165,7 @@ def pose(
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
     else:
         from ringpose.capture.source import CaptureRequest
-        from ringpose.cli.live import live_lines
+        from ringpose.cli.acquisition import live_lines
 
         request = CaptureRequest(
             camera=camera,
@@ -254,10 +254,10 @@ class _Stream:
         self._method, self._frame, self._known, self._assumed = method, frame, known, assumed
         self._tracker, self._camera = tracker, camera
         if tracker is not None:
-            from ringpose.capture import tracked_sequence
+            from ringpose.capture import source
             from ringpose.track.shots import ShotTracker
 
-            self.sequence, self.shots = tracked_sequence.TrackedSequence(), ShotTracker(tracker)
+            self.sequence, self.shots = source.TrackedSequence(), ShotTracker(tracker)
 
     def measured(self, source: "Shot | Detection") -> "PoseLine":
         """The pose line of a shot or detection."""

@@ -14,6 +14,9 @@ from ringpose.types.robot import MOUNT_PARAMETERS, Mount, RobotPoses
 MAX_GAP_S = 0.25
 """Longest time between two poses of the robot within which its motion is interpolated."""
 
+MAX_SPEED_M_S, MAX_RATE_RAD_S = 10.0, 20.0
+"""Highest speeds of a tool that a robot can have; what is faster is an error in the poses or in their stamps."""
+
 
 class CameraState(NamedTuple):
     """Where the camera is at one instant and how it moves, in the base frame."""
@@ -40,18 +43,12 @@ class CameraMotion:
         Between two poses the tool moves at a constant twist: T(s) = T_0 exp(s log(T_0^-1 T_1)) on SE(3).
         """
         poses, mount = self.poses, self.mount
-        if len(poses.stamp_s) < 2:
+        if self.why_not_at(stamp_s):
             return None
-        time_s = stamp_s + mount.delay_s
-        after = int(np.searchsorted(poses.stamp_s, time_s, side="right"))
-        after = min(after, len(poses.stamp_s) - 1)
+        time_s, after = self._interval(stamp_s)
         first_s, interval_s = poses.stamp_s[after - 1], poses.stamp_s[after] - poses.stamp_s[after - 1]
-        if not (after > 0 and 0.0 <= time_s - first_s <= interval_s <= MAX_GAP_S):
-            return None
         rotation, position_m = poses.rotation[after - 1], poses.position_m[after - 1]
-        turn_rad, shift_m = _logarithm(
-            rotation.T @ poses.rotation[after], rotation.T @ (poses.position_m[after] - position_m)
-        )
+        turn_rad, shift_m = self._twist(after)
         share = (time_s - first_s) / interval_s
         base_from_tool = rotation @ rotation_by(share * turn_rad)
         tool_m = position_m + rotation @ (_left_jacobian(share * turn_rad) @ (share * shift_m))
@@ -69,18 +66,53 @@ class CameraMotion:
             displacement_root=root,
         )
 
+    def going_on_until(self, stamp_s: float) -> "CameraMotion":
+        """The motion with further poses up to a stamp, for a robot that goes on at its last twist."""
+        poses, missing_s = self.poses, stamp_s + self.mount.delay_s - self.poses.stamp_s[-1:]
+        if len(poses.stamp_s) < 2 or missing_s <= 0.0:
+            return self
+        turn_rad, shift_m = self._twist(len(poses.stamp_s) - 1)
+        share = (np.arange(int(missing_s[0] / MAX_GAP_S) + 1) + 1.0) * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
+        last, position_m = poses.rotation[-1], poses.position_m[-1]
+        moved = np.array([_left_jacobian(each * turn_rad) @ (each * shift_m) for each in share])
+        further = RobotPoses(
+            stamp_s=np.append(poses.stamp_s, poses.stamp_s[-1] + MAX_GAP_S * np.arange(1, len(share) + 1)),
+            position_m=np.concatenate([poses.position_m, position_m + moved @ last.T]),
+            rotation=np.concatenate([poses.rotation, last @ rotation_by(share[:, None] * turn_rad)]),
+        )
+        return replace(self, poses=further)
+
     def why_not_at(self, stamp_s: float) -> str:
-        """Why `at` has no camera for this stamp."""
-        stamps_s, time_s = self.poses.stamp_s, stamp_s + self.mount.delay_s
+        """Why `at` has no camera for this stamp; empty if it has one."""
+        stamps_s = self.poses.stamp_s
         if len(stamps_s) < 2:
             return "there are no poses of the robot yet"
+        time_s, after = self._interval(stamp_s)
         if time_s < stamps_s[0]:
             return f"the robot's poses begin {stamps_s[0] - time_s:.3g} s after it"
         if time_s > stamps_s[-1]:
             return f"the robot's poses end {time_s - stamps_s[-1]:.3g} s before it"
-        after = int(np.searchsorted(stamps_s, time_s, side="right"))
         gap_s = stamps_s[after] - stamps_s[after - 1]
-        return f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated"
+        if gap_s > MAX_GAP_S:
+            return f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated"
+        position_m, rotation = self.poses.position_m, self.poses.rotation
+        speed_m_s = float(np.linalg.norm(position_m[after] - position_m[after - 1])) / gap_s
+        rate_rad_s = float(np.linalg.norm(rotation_vector(rotation[after - 1].T @ rotation[after]))) / gap_s
+        if rate_rad_s > MAX_RATE_RAD_S or speed_m_s > MAX_SPEED_M_S:
+            return f"the robot's poses next to it jump: {speed_m_s:.3g} m/s and {rate_rad_s:.3g} rad/s"
+        return ""
+
+    def _interval(self, stamp_s: float) -> tuple[float, int]:
+        """The robot's time of a stamp, and the number of the pose that ends its interval."""
+        time_s = stamp_s + self.mount.delay_s
+        after = int(np.searchsorted(self.poses.stamp_s, time_s, side="right"))
+        return time_s, min(max(after, 1), len(self.poses.stamp_s) - 1)
+
+    def _twist(self, after: int) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
+        """Rotation vector (rad) and translation (m) of the tool from the pose before to pose `after`, tool frame."""
+        rotation, position_m = self.poses.rotation, self.poses.position_m
+        back = rotation[after - 1].T
+        return _logarithm(back @ rotation[after], back @ (position_m[after] - position_m[after - 1]))
 
     def displacements(self, reference_s: float, instant_s: Float64[Array, "instant"]) -> CameraDisplacements | None:
         """How the camera is displaced at instants after `reference_s`; None if the robot's poses do not cover them.

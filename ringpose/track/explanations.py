@@ -9,9 +9,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.geometry.ring import CURVATURE
+from ringpose.geometry.ring import CURVATURE, STEP, TILT_ALONG, TILT_INWARD
 from ringpose.track.filters import Bank, Innovation, ahead, innovation, started, tempered, updated
 from ringpose.track.observation import Observation
+from ringpose.track.states import charted, moved, step_rates
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import MotionPrior, motion_prior
 from ringpose.types.pose import RadiusPrior
@@ -23,7 +24,7 @@ GATE = 0.999
 MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
 
-MIN_TESTED_SHARE = 0.5
+MIN_TESTED_SHARE = 0.1
 """Share of the largest weight from which an explanation or a motion model takes part in the test of an innovation."""
 
 MIN_PROBABILITY = 1e-12
@@ -37,6 +38,9 @@ TEMPERATURE = 2.0
 
 Single outliers leave the evidence as it is.
 """
+
+MAX_BIAS_SIGMAS = 1.0
+"""Bias of a measurement at the track's state, because it was linearised elsewhere, from which it is not used."""
 
 _IMPOSSIBLE = -1e9
 """Log evidence of a filter that has lost the ring."""
@@ -111,24 +115,48 @@ def track_after(
     track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions
 ) -> tuple[Track, Fusion]:
     """The track after a measurement that is not older than it, and what became of the measurement."""
+    gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
+    if not observed.determines_plane and not gap_s <= options.predict_for_s:  # nor without a track
+        return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE)
     if not track.banks:
         started_anew = new_track(observed, options.motion, radius)
         return replace(started_anew, resets=track.resets), Fusion(status=FusionStatus.FUSED)
-    gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
     if gap_s < options.lost_after_s:
         continued, ratio = _continued(track, observed)
+        if ratio <= 1.0 and _bias_sigmas(continued.likeliest, observed) > MAX_BIAS_SIGMAS:
+            return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=ratio)
         if ratio <= 1.0:
             return continued, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
     if gap_s <= options.predict_for_s:
         return _with_rejection(track), Fusion(status=FusionStatus.REJECTED_GATE, test_ratio=ratio)
+    return _restarted(track, observed, radius, options, ratio)
+
+
+def _restarted(
+    track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions, ratio: float
+) -> tuple[Track, Fusion]:
+    """The track that two measurements in agreement begin after a gap; `ratio` is the test ratio against the old one."""
     pending = track.pending
     if pending is not None and observed.stamp_s - pending.stamp_s <= options.lost_after_s:
-        again, agreement = _continued(pending, observed)
-        if agreement <= 1.0:
-            return replace(again, resets=track.resets + 1), Fusion(status=FusionStatus.FUSED, test_ratio=agreement)
-        ratio = agreement
+        again, ratio = _continued(pending, observed)
+        if ratio <= 1.0:
+            return replace(again, resets=track.resets + 1), Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
     pending = new_track(observed, options.motion, radius)
     return replace(track, pending=pending), Fusion(status=FusionStatus.PENDING, test_ratio=ratio)
+
+
+def _bias_sigmas(bank: Bank, observed: Observation) -> float:
+    """About how far the rows of a measurement are off at the state after it, in standard deviations.
+
+    Its derivatives change by about as much, relative to themselves, as the normal turns (rad) from the linearisation
+    point: what the rows have changed by since is wrong by this share. A single stripe is often linearised far away.
+    """
+    observed, best = observed.towards(bank.chart.axes[0, 0]), slice(bank.best, bank.best + 1)
+    found = charted(bank.chart, moved(bank.chart, bank.coordinates[best]))
+    changed = observed.wrt_step @ found.coordinates[0, : len(STEP)]
+    changed += observed.wrt_step_rates @ (step_rates(bank.chart, found)[0] - observed.step_rates)
+    tilt_rad = np.linalg.norm(found.coordinates[0, [TILT_INWARD, TILT_ALONG]])
+    return float(tilt_rad * np.linalg.norm(changed))
 
 
 def _with_rejection(track: Track) -> Track:

@@ -25,9 +25,23 @@ from ringpose.geometry.ring import (
 )
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.common_errors import CommonErrors
-from ringpose.track.states import MOVING, RingStates
+from ringpose.track.states import (
+    ERRORS,
+    MOTION,
+    MOVING,
+    RATE_ALONG,
+    RATE_INWARD,
+    RATE_NORMAL,
+    STEPS,
+    VELOCITY,
+    Charted,
+    RingStates,
+    jacobians,
+    moved,
+    step_rates,
+)
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseLine, RingMeasurement
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseFlag, PoseLine, RingMeasurement
 
 _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
@@ -59,18 +73,13 @@ class Observation:
     target: Float64[Array, "row"]
     of_ring: int
     """Number of rows that depend on the ring; the others depend on common errors alone."""
+    determines_plane: bool
+    """Whether the shot alone determines the normal; about another normal the rows do not hold, so no track begins."""
 
     @property
     def chart(self) -> RingStates:
         """The arcs as the chart of states."""
-        arcs = self.arcs
-        return RingStates(
-            origin=arcs.origin[None],
-            axes=arcs.axes[None],
-            curvature=np.array([arcs.curvature]),
-            half_band_m=np.array([arcs.half_band_m]),
-            motion=np.zeros((1, 7)),
-        )
+        return _chart(self.arcs)
 
     def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
         """The same, described for a ring whose centre lies in this direction.
@@ -107,29 +116,55 @@ def observation(
     # features move with the rates of the increments, which depend on velocity and angular velocity linearly only here
     wrt_step = public_wrt_step(arcs)
     rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m))[list(MOVING)]
-    motion = np.concatenate([at.velocity_m_s, tilt_basis(at.normal) @ at.rate_rad_s])
-    if camera is not None and measurement.camera_motion == "none":
-        motion = motion + _motion_of_camera(camera, at)
+    wrt_step_rates = np.linalg.solve(rates_wrt_motion.T, rows[:, RATES].T).T
+    # rows[:, POSE] are derivatives at a given motion of the centre, wrt_step those at given rates of the increments
+    step_rates, rates_wrt_step = _rates_near(arcs, at, camera if measurement.camera_motion == "none" else None)
     observed = Observation(
         shot=line.shot,
         stamp_s=line.pose_stamp_s,
         arcs=arcs,
-        step_rates=rates_wrt_motion @ motion,
-        wrt_step=rows[:, POSE] @ wrt_step,
-        wrt_step_rates=np.linalg.solve(rates_wrt_motion.T, rows[:, RATES].T).T,
+        step_rates=step_rates,
+        wrt_step=rows[:, POSE] @ wrt_step - wrt_step_rates @ rates_wrt_step,
+        wrt_step_rates=wrt_step_rates,
         wrt_common=rows[:, count:-1] @ common.root,
         common_root=common.root,
         target=rows[:, -1],
         of_ring=min(len(rows), count),
+        determines_plane=PoseFlag.NORMAL_WEAK not in line.flags,
     )
     return observed if camera is None else _in_base(observed, camera, common.of_mount)
 
 
-def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Array, "5"]:
-    """Velocity that the camera's motion has at the ring's centre, and its rates along the tilt basis, camera frame."""
-    velocity = camera.velocity_m_s + np.cross(camera.rate_rad_s, camera.rotation @ at.center_m)
-    rates = tilt_basis(at.normal) @ camera.rotation.T @ camera.rate_rad_s
-    return np.concatenate([camera.rotation.T @ velocity, rates])
+def _rates_near(
+    arcs: RingArcs, at: LinearizationPoint, camera: CameraState | None
+) -> tuple[Float64[Array, "5"], Float64[Array, "5 step=7"]]:
+    """Rates of the increments `MOVING` at the record's velocities, and their derivatives by the increments.
+
+    The record's velocity is that of the centre; the rates are those of the place seen, a radius away from it. They also
+    depend on where the ring is if the motion of a `camera` is added, which the record counts as inertial.
+    """
+    chart, steps = _chart(arcs), np.concatenate([np.zeros((1, len(ERRORS))), STEPS])
+    rings, velocity, rate = moved(chart, steps), at.velocity_m_s, at.rate_rad_s
+    if camera is not None:
+        center = camera.rotation @ rings.center_m[..., None]
+        velocity = velocity + (camera.velocity_m_s + np.cross(camera.rate_rad_s, center[..., 0])) @ camera.rotation
+        rate = rate + camera.rate_rad_s @ camera.rotation
+    coordinates = steps.copy()
+    coordinates[:, RATE_INWARD:RATE_NORMAL] = rings.axes[:, :2] @ rate
+    coordinates[:, VELOCITY] = (rings.axes * np.expand_dims(velocity, -2)).sum(axis=-1)
+    coordinates[:, VELOCITY.stop - 1] += rings.mean_radius_m * coordinates[:, RATE_ALONG]
+    rates = step_rates(chart, Charted(coordinates, rings.axes @ chart.axes[0].T))
+    return rates[0], jacobians(rates[1:])[0, :, : len(STEP)]
+
+
+def _chart(arcs: RingArcs) -> RingStates:
+    return RingStates(
+        origin=arcs.origin[None],
+        axes=arcs.axes[None],
+        curvature=np.array([arcs.curvature]),
+        half_band_m=np.array([arcs.half_band_m]),
+        motion=np.zeros((1, len(MOTION))),
+    )
 
 
 def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Observation:

@@ -45,6 +45,7 @@ REPORTED_FLAGS = PoseFlag.RIG_DRIFT | PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RA
 
 REASONS = {
     FusionStatus.PENDING: "it does not continue the track; a second one that agrees with it starts the track anew",
+    FusionStatus.REJECTED_COVARIANCE: "it does not determine the ring's plane, or a track has another one",
     FusionStatus.REJECTED_GATE: "it contradicts the track",
 }
 """Why a measurement that was tested is not used."""
@@ -91,22 +92,23 @@ class Tracker:
         self._base_flags = PoseFlag(0)
         self._entries: list[_Entry] = []
         self._attempts: list[Attempt] = []
-        self._old: list[float] = []
+        self._unused: list[float] = []
+        """First and last stamp of the records outside the buffer that alone have arrived since the last one in it."""
 
     @property
     def track(self) -> Track:
         """After all records so far."""
         return self._entries[-1].track if self._entries else self._base
 
-    def add(self, line: PoseLine, now_s: float = float("inf")) -> Attempt:
-        """Use one record, if it can be used; `now_s` is the host's clock.
+    def add(self, line: PoseLine, now_s: float = float("inf"), inflation: float = 1.0) -> Attempt:
+        """Use one record, if it can be used; `now_s` is the host's clock, `inflation` a factor on its variances.
 
         Raises `DataError` for a record that does not belong to this track: of another rig, repeated, or with other
         nuisance parameters.
         """
         try:
             with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
-                status, ratio, reason = self._fused(line, now_s)
+                status, ratio, reason = self._fused(line, now_s, inflation)
         except np.linalg.LinAlgError:
             status, ratio, reason = FusionStatus.REJECTED_COVARIANCE, nan, "its equations are singular"
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
@@ -121,15 +123,19 @@ class Tracker:
         return track_line(self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self.options, lines)
 
     def line_of(self, attempt: Attempt) -> TrackLine:
-        """The record at the time of an attempt, or of the track if that is later or the stamp cannot be right."""
-        timely = attempt.fusion_status not in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD)
-        return self.line_at(attempt.stamp_s if timely or not self.track.banks else self.track.stamp_s)
+        """The record at the time of an attempt, or of the track if that is later.
+
+        Stamps outside the buffer cannot be right, but their differences show for how long the track has been predicted.
+        """
+        if attempt.fusion_status in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD) and self.track.banks:
+            return self.line_at(self.track.stamp_s + self._unused[-1] - self._unused[0])
+        return self.line_at(attempt.stamp_s)
 
     def _flags(self) -> PoseFlag:
         used = [e.flags for e in self._entries if e.fusion.status is FusionStatus.FUSED]
         return (used[-1] if used else self._base_flags) & REPORTED_FLAGS
 
-    def _fused(self, line: PoseLine, now_s: float) -> tuple[FusionStatus, float, str]:
+    def _fused(self, line: PoseLine, now_s: float, inflation: float) -> tuple[FusionStatus, float, str]:
         """What becomes of a record, the ratio of its test, and why it is not used."""
         measurement, newest_s = line.measurement, self.track.stamp_s
         if measurement is None or not isfinite(line.pose_stamp_s):
@@ -137,17 +143,18 @@ class Tracker:
         self._check_rig(line)
         stamp_s = line.pose_stamp_s
         if stamp_s > now_s + FUTURE_S:
+            self._leave_out(stamp_s)
             return FusionStatus.TOO_NEW, nan, f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
         if line.flags & UNUSABLE or not _is_plausible(measurement):
             ambiguous = line.flags & UNUSABLE
             why = "the assignment of its stripes is ambiguous" if ambiguous else "its measurement describes no ring"
             return FusionStatus.REJECTED_COVARIANCE, nan, why
         if stamp_s < self._base_stamp_s:
-            return self._too_old(stamp_s), nan, f"it is older than the buffer of {BUFFER_S:g} s"
-        self._old.clear()
-        inflation = 1.0
+            self._leave_out(stamp_s)
+            return FusionStatus.TOO_OLD, nan, f"it is older than the buffer of {BUFFER_S:g} s"
+        self._unused.clear()
         if line.flags & PoseFlag.INCONSISTENT:
-            inflation = max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
+            inflation *= max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
         camera = None if self.camera is None else self.camera.at(stamp_s)
         if self.camera is not None and camera is None:
@@ -185,13 +192,16 @@ class Tracker:
         if isfinite(oldest_s):
             self._base_stamp_s = max(self._base_stamp_s, oldest_s)
 
-    def _too_old(self, stamp_s: float) -> FusionStatus:
-        """Count records that are too old: if they alone go on, the clock was set back, and the track starts anew."""
-        self._old = [*(self._old if not self._old or stamp_s > self._old[-1] else []), stamp_s]
-        if self._old[-1] - self._old[0] > self.options.lost_after_s:
-            self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), self._old[-1]
-            self._entries, self._old = [], []
-        return FusionStatus.TOO_OLD
+    def _leave_out(self, stamp_s: float) -> None:
+        """Note the stamp of a record outside the buffer; one that is not later than the last is of another clock.
+
+        If only older ones have come for long enough, the clock was set back, and the track starts anew.
+        """
+        continues = self._unused and stamp_s > self._unused[-1]
+        self._unused = [self._unused[0], stamp_s] if continues else [stamp_s]
+        if stamp_s < self._base_stamp_s and self._unused[-1] - self._unused[0] > self.options.lost_after_s:
+            self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), stamp_s
+            self._entries, self._unused = [], []
 
     def _check_rig(self, line: PoseLine) -> None:
         self._hash = self._hash or line.rig

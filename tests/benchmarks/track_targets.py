@@ -41,7 +41,7 @@ from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.pose import PoseLine
-from ringpose.types.track import FusionStatus, MotionModel
+from ringpose.types.track import FusionStatus, MotionModel, TrackLine
 
 SHOTS_HZ = 6.0
 SPEED_M_S, RATE_DEG_S = 0.01, 0.5
@@ -364,29 +364,42 @@ def capture(rng, runs: int) -> Iterator[Figure]:
 
     Motions are drawn from the prior of a track, which matters for short ones.
     """
-    prior = TrackOptions().motion
+    prior, wanted = TrackOptions().motion, 10 * runs
     drawn = {"speed_m_s": prior.speed_sd_m_s, "rate_deg_s": float(np.degrees(prior.rate_sd_rad_s))}
-    reported, captured = [], []
-    for motion in motions(rng, 20 * runs, **drawn):
-        lines = stream(motion, rng.integers(2, 5) / SHOTS_HZ, Shots(), rng, SHOTS_HZ)
-        gripper = Gripper(radial_m=10 ** rng.uniform(-4.3, -2.7), tilt_rad=10 ** rng.uniform(-2.9, -1.6))
-        tracker = Tracker(None, lines=LineOptions(gripper=gripper))
-        for line in lines:
+    outcomes: list[list[tuple[float, bool]]] = [[] for _ in range(10)]
+    for motion in motions(rng, 30 * wanted, **drawn):
+        tracker = Tracker(None)
+        for line in stream(motion, rng.integers(2, 5) / SHOTS_HZ, Shots(), rng, SHOTS_HZ):
             tracker.add(line)
+        gripper = _gripper(tracker.line_at(0.0), rng)
+        tracker._lines = LineOptions(gripper=gripper)
         found = tracker.line_at(0.0)
-        ring = motion.at(found.stamp_s - START_S)
+        ring, reported = motion.at(found.stamp_s - START_S), found.capture_probability
         tilt = float(angle_between(found.pose.normal, ring.normal))
-        reported.append(found.capture_probability)
-        captured.append(grasp_distance_m(found.grasp.point_m, ring) <= gripper.radial_m and tilt <= gripper.tilt_rad)
-    bins, inside, beyond = np.minimum((10 * np.array(reported)).astype(int), 9), 0, 0
-    for number in range(10):
-        chosen = bins == number
-        expected, count = np.array(reported)[chosen].mean(), int(np.array(captured)[chosen].sum())
-        inside += binom.ppf(0.005, chosen.sum(), expected) <= count <= binom.ppf(0.995, chosen.sum(), expected)
-        low, high = binom.ppf([5e-5, 1 - 5e-5], chosen.sum(), expected)
+        captured = grasp_distance_m(found.grasp.point_m, ring) <= gripper.radial_m and tilt <= gripper.tilt_rad
+        outcomes[min(int(10 * reported), 9)].append((reported, captured))
+        if min(map(len, outcomes)) >= wanted:
+            break
+    inside, beyond = 0, 0
+    for each in outcomes:
+        expected, count = np.mean([reported for reported, _ in each[:wanted]]), sum(hit for _, hit in each[:wanted])
+        low, least, most, high = binom.ppf([5e-5, 0.005, 0.995, 1 - 5e-5], len(each[:wanted]), expected)
+        inside += least <= count <= most
         beyond += not low <= count <= high
+    fewest = min(min(map(len, outcomes)), wanted)
+    yield Figure(name="capture probability: outcomes in each bin", value=fewest, least=wanted, most=wanted)
     yield Figure(name="capture probability: bins in their 99 % band, of 10", value=float(inside), least=9, most=10)
     yield Figure(name="capture probability: bins beyond 99.99 %", value=float(beyond), most=0)
+
+
+def _gripper(line: TrackLine, rng) -> Gripper:
+    """Limits whose probability is nearly uniform, if the errors were isotropic: its share of each limit is drawn."""
+    probability, share = rng.uniform(), rng.uniform(0.2, 0.8)
+    of_grasp, of_tilt = np.sqrt(chi2.ppf([probability**share, probability ** (1.0 - share)], 2))
+    axial = line.pose.normal @ line.grasp.covariance[:3, :3] @ line.pose.normal
+    radial = np.trace(line.grasp.covariance[:3, :3]) / 2.0
+    sd_m, sd_rad = np.sqrt([(axial + radial) / 2.0, np.trace(line.pose.covariance[:2, :2]) / 2.0])
+    return Gripper(radial_m=of_grasp * sd_m, tilt_rad=of_tilt * sd_rad)
 
 
 def speed(rng, runs: int) -> Iterator[Figure]:

@@ -64,12 +64,11 @@ def test_noise_is_no_change_of_light(rng, noise_dn):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_dn", [0.3, 3.0, 20.0])
-def test_noise_is_no_change_of_light_in_thousands_of_shots(rng, noise_dn):
+def test_noise_is_no_change_of_light_in_thousands_of_shots(rng):
     light_dn = np.full((3, HEIGHT, WIDTH), 100.0)
     lasers = (0, 1, 0)
 
-    assert not any(ambient_change(shot_of(light_dn, rng, lasers, noise_dn=noise_dn)) for _ in range(3000))
+    assert not any(ambient_change(shot_of(light_dn, rng, lasers, noise_dn=3.0)) for _ in range(3000))
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.4, np.pi / 2])

@@ -22,7 +22,7 @@ def lost_of(shots):
 
 
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
-@pytest.mark.parametrize("eighth", range(8))
+@pytest.mark.parametrize("eighth", [0, 3, 6])
 def test_a_beacon_costs_shots_but_spoils_none(rng, half_period_s, eighth):
     phase_s = eighth / 4 * half_period_s
     scene = BlinkingScene(rng, on_s=half_period_s, off_s=half_period_s, phase_s=phase_s)
@@ -48,7 +48,7 @@ def test_a_flash_within_a_shot_is_recognised_though_its_dark_frames_agree(rng, o
         assert not any(scene.is_on(stamp_s) for stamp_s in shot.stamp_s)
 
 
-@pytest.mark.parametrize("phase_s", [100.06, 100.1, 100.2, 100.3])
+@pytest.mark.parametrize("phase_s", [100.06, 100.2])
 def test_a_lamp_on_a_twentieth_of_the_image_is_not_taken_for_lasers(rng, phase_s):
     scene = BlinkingScene(rng, line_dn=30.0, on_s=0.15, off_s=0.85, phase_s=phase_s, patch=np.s_[56:84, 20:60])
 
@@ -115,8 +115,7 @@ def test_a_surface_that_moves_in_steady_light_loses_no_shot(rng):
     assert not any("ambient_change_dn" in shot.meta for shot in shots)
 
 
-@pytest.mark.parametrize("fault", ["welded", "sticking"])
-@pytest.mark.parametrize("laser", [0, 1, 2])
+@pytest.mark.parametrize(("fault", "laser"), [("welded", 0), ("welded", 2), ("sticking", 1)])
 @pytest.mark.parametrize(
     ("half_period_s", "phase_s"),
     [

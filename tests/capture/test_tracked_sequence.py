@@ -1,6 +1,6 @@
 """The lasers of each shot while a track assigns their stripes."""
 
-from ringpose.capture.tracked_sequence import OFF_EVERY, TrackedSequence
+from ringpose.capture.source import OFF_EVERY, TrackedSequence
 from ringpose.types.sequence import parsed_sequence
 
 

@@ -1,5 +1,7 @@
 """A camera that a robot carries: the track is in the robot's base frame."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from ring_scenes import RIGS, Ring, pixels_of
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import predicted_ring, predicted_stripes
+from ringpose.track.shots import ShotTracker
 from ringpose.types.robot import Mount, RobotPoses
 from ringpose.types.track import FusionStatus
 
@@ -78,6 +81,41 @@ def test_the_pose_of_the_camera_is_interpolated_between_those_of_the_robot():
 @pytest.mark.parametrize("time_s", [-0.6, 2.1, 100.0])
 def test_a_time_that_the_poses_do_not_cover_has_no_camera(time_s):
     assert robot(2.0).at(START_S + time_s) is None
+
+
+@pytest.mark.parametrize("jump", ["position", "rotation"])
+def test_poses_that_jump_as_no_robot_can_have_no_camera_beside_the_jump(jump):
+    steady = robot(2.0)
+    position_m, rotation = steady.poses.position_m.copy(), steady.poses.rotation.copy()
+    if jump == "position":
+        position_m[12] += [0.0, 0.0, 1.2]
+    else:
+        rotation[12] = rotation[12] @ cv2.Rodrigues(np.array([0.0, 3.0, 0.0]))[0]
+    jumping = replace(steady, poses=replace(steady.poses, position_m=position_m, rotation=rotation))
+    wrong_s = float(steady.poses.stamp_s[12])
+
+    assert [jumping.at(wrong_s + time_s) is None for time_s in (-0.15, -0.05, 0.05, 0.15)] == [False, True, True, False]
+    assert "jump" in jumping.why_not_at(wrong_s + 0.05)
+
+
+@pytest.mark.parametrize("time_s", [1.95, 2.1, 2.7])
+def test_a_robot_that_goes_on_is_where_its_last_speed_leads(time_s):
+    steady, ended = robot(4.0), robot(2.0)
+
+    expected, found = steady.at(START_S + time_s), ended.going_on_until(START_S + time_s).at(START_S + time_s)
+
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-6)
+    np.testing.assert_allclose(found.origin_m, expected.origin_m, atol=5e-4)
+
+
+def test_lasers_are_assigned_with_robot_poses_up_to_the_last_shot(in_base, rng):
+    shots, lines = ShotTracker(tracker := Tracker(None)), stream(SeenByRobot(in_base), 1.5, Shots(), rng)
+    for line in lines:
+        tracker.camera = robot(line.pose_stamp_s - START_S + 0.15)
+        shots.added(line)
+
+    assert tracker.camera.at(lines[-1].pose_stamp_s + 1 / 6) is None
+    assert shots.assigns_lasers(RIGS["B"])
 
 
 def test_a_track_whose_camera_becomes_known_later_is_in_the_base():

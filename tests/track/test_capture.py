@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.track.capture import capture_probability
+from ringpose.track.lines import capture_probability
 
 
 def test_independent_round_errors_have_the_probabilities_of_the_rayleigh_distribution():

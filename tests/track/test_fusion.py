@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from moving_rings import START_S, Shots, drawn_motion, record, stream
 
 from ringpose.errors import DataError
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import RigStability
@@ -130,6 +132,21 @@ def test_records_of_a_second_clock_do_not_disturb_the_first(records):
     np.testing.assert_array_equal(final_state(tracker), final_state(alone))
 
 
+@pytest.mark.parametrize(("offset_s", "status"), [(-100.0, FusionStatus.TOO_OLD), (5000.0, FusionStatus.TOO_NEW)])
+def test_a_track_ages_while_all_newer_records_have_impossible_stamps(records, offset_s, status):
+    tracker = Tracker(None)
+    statuses(tracker, records[:6])
+    found = []
+    for number in range(16):
+        stamp_s = records[5].pose_stamp_s + offset_s + 0.2 * number
+        attempt = tracker.add(at(records[5], stamp_s), NOW_S)
+        assert attempt.fusion_status is status
+        found.append(tracker.line_of(attempt).validity)
+
+    assert found[0] is Validity.VALID  # a single one may be an error of its stamp
+    assert (found[4], found[11], found[15]) == (Validity.PREDICTED, Validity.STALE, Validity.LOST)
+
+
 def test_a_clock_that_was_set_back_starts_the_track_anew(records, rng):
     motion = drawn_motion(rng)
     earlier = [at(each, each.pose_stamp_s - 1e6) for each in stream(motion, 5.0, Shots(), rng, 2.0)]
@@ -245,6 +262,29 @@ def test_a_measurement_without_information_or_with_an_implausible_one_is_rejecte
     found = statuses(tracker, [replace(records[3], measurement=replace(records[3].measurement, square_root=root))])
 
     assert found == [FusionStatus.REJECTED_COVARIANCE]
+
+
+def test_a_record_that_does_not_determine_the_plane_continues_a_track_but_starts_none(records):
+    weak = [replace(each, flags=PoseFlag.NORMAL_WEAK) for each in records]
+
+    found = statuses(Tracker(None), [weak[0], records[1], weak[2]])
+
+    assert found == [FusionStatus.REJECTED_COVARIANCE, FusionStatus.FUSED, FusionStatus.FUSED]
+
+
+def test_a_weak_record_that_was_linearised_far_from_the_track_does_not_count(records):
+    """Its rows pass the gate, but they were derived for a ring that is tilted by 30 degrees."""
+    tracker = Tracker(None)
+    statuses(tracker, records[:6])
+    found = records[6].measurement
+    point = found.linearized_at
+    tilted = replace(point, normal=cv2.Rodrigues(np.deg2rad(30.0) * tilt_basis(point.normal)[0])[0] @ point.normal)
+    weak = 4.0 / np.linalg.norm(found.square_root[:, 1] * np.deg2rad(30.0)) * found.square_root
+
+    far = replace(records[6], shot="far", measurement=replace(found, linearized_at=tilted, square_root=weak))
+    near = replace(records[6], measurement=replace(found, square_root=weak))
+
+    assert statuses(tracker, [far, near]) == [FusionStatus.REJECTED_COVARIANCE, FusionStatus.FUSED]
 
 
 def test_an_inconsistent_record_counts_less(records):

@@ -10,6 +10,7 @@ from ring_scenes import RIGS, pixels_of
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
 from ringpose.track.shots import ShotTracker
+from ringpose.types.assumptions import USUAL
 from ringpose.types.image import Shot
 
 RIG = RIGS["B"]
@@ -111,3 +112,18 @@ def test_lasers_are_assigned_while_shots_continue_the_track_and_not_after_one_th
 
     assert found[-1]
     assert not shots.assigns_lasers(RIG)
+
+
+def test_shots_that_share_a_background_count_less(rng):
+    still = drawn_motion(rng, speed_m_s=0.0, rate_deg_s=0.0)
+    lines, variances = stream(still, 3.0, Shots(), rng), []
+    for masks in ([0, 7], [7]):
+        shots = ShotTracker(tracker := Tracker(None))
+        for line in lines[:12]:
+            shots.added(line)
+        shots.detected(shot([0, 7], lines[12].pose_stamp_s - 0.02), RIG, USUAL.about_shot(RIG.stability, still=False))
+        shots.detected(shot(masks, lines[12].pose_stamp_s), RIG, USUAL.about_shot(RIG.stability, still=False))
+        shots.added(lines[12])
+        variances.append(np.trace(tracker.line_at(0.0).grasp.covariance[:3, :3]))
+
+    assert variances[1] > 1.05 * variances[0]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from moving_rings import Motion, Shots, drawn_motion, measured, record
+from moving_rings import Motion, Shots, drawn_motion, measured, record, rings_of
 from ring_scenes import RIGS, Ring
 
 from ringpose.geometry.ring import RingArcs, ring_arcs
@@ -143,6 +143,25 @@ def test_a_measurement_described_for_the_other_side_predicts_the_same_rows(ring,
 def _signed(step) -> np.ndarray:
     """The same increments for arcs with reversed inward and along axes and the opposite curvature."""
     return np.concatenate([step * np.array([-1, -1, 1, -1, 1, -1, 1]), np.zeros(7)])[None]
+
+
+def test_a_measurement_of_a_moving_ring_describes_the_same_rows_as_the_record(rng):
+    """Rings a little beside the linearisation point, by the parameters of the record: radius, place, motion."""
+    motion = drawn_motion(rng, speed_m_s=0.1, rate_deg_s=5.0)
+    line = record(motion, 0.0, Shots(), rng)
+    found, observed = (
+        line.measurement,
+        observation(line, line.measurement, common_errors(line, line.measurement, None), 1.0),
+    )
+    scale = 1e-5 * np.array([1, 1, 1, 1, 1, 10, 10, 10, 10, 10, 10, 10])
+
+    for increments in scale * rng.normal(size=(20, 12)):
+        center, normal, radius, velocity, rate = (part[0] for part in rings_of(found.linearized_at, increments[None]))
+        state = state_of(Ring(center_m=center, normal=normal, radius_m=radius), velocity, rate, observed.arcs.origin)
+        beside = charted(observed.chart, state)
+        rates = step_rates(observed.chart, beside)[0] - observed.step_rates
+        rows = observed.wrt_step @ beside.coordinates[0, :7] + observed.wrt_step_rates @ rates
+        np.testing.assert_allclose(rows, found.square_root[:, :12] @ increments, atol=1e-4)
 
 
 @pytest.mark.parametrize(("sigma_px", "line_px"), [(0.3, 0.02), (0.03, 0.1)])

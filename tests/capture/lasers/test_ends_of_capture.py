@@ -15,11 +15,11 @@ HEARTBEAT_S = 1.0
 LONG_ON = ("--settle", "0.4", "--sequence", "all,off")
 """Options with which the lasers are on for long enough to be observed."""
 
-SCHEMES = ["lcus", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("numato", "modbus", "ascii"))]
+OTHER_SCHEMES = ("numato", "modbus", "ascii")
 
 FATAL = [signal.SIGKILL, signal.SIGSEGV]
 
-HANDLED = [signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGINT, signal.SIGHUP))]
+HANDLED = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
 """Signals that the command converts to exceptions, all in the same way."""
 
 
@@ -33,8 +33,15 @@ def off_time(relays, process, number, time_until, limit_s=5.0):
     return off_s
 
 
-@pytest.mark.parametrize("number", [*FATAL, *HANDLED])
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize(
+    ("scheme", "number"),
+    [
+        ("lcus", signal.SIGKILL),
+        ("lcus", signal.SIGTERM),
+        *(pytest.param("lcus", number, marks=pytest.mark.slow) for number in (signal.SIGSEGV, *HANDLED[1:])),
+        *(pytest.param(scheme, signal.SIGKILL, marks=pytest.mark.slow) for scheme in OTHER_SCHEMES),
+    ],
+)
 def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, capturing, time_until, scheme, number):
     def measured():
         with board(scheme) as (relays, uri), capturing(uri, *LONG_ON, "--force") as process:
@@ -45,7 +52,7 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, captur
     assert fastest(measured, OFF_WITHIN_S) < OFF_WITHIN_S
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", ["lcus", *(pytest.param(each, marks=pytest.mark.slow) for each in OTHER_SCHEMES)])
 def test_a_suspended_capture_switches_off_and_can_be_continued(board, capturing, time_until, scheme):
     def measured():
         with board(scheme) as (relays, uri), capturing(uri, *LONG_ON, "--count", "1", "--force") as process:
@@ -59,6 +66,7 @@ def test_a_suspended_capture_switches_off_and_can_be_continued(board, capturing,
     assert fastest(measured, OFF_WITHIN_S) < OFF_WITHIN_S
 
 
+@pytest.mark.slow
 def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_freed(board, capturing, time_until):
     def measured():
         ballast = "ballast = b'x' * 700_000_000"

@@ -93,7 +93,7 @@ def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(op
 def test_lasers_are_waited_for_no_longer_than_the_watchdog_allows(shots_of, monkeypatch):
     monkeypatch.setattr("ringpose.capture.lasers.watchdog.WatchdogLasers.longest_on_s", 0.3)
 
-    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.14}))
+    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.23}))
 
     assert shot.meta["settle_s"] == pytest.approx(0.24)
 
@@ -184,7 +184,7 @@ SLOW = pytest.mark.slow
 
 @pytest.mark.parametrize("delay_s", [pytest.param(0.0, marks=SLOW), 0.03, pytest.param(0.08, marks=SLOW)])
 def test_the_settling_time_is_measured_once(shots_of, monkeypatch, delay_s):
-    monkeypatch.setattr("ringpose.capture.settling_time.MAX_DURATION_S", 0.15)
+    monkeypatch.setattr("ringpose.capture.pipeline.MAX_SETTLE_S", 0.15)
     how = procedure(settle_s=None)
 
     shots, _ = shots_of(how, RelayFaults(operate_s=delay_s / 2, release_s=delay_s), names="ab")
@@ -196,7 +196,7 @@ def test_the_settling_time_is_measured_once(shots_of, monkeypatch, delay_s):
 
 
 def test_what_does_not_show_cannot_be_measured(shots_of, monkeypatch):
-    monkeypatch.setattr("ringpose.capture.settling_time.MAX_DURATION_S", 0.05)
+    monkeypatch.setattr("ringpose.capture.pipeline.MAX_SETTLE_S", 0.05)
 
     with pytest.raises(DeviceError, match="no laser shows in the image"):
         shots_of(procedure(settle_s=None), RelayFaults(dead=frozenset({0, 1, 2})))
