@@ -29,8 +29,16 @@ from ringpose.estimate.covariance import (
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
-from ringpose.estimate.solver import OUTLIER_SIGMAS, at_reference_time, estimate_ring, predicted_residuals
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
+from ringpose.estimate.solver import (
+    DECISION_SIGMAS,
+    OUTLIER_SIGMAS,
+    PRECISE_SIGMAS,
+    at_reference_time,
+    estimate_ring,
+    precise_ring,
+    predicted_residuals,
+)
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
@@ -163,26 +171,32 @@ class Explanation(NamedTuple):
     """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
 
 
-def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool) -> Explanation | None:
+def explain(
+    measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
-    the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried.
+    the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
+    whether the ring is needed to the precision of a pose, and not only the decision.
     """
-    start = initial_guess(measured, measured.observations(rig.lasers), prior)
-    measured = measured if start is None else at_reference_time(start, measured, rig.lasers)
-    best = _better_side(measured, rig, prior, labelled, edges_named)
-    if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
+    guess = initial_guess(measured, measured.observations(rig.lasers), prior)
+    measured = measured if guess is None else at_reference_time(guess, measured, rig.lasers)
+    step_sigmas = PRECISE_SIGMAS if precise else DECISION_SIGMAS
+    best = _better_side(measured, rig, prior, labelled, edges_named, guess, step_sigmas)
+    if prior.radii is not None and best is not None and PoseFlag.RADIUS_INCONSISTENT not in best.flag:
+        # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
+        alone = _better_side(measured, rig, prior._replace(radii=None), labelled, edges_named)
+        if alone is not None and _contradicts(alone.estimate, prior.radii):
+            best = alone._replace(
+                flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
+                remark=RADIUS_REMARK,
+                rejected=(*alone.rejected, Rejection(what="radius")),
+            )
+    if best is None or not precise:
         return best
-    # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
-    alone = _better_side(measured, rig, prior._replace(radii=None), labelled, edges_named)
-    if alone is None or not _contradicts(alone.estimate, prior.radii):
-        return best
-    return alone._replace(
-        flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
-        remark=RADIUS_REMARK,
-        rejected=(*alone.rejected, Rejection(what="radius")),
-    )
+    estimate = precise_ring(best.estimate, best.measured, rig)
+    return None if estimate is None else best._replace(estimate=estimate)
 
 
 def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
@@ -205,17 +219,26 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
 
 
 def _better_side(
-    measured: Measurements, rig: Rig, prior: Prior, labelled: bool, edges_named: bool
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    labelled: bool,
+    edges_named: bool,
+    guess: RingArcs | None = None,
+    step_sigmas: float = DECISION_SIGMAS,
 ) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
-    best = _explained(measured, rig, prior, labelled)
+    best = _explained(measured, rig, prior, labelled, guess=guess, step_sigmas=step_sigmas)
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
         compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
-    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled)
+    opposite = None  # the same arcs, on a ring whose centre is on the other side of the face
+    if best is not None and best.everything is not None and not best.everything[1].regularized:
+        opposite = best.everything[1].arcs.with_center_opposite()
+    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled, start=opposite)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -234,18 +257,29 @@ def _side_score(explanation: Explanation) -> float:
     return score + min(estimate.arcs.curvature, 0.0) ** 2 / variance
 
 
-def _explained(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Explanation | None:
+def _explained(
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    labelled: bool,
+    *,
+    guess: RingArcs | None = None,
+    start: RingArcs | None = None,
+    step_sigmas: float = DECISION_SIGMAS,
+) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named."""
-    estimate = estimate_ring(measured, rig, prior)
-    if estimate is not None and len(measured.edges.edge):
+    edges_seen = len(measured.edges.edge) > 0
+    first_sigmas = DECISION_SIGMAS if edges_seen else step_sigmas
+    estimate = estimate_ring(measured, rig, prior, start, guess=guess, step_sigmas=first_sigmas)
+    if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        estimate = estimate_ring(measured, rig, prior, estimate.arcs)
+        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=step_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, everything, _single_stripes(everything, rig))
     tried: list[Solved] = []
     for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
-        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior)
+        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=DECISION_SIGMAS)
         if estimate is None or not (_is_ring(estimate) or hypothesis.both):
             continue
         wider = 0.0
@@ -361,7 +395,9 @@ def single_stripe_estimates(
     """
     for laser in measured.stripes if len(measured.stripes) == 2 else []:
         alone = measured.without_laser(laser)
-        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions)) if len(alone.points.x) else None
+        if not len(alone.points.x):
+            continue
+        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), step_sigmas=DECISION_SIGMAS)
         if estimate is not None:
             yield laser, alone, estimate
 

@@ -157,6 +157,8 @@ class Estimate(NamedTuple):
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
+    step_sigmas: float
+    """Length of the last step of the iteration, in standard deviations."""
 
     @property
     def arcs(self) -> RingArcs:

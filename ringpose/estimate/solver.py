@@ -54,12 +54,18 @@ OUTLIER_SIGMAS = 3.5
 
 MAX_ITERATIONS = 20
 
-NEAR_SIGMAS, MIN_STEP_SIGMAS = 0.1, 1e-7
-"""Steps below the first length (in standard deviations) end the robust phase, below the second one the iteration.
+NEAR_SIGMAS = 0.1
+"""Length of a step, in standard deviations, below which the robust phase ends."""
 
-After the last step, which is made, the next one would be a hundred to a thousand times shorter: the measurement of a
-record and its priors give its pose to a nanometre.
+PRECISE_SIGMAS, DECISION_SIGMAS = 1e-7, 0.05
+"""Length of the last step, which is made; the next one would be twenty to a thousand times shorter.
+
+Of a pose: the measurement of a record and its priors give it to a nanometre. To decide between explanations: chi-squared
+is then known to 1e-4.
 """
+
+HOPELESS = 1e4
+"""Factor on the limits of `poorly_determined` beyond which an iteration that starts without weak priors ends."""
 
 STRIPES_OF_A_PLANE = 2
 """With fewer stripes the tilt about the stripe is determined by the edges only."""
@@ -74,39 +80,57 @@ MAX_TILT_RAD = 0.7
 """Largest tilt in one iteration."""
 
 
-def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, start: RingArcs | None = None) -> Estimate | None:
-    """The maximum-likelihood ring; None if the iteration diverges. `start`: an approximate ring, if one is known.
+def estimate_ring(
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    start: RingArcs | None = None,
+    *,
+    guess: RingArcs | None = None,
+    step_sigmas: float = PRECISE_SIGMAS,
+) -> Estimate | None:
+    """The maximum-likelihood ring; None if the iteration diverges. `start`: a ring near it, if one is known.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
-    priors in a second run, so that they do not degrade the others. If visible edges close such a gap, the regularised
-    solution is the start: far from the ring, edges lead to wrong minima.
+    priors about the initial guess in a second run, so that they do not degrade the others. If visible edges close such
+    a gap, the regularised solution is the start: far from the ring, edges lead to wrong minima. `guess`: the initial
+    guess, if it was made already; `step_sigmas`: length of the step that ends the iteration.
     """
     edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
     observations = measured.observations(rig.lasers)
 
-    def solve(start: RingArcs, prior: Prior) -> Estimate | None:
-        try:
-            return _gauss_newton(measured, observations, rig, start, prior)
-        except np.linalg.LinAlgError:
-            return None
+    def solve(start: RingArcs, prior: Prior, step_sigmas: float = step_sigmas) -> Estimate | None:
+        return _gauss_newton(measured, observations, rig, start, prior, step_sigmas=step_sigmas)
 
-    with np.errstate(all="ignore"):  # a diverging iteration ends in `_plausible`
-        guess = start
-        start = initial_guess(measured, observations, prior) if guess is None else guess
+    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_residuals`
+        if guess is None and start is None:
+            guess = initial_guess(measured, observations, prior)
+        if start is None and guess is not None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE:
+            regularized = solve(guess, prior._replace(regularize_about=guess), NEAR_SIGMAS)
+            start = None if regularized is None else regularized.arcs
+        start = guess if start is None else start
         if start is None:
             return None
-        if guess is None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE:
-            regularized = solve(start, prior._replace(regularize_about=start))
-            start = start if regularized is None else regularized.arcs
         estimate = solve(start, prior)
-        if estimate is None or is_poorly_determined(estimate):
-            estimate = solve(start, prior._replace(regularize_about=start))
+        if estimate is None or poorly_determined(estimate.inverse):
+            guess = initial_guess(measured, observations, prior) if guess is None else guess
+            estimate = solve(start, prior._replace(regularize_about=start if guess is None else guess))
         # one edge without a line on the face beside it leaves open on which side the centre is: try the other one
         side_open = prior.single_edge and bool(measured.points.isolated.all())
         if estimate is not None and estimate.arcs.curvature < 0 and side_open:
             estimate = solve(estimate.arcs.with_center_opposite(), prior) or estimate
     return estimate
+
+
+def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estimate | None:
+    """An estimate that may have ended after a longer step, to the precision of a pose; None if it diverges."""
+    if estimate.step_sigmas < PRECISE_SIGMAS:
+        return estimate
+    with np.errstate(all="ignore"):
+        return _gauss_newton(
+            measured, measured.observations(rig.lasers), rig, estimate.arcs, estimate.prior, estimate.rates
+        )
 
 
 def _gauss_newton(
@@ -116,30 +140,39 @@ def _gauss_newton(
     arcs: RingArcs,
     prior: Prior,
     rates: Rates = STILL,
+    step_sigmas: float = PRECISE_SIGMAS,
 ) -> Estimate | None:
-    """Iteratively reweighted Gauss-Newton from a ring; None if it diverges."""
+    """Iteratively reweighted Gauss-Newton from a ring; None if it diverges, or is far from being determined."""
     residuals = ring_residuals(arcs, measured, observations, prior, rates)  # r and J, whitened
     count = len(residuals.rate_sds)
     nuisance = residuals.wrt_rates * residuals.rate_sds
     fixed, predicted, weights, near = None, residuals.residual, np.ones(len(residuals.residual)), False
-    for iteration in range(MAX_ITERATIONS):
-        if iteration == 1:  # these derivatives hardly change from here
-            fixed = fixed_columns(residuals, measured, observations, prior, rig)
-            nuisance = _nuisance(residuals, fixed)
-        if not near:
-            # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
-            weights = _robust_weights(predicted, residuals)
-        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
-        sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
-        predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
-        moved = moved_residuals(residuals, step, nuisance_step[:count], measured, observations, prior)
-        if moved is None:
-            return None
-        residuals, nuisance = moved, _nuisance(moved, fixed)
-        if near and sigmas < MIN_STEP_SIGMAS:
-            break
-        if iteration and not near and sigmas < NEAR_SIGMAS:
-            near, weights = True, _inlier_weights(predicted, residuals)
+    try:
+        for iteration in range(MAX_ITERATIONS):
+            if iteration == 1:  # these derivatives hardly change from here
+                fixed = fixed_columns(residuals, measured, observations, prior, rig)
+                nuisance = _nuisance(residuals, fixed)
+            if not near:
+                # weights from the residuals that the last step predicts: before it, outliers hide among large ones
+                weights = _robust_weights(predicted, residuals)
+            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
+            if not iteration and prior.regularize_about is None and _is_hopeless(normal_matrix):
+                return None
+            sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
+            predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
+            moved = moved_residuals(residuals, step, nuisance_step[:count], measured, observations, prior)
+            if moved is None:
+                return None
+            residuals, nuisance = moved, _nuisance(moved, fixed)
+            if iteration and not near and sigmas < NEAR_SIGMAS:
+                robust, near = weights, True
+                weights = _inlier_weights(predicted, residuals)
+                if not np.array_equal(weights, robust):
+                    continue
+            if near and sigmas < step_sigmas:
+                break
+    except np.linalg.LinAlgError:
+        return None
     inverse = _inverse(normal_matrix)
     if inverse is None or fixed is None:
         return None
@@ -160,6 +193,7 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
+        step_sigmas=sigmas,
     )
 
 
@@ -269,13 +303,21 @@ def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Fl
     return weights
 
 
-def is_poorly_determined(estimate: Estimate) -> bool:
-    """Whether the shot leaves tilt or in-plane rotation to more than 0.5 rad, or curvature to more than 1/m (sigmas).
+def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
+    """Whether tilt or in-plane rotation are left to more than 0.5 rad, or curvature to more than 1/m (sigmas).
 
-    The weak priors of `ring_residuals` have about these standard deviations.
+    The weak priors of `ring_residuals` have about these standard deviations. `factor`: on the variances.
     """
-    variance = estimate.inverse.diagonal().tolist()
-    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
+    variance = covariance.diagonal().tolist()
+    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 * factor) or bool(
+        variance[CURVATURE] > factor
+    )
+
+
+def _is_hopeless(normal_matrix: Float64[Array, "7 7"]) -> bool:
+    """Whether parameters are so far from being determined that the iteration is useless without weak priors."""
+    inverse = _inverse(normal_matrix)
+    return inverse is not None and poorly_determined(inverse, HOPELESS)
 
 
 def ring_residuals(
@@ -380,14 +422,14 @@ def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlane
     At this time pose and rates are least correlated (ringpose-method(7), section 8). `arcs`: an approximate ring.
     """
     stamp_s = measured.stamp_s
-    if not bool(np.isfinite(stamp_s).all()):
+    first = float(stamp_s.min())
+    if not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
         return measured
     residuals = ring_residuals(arcs, measured, measured.observations(planes), Prior())
     rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0).wrt_rates[:, :3]
     weight = (rows * rows).sum(axis=1)
     if not 0.0 < float(weight.sum()) < np.inf:
         return measured
-    first = float(stamp_s.min())
     moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
     covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
     return moved if covered else measured
