@@ -33,6 +33,7 @@ from ringpose.estimate.solver import (
     DECISION_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
+    STRIPES_OF_A_PLANE,
     at_reference_time,
     estimate_ring,
     precise_ring,
@@ -371,9 +372,10 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
     for a common ring. Visible edges are further evidence.
     """
-    measured = solved.hypothesis.measured.once()
-    if len(measured.edges.edge):
+    measured = solved.hypothesis.measured
+    if len(measured.edges.edge) or len(measured.stripes) != STRIPES_OF_A_PLANE:
         return []
+    measured = measured.once()
     found = []
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
@@ -393,7 +395,7 @@ def single_stripe_estimates(
     Assumed radii are not used: with them the length of one stripe determines the angle at which it crosses the face,
     but not to which side.
     """
-    for laser in measured.stripes if len(measured.stripes) == 2 else []:
+    for laser in measured.stripes if len(measured.stripes) == STRIPES_OF_A_PLANE else []:
         alone = measured.without_laser(laser)
         if not len(alone.points.x):
             continue

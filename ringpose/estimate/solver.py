@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, Observations, Points
-from ringpose.estimate.nuisance import fixed_columns, mean_ray_jacobian
+from ringpose.estimate.nuisance import fixed_columns
 from ringpose.estimate.residuals import (
     CURVATURE_SD,
     EXPECTED_CURVATURE,
@@ -60,8 +60,8 @@ NEAR_SIGMAS = 0.1
 PRECISE_SIGMAS, DECISION_SIGMAS = 1e-7, 0.05
 """Length of the last step, which is made; the next one would be twenty to a thousand times shorter.
 
-Of a pose: the measurement of a record and its priors give it to a nanometre. To decide between explanations: chi-squared
-is then known to 1e-4.
+Of a pose: the measurement of a record and its priors give it to a nanometre. To decide between explanations: their
+chi-squared is then known to 1e-4.
 """
 
 HOPELESS = 1e4
@@ -101,12 +101,20 @@ def estimate_ring(
     observations = measured.observations(rig.lasers)
 
     def solve(start: RingArcs, prior: Prior, step_sigmas: float = step_sigmas) -> Estimate | None:
-        return _gauss_newton(measured, observations, rig, start, prior, step_sigmas=step_sigmas)
+        try:
+            return _gauss_newton(measured, observations, rig, start, prior, step_sigmas=step_sigmas)
+        except np.linalg.LinAlgError:
+            return None
 
     with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_residuals`
         if guess is None and start is None:
             guess = initial_guess(measured, observations, prior)
-        if start is None and guess is not None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE:
+        if (
+            start is None
+            and guess is not None
+            and len(measured.edges.edge)
+            and len(measured.stripes) < STRIPES_OF_A_PLANE
+        ):
             regularized = solve(guess, prior._replace(regularize_about=guess), NEAR_SIGMAS)
             start = None if regularized is None else regularized.arcs
         start = guess if start is None else start
@@ -127,10 +135,11 @@ def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estima
     """An estimate that may have ended after a longer step, to the precision of a pose; None if it diverges."""
     if estimate.step_sigmas < PRECISE_SIGMAS:
         return estimate
-    with np.errstate(all="ignore"):
-        return _gauss_newton(
-            measured, measured.observations(rig.lasers), rig, estimate.arcs, estimate.prior, estimate.rates
-        )
+    observations = measured.observations(rig.lasers)
+    try:
+        return _gauss_newton(measured, observations, rig, estimate.arcs, estimate.prior, estimate.rates)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _gauss_newton(
@@ -144,35 +153,30 @@ def _gauss_newton(
 ) -> Estimate | None:
     """Iteratively reweighted Gauss-Newton from a ring; None if it diverges, or is far from being determined."""
     residuals = ring_residuals(arcs, measured, observations, prior, rates)  # r and J, whitened
+    if prior.regularize_about is None and _is_hopeless(residuals):
+        return None
     count = len(residuals.rate_sds)
     nuisance = residuals.wrt_rates * residuals.rate_sds
     fixed, predicted, weights, near = None, residuals.residual, np.ones(len(residuals.residual)), False
-    try:
-        for iteration in range(MAX_ITERATIONS):
-            if iteration == 1:  # these derivatives hardly change from here
-                fixed = fixed_columns(residuals, measured, observations, prior, rig)
-                nuisance = _nuisance(residuals, fixed)
-            if not near:
-                # weights from the residuals that the last step predicts: before it, outliers hide among large ones
-                weights = _robust_weights(predicted, residuals)
-            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
-            if not iteration and prior.regularize_about is None and _is_hopeless(normal_matrix):
-                return None
-            sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
-            predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
-            moved = moved_residuals(residuals, step, nuisance_step[:count], measured, observations, prior)
-            if moved is None:
-                return None
-            residuals, nuisance = moved, _nuisance(moved, fixed)
-            if iteration and not near and sigmas < NEAR_SIGMAS:
-                robust, near = weights, True
-                weights = _inlier_weights(predicted, residuals)
-                if not np.array_equal(weights, robust):
-                    continue
-            if near and sigmas < step_sigmas:
-                break
-    except np.linalg.LinAlgError:
-        return None
+    for iteration in range(MAX_ITERATIONS):
+        if iteration == 1:  # these derivatives hardly change from here
+            fixed = fixed_columns(residuals, measured, observations, prior, rig)
+            nuisance = _nuisance(residuals, fixed)
+        # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
+        weights = weights if near else _robust_weights(predicted, residuals)
+        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
+        sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
+        predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
+        moved = moved_residuals(residuals, step, nuisance_step[:count], measured, observations, prior)
+        if moved is None:
+            return None
+        residuals, nuisance = moved, _nuisance(moved, fixed)
+        converged = near and sigmas < step_sigmas
+        if iteration and not near and sigmas < NEAR_SIGMAS:
+            robust, near, weights = weights, True, _inlier_weights(predicted, residuals)
+            converged = sigmas < step_sigmas and np.array_equal(weights, robust)
+        if converged:
+            break
     inverse = _inverse(normal_matrix)
     if inverse is None or fixed is None:
         return None
@@ -181,12 +185,16 @@ def _gauss_newton(
     squares = np.minimum(remaining**2, 1e6)
     squares[residuals.stripe_rows : residuals.data_rows] = 0.0
     common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
+    y_wrt_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * residuals.rate_sds
+    mean_ray_wrt_rates = np.array([np.zeros_like(y_wrt_rates), y_wrt_rates])
     return Estimate(
         residuals=residuals,
+        arcs=residuals.arcs,
+        rates=residuals.rates,
         weights=weights,
         fixed=fixed,
         nuisance=nuisance,
-        mean_ray_wrt_nuisance=mean_ray_jacobian(residuals, measured, observations, prior, rig),
+        mean_ray_wrt_nuisance=np.concatenate([mean_ray_wrt_rates, fixed.mean_ray_wrt_rig], axis=1),
         nuisance_step=nuisance_step,
         normal_matrix=normal_matrix,
         inverse=inverse,
@@ -289,16 +297,17 @@ def solve_normal_equations(
 
 def _robust_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Float64[Array, "row"]:
     """Huber weights of break points and visible edges; 1 for lines, which are robust fits, and for the prior."""
-    first, last = residuals.ends, residuals.data_rows
+    robust = slice(residuals.ends, residuals.data_rows)
     weights = np.ones(len(residual))
-    weights[first:last] = huber_weights(residual[first:last], HUBER_SIGMAS)
+    if np.abs(residual[robust]).max(initial=0.0) > HUBER_SIGMAS:
+        weights[robust] = huber_weights(residual[robust], HUBER_SIGMAS)
     return weights
 
 
 def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Float64[Array, "row"]:
     """0 for the visible edge points that are outliers, 1 for everything else."""
     weights = np.ones(len(residual))
-    edges = slice(residuals.data_rows - len(residuals.edge_scale), residuals.data_rows)
+    edges = slice(residuals.stripe_rows, residuals.data_rows)
     weights[edges] = np.abs(residual[edges]) < OUTLIER_SIGMAS
     return weights
 
@@ -314,9 +323,9 @@ def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) ->
     )
 
 
-def _is_hopeless(normal_matrix: Float64[Array, "7 7"]) -> bool:
+def _is_hopeless(residuals: Residuals) -> bool:
     """Whether parameters are so far from being determined that the iteration is useless without weak priors."""
-    inverse = _inverse(normal_matrix)
+    inverse = _inverse(residuals.jacobian.T @ residuals.jacobian)
     return inverse is not None and poorly_determined(inverse, HOPELESS)
 
 
@@ -365,6 +374,7 @@ def ring_residuals(
         residual=np.concatenate([residual, prior_residual]),
         jacobian=np.concatenate([wrt_all[:, :PARAMETERS], prior_jacobian]),
         ends=ends,
+        stripe_rows=len(residual) - len(edge_scale),
         data_rows=len(residual),
         stripe_numbers=observations.stripe_numbers,
         stripes=stripes._replace(y_wrt_step=stripes.y_wrt_step[:, :PARAMETERS]),

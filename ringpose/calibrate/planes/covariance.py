@@ -21,8 +21,7 @@ from ringpose.calibrate.planes.joint_adjustment import (
     joint_fit,
     prior_information,
 )
-from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
-from ringpose.geometry.rays import intersect, project, rays
+from ringpose.geometry.rays import intersect, pixels_wrt_ray_and_camera, project, rays
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.closed_form import differentiated, pose_covariance
 from ringpose.pose.triangulation import point_covariance

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
+from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
