@@ -8,10 +8,10 @@ penalty for what they reject, or for how much wider their priors are. Where two 
 quantities that they have in common are determined (`Explanation.differing`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations, product
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -239,7 +239,8 @@ def _better_side(
     opposite = None  # the same arcs, on a ring whose centre is on the other side of the face
     if best is not None and best.everything is not None and not best.everything[1].regularized:
         opposite = best.everything[1].arcs.with_center_opposite()
-    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled, start=opposite)
+    max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
+    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled, start=opposite, max_score=max_score)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -267,8 +268,9 @@ def _explained(
     guess: RingArcs | None = None,
     start: RingArcs | None = None,
     step_sigmas: float = DECISION_SIGMAS,
+    max_score: float = inf,
 ) -> Explanation | None:
-    """The best explanation with inner and outer edges as they are named."""
+    """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     edges_seen = len(measured.edges.edge) > 0
     first_sigmas = DECISION_SIGMAS if edges_seen else step_sigmas
     estimate = estimate_ring(measured, rig, prior, start, guess=guess, step_sigmas=first_sigmas)
@@ -278,26 +280,58 @@ def _explained(
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, everything, _single_stripes(everything, rig))
-    tried: list[Solved] = []
-    for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
-        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=DECISION_SIGMAS)
-        if estimate is None or not (_is_ring(estimate) or hypothesis.both):
-            continue
-        wider = 0.0
-        if everything is not None and hypothesis.flag & WIDER:
-            # the likelihood of a wider prior: what it explains, less all that it could have explained
-            wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
-        tried.append(Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate))
+    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, labelled), key=lambda each: each.penalty)
+    tried = _possibly_best(hypotheses, everything, rig, max_score)
     if everything is None and not tried:
         return None
-    best, rivals = _select(everything, tried)
+
+    def both_ends(laser: int) -> Solved | None:
+        """The explanation that rejects both ends of a laser's stripe, also if it is not nearly the best one."""
+        known = [each for each in tried if each.hypothesis.both and each.hypothesis.laser == laser]
+        others = (each for each in hypotheses if each.both and each.laser == laser)
+        return known[0] if known else next((_solved(each, everything, rig) for each in others), None)
+
+    best, rivals = _select(everything, tried, both_ends)
     return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
-def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, list[Solved]]:
+def _possibly_best(
+    hypotheses: Sequence[Hypothesis], everything: Solved | None, rig: Rig, max_score: float
+) -> list[Solved]:
+    """The hypotheses that may be the best one or comparable to it: the penalty of the others alone exceeds its score.
+
+    `hypotheses`: in the order of their penalties. `max_score`: of the explanations that matter.
+    """
+    tried: list[Solved] = []
+    lowest = inf if everything is None else min(everything.score, max_score)
+    for hypothesis in hypotheses:
+        if hypothesis.penalty > lowest + CLEARLY:
+            break
+        found = _solved(hypothesis, everything, rig)
+        if found is not None:
+            tried.append(found)
+            lowest = min(lowest, found.score)
+    return tried
+
+
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig) -> Solved | None:
+    """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=DECISION_SIGMAS)
+    if estimate is None or not (_is_ring(estimate) or hypothesis.both):
+        return None
+    wider = 0.0
+    if everything is not None and hypothesis.flag & WIDER:
+        # the likelihood of a wider prior: what it explains, less all that it could have explained
+        wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
+    return Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate)
+
+
+def _select(
+    everything: Solved | None, tried: list[Solved], both_ends: Callable[[int], Solved | None]
+) -> tuple[Solved, list[Solved]]:
     """The best of the explanations, and its comparable rivals."""
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
-    best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, tried) or near[0], tried)
+    best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
     if fails_chi2_test(best.estimate):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
@@ -532,12 +566,12 @@ def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
     return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
 
 
-def _both_ends_if_either_is_suspect(near: list[Solved], tried: list[Solved]) -> Solved | None:
+def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:
     """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
     points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
     lasers = {each.hypothesis.laser for each in points}
     if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
-        return next((each for each in tried if each.hypothesis.both and each.hypothesis.laser in lasers), None)
+        return both_ends(lasers.pop())
     return None
 
 
@@ -548,7 +582,7 @@ def _nested(best: Solved, other: Solved) -> bool:
     return whole and first.laser == second.laser >= 0
 
 
-def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
+def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | None]) -> Solved:
     """The same, or without the other end of the stripe, too, if only that end determines the ring's curvature.
 
     What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
@@ -556,8 +590,7 @@ def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
     hypothesis = best.hypothesis
     if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both or hypothesis.cause_seen:
         return best
-    both = (each for each in tried if each.hypothesis.both and each.hypothesis.laser == hypothesis.laser)
-    without = next(both, None)
+    without = both_ends(hypothesis.laser)
     if without is None:
         return best
     sd, sd_without = (sqrt(float(each.estimate.inverse[CURVATURE, CURVATURE])) for each in (best, without))
