@@ -12,11 +12,10 @@ import numpy as np
 
 from ringpose.detect.pipeline import detect
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 Clock = Callable[[], float]
 

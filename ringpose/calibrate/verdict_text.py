@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ringpose.types.verdict import Check, Grade, Verdict
+from ringpose.types.calibration import Check, Grade, Verdict
 
 
 def verdict_values(verdict: Verdict) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The lasers of each shot while a track may assign their stripes: all in every frame, else one after the other."""
 
-from ringpose.types.sequence import Step
+from ringpose.types.session import Step
 
 OFF_EVERY = 10
 """Number of shots with all lasers on for each frame without lasers, which shows the background."""

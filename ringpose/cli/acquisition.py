@@ -28,7 +28,7 @@ from ringpose.files.inputs import Input, Problem, inputs
 from ringpose.files.sources import path_of_input
 from ringpose.types.image import Shot
 from ringpose.types.options import STDIN
-from ringpose.types.sequence import Step, steps_of
+from ringpose.types.session import Step, steps_of
 
 
 def source_of(request: CaptureRequest, batch: Batch) -> Source:

@@ -68,12 +68,11 @@ if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.pipeline import Tracker
-    from ringpose.types.assumptions import AssumptionOptions
+    from ringpose.types.assumptions import AssumptionOptions, KnownRadii, Ring
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
-    from ringpose.types.ring import KnownRadii, Ring
 
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")

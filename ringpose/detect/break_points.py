@@ -28,7 +28,6 @@ from ringpose.kernels.ends import EndParams, Ends, MarkParams, flagged_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
-from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     MAX_OFFSET,
     UNLABELLED,
@@ -39,7 +38,7 @@ from ringpose.types.detection import (
     outside_image,
 )
 from ringpose.types.pose import PoseFlag
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 KINK_LEVEL = 0.25
 """Ratio of the level beyond the edge to that on the face above which the stripe continues: a wall."""

@@ -22,9 +22,8 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import rays_wrt_pixel, undistort
 from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 NOMINAL_SIGMA_PX = 0.3
 """Of a break point without a covariance; it only weights the points against each other and is not reported."""

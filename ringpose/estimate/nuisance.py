@@ -20,8 +20,7 @@ from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, laser_parameters
-from ringpose.types.rig import Rig
+from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, Rig, laser_parameters
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""

@@ -19,8 +19,7 @@ from ringpose.geometry.ring import (
     StripePrediction,
 )
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.assumptions import Assumptions
-from ringpose.types.ring import KnownRadii
+from ringpose.types.assumptions import Assumptions, KnownRadii
 
 PARAMETERS = len(STEP)
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
-from ringpose.types.assumptions import MAX_TOLERANCE_M
-from ringpose.types.ring import Ring
+from ringpose.types.assumptions import MAX_TOLERANCE_M, Ring
 
 SCHEMA = "rings/1"
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 _EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
 """Termination of the iterative undistortion; OpenCV's default of five iterations leaves errors of up to 0.01 px."""

@@ -11,10 +11,9 @@ import numpy as np
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.geometry.rays import intersect, pixels_wrt_ray_and_camera, rays
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints
 from ringpose.types.pose import RingPoints
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 
 def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:

@@ -21,8 +21,7 @@ from ringpose.simulate.features import drawn_features
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.types.assumptions import NOISE_ONLY
 from ringpose.types.pose import RingPose
-from ringpose.types.scene import Scene
-from ringpose.types.truth import Truth
+from ringpose.types.scene import Scene, Truth
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "scene.yaml"
 

@@ -45,10 +45,9 @@ from ringpose.simulate.placement import ring_views
 from ringpose.simulate.renderer import layers, pixel_rays
 from ringpose.simulate.sensor import digitised
 from ringpose.types.arrays import Array, Float32, Float64
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 from ringpose.types.scene import Scene
 
 SCENE = Path(__file__).parents[2] / "examples" / "scene.yaml"

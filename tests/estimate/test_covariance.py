@@ -12,9 +12,9 @@ from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.pose.maximum_likelihood import most_likely_pose
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import Method
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag
+from ringpose.types.rig import ParameterCovariance
 
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 PLANES = tuple(f"{laser}.{what}" for laser in ("left", "middle", "right") for what in ("tilt_1", "tilt_2", "distance"))

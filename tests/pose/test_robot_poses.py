@@ -15,7 +15,7 @@ from ringpose.pose.record import pose_line
 from ringpose.types.assumptions import USUAL, Assumptions, MotionPrior
 from ringpose.types.detection import Detection, joined_edge_points
 from ringpose.types.pose import NoPose, PoseFlag, RingPose
-from ringpose.types.robot import MOUNT_PARAMETERS, Mount, RobotPoses
+from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
 STAMPS_S = 100.0 + np.arange(3) / 30
 STILL = Assumptions()

@@ -12,9 +12,8 @@ from ringpose.calibrate.camera.validation import used_views
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.calibration import CameraCalibration
-from ringpose.types.camera import Camera
-from ringpose.types.verdict import Check
+from ringpose.types.calibration import CameraCalibration, Check
+from ringpose.types.rig import Camera
 
 VIEW_FACTOR = 2.5
 """A view is rejected if its rms exceeds this multiple of the views' median; in good sets the ratio is below 1.5."""

@@ -7,9 +7,8 @@ import numpy as np
 from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m, worst_depth_sd_m
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION
 from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
-from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.verdict import Check, Verdict
+from ringpose.types.calibration import Check, LaserCalibration, PlanesCalibration, Verdict
+from ringpose.types.rig import ParameterCovariance
 
 FEW_VIEWS, MIN_VIEWS = 5.0, 2.0
 """Good and minimum number of views of a laser: two determine a plane without redundancy; of five, a wrong one stands

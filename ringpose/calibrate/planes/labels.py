@@ -19,7 +19,7 @@ from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.calibration import StripeView
 from ringpose.types.image import ALL_LASERS, Shot
-from ringpose.types.sequence import MAX_LASERS
+from ringpose.types.session import MAX_LASERS
 
 THREE = ("left", "middle", "right")
 """Default names of three lasers, by mask bit."""

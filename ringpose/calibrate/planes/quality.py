@@ -12,10 +12,8 @@ from ringpose.calibrate.planes.labels import THREE
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.covariance import laser_parameters
-from ringpose.types.rig import Rig
-from ringpose.types.verdict import Verdict
+from ringpose.types.calibration import LaserCalibration, PlanesCalibration, Verdict
+from ringpose.types.rig import Rig, laser_parameters
 
 DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
 """Distances at which depth uncertainties are reported."""

@@ -13,8 +13,7 @@ from ringpose.types.options import DistortionModel
 if TYPE_CHECKING:
     from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.cli.calibrate.board_views import BoardImages
-    from ringpose.types.calibration import CameraAssessment, CameraCalibration
-    from ringpose.types.verdict import Verdict
+    from ringpose.types.calibration import CameraAssessment, CameraCalibration, Verdict
 
 
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]

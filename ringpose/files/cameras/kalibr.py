@@ -8,7 +8,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 NAME = "cam0"
 

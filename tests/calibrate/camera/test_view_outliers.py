@@ -10,7 +10,7 @@ from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import Grade
 
 CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
 POINTS = corner_points(CHESSBOARD)

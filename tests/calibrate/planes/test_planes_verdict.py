@@ -11,9 +11,8 @@ from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import common_line_gap_m, plane_angles
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.rig import LaserPlanes
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import Grade
+from ringpose.types.rig import LaserPlanes, ParameterCovariance
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
 
