@@ -68,10 +68,10 @@ if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.pipeline import Tracker
-    from ringpose.types.assumptions import AssumptionOptions, KnownRadii, Ring
+    from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
-    from ringpose.types.pose import PoseLine
+    from ringpose.types.pose import KnownRadii, PoseLine, Ring
     from ringpose.types.rig import Rig
 
 LiveCamera = Annotated[

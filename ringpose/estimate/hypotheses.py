@@ -41,9 +41,9 @@ from ringpose.estimate.solver import (
 )
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, edge_distances
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import Assumptions, KnownRadii, MotionPrior, motion_prior
+from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
-from ringpose.types.pose import PoseFlag
+from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.rig import Rig
 
 PARAMETER_PENALTY = 4.0

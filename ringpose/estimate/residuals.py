@@ -19,7 +19,8 @@ from ringpose.geometry.ring import (
     StripePrediction,
 )
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.assumptions import Assumptions, KnownRadii
+from ringpose.types.assumptions import Assumptions
+from ringpose.types.pose import KnownRadii
 
 PARAMETERS = len(STEP)
 

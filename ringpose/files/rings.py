@@ -4,7 +4,8 @@ from pathlib import Path
 
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
-from ringpose.types.assumptions import MAX_TOLERANCE_M, Ring
+from ringpose.types.assumptions import MAX_TOLERANCE_M
+from ringpose.types.pose import Ring
 
 SCHEMA = "rings/1"
 

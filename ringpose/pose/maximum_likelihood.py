@@ -31,9 +31,19 @@ from ringpose.pose.observability import determined, poorly_determined_flags, rep
 from ringpose.pose.plane_evidence import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.assumptions import IDEAL, Assumptions, KnownRadii, Ring
+from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
-from ringpose.types.pose import NoPose, PlaneEvidence, PoseFlag, PoseResult, Priors, RadiusPrior, RingVelocity
+from ringpose.types.pose import (
+    KnownRadii,
+    NoPose,
+    PlaneEvidence,
+    PoseFlag,
+    PoseResult,
+    Priors,
+    RadiusPrior,
+    Ring,
+    RingVelocity,
+)
 from ringpose.types.rig import Rig
 
 RIG_SUSPECT = PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT | PoseFlag.RING_FORM | PoseFlag.MOTION

@@ -9,10 +9,10 @@ from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.arrays import Array, Bool
-from ringpose.types.assumptions import IDEAL, Assumptions, KnownRadii, Ring
+from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPoints, Rejection, RingEdgePoints
 from ringpose.types.options import Method as Method
-from ringpose.types.pose import NoPose, PoseFlag, PoseResult, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseResult, Ring, RingPose
 from ringpose.types.rig import Rig
 
 

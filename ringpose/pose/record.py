@@ -20,11 +20,21 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.pose.pipeline import pose_result
 from ringpose.pose.visibility import unused_lasers
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import USUAL, AssumptionOptions, KnownRadii, Ring
+from ringpose.types.assumptions import USUAL, AssumptionOptions
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
-from ringpose.types.pose import HARMLESS_FLAGS, LaserState, NoPose, PoseFlag, PoseLine, PoseResult, RingPose
+from ringpose.types.pose import (
+    HARMLESS_FLAGS,
+    KnownRadii,
+    LaserState,
+    NoPose,
+    PoseFlag,
+    PoseLine,
+    PoseResult,
+    Ring,
+    RingPose,
+)
 from ringpose.types.rig import Rig
 
 RADIUS_SD_M = 0.0005

@@ -1,11 +1,7 @@
-"""What a pose assumes about the target's motion, the form and the radii of its ring, and the rig."""
+"""What a pose assumes about the target's motion, the ring's form and the rig."""
 
 from dataclasses import dataclass
 from math import radians
-
-import numpy as np
-
-from ringpose.types.arrays import Array, Float64
 
 MAX_TOLERANCE_M = 0.05
 """Upper bound of a ring's tolerance; larger values are probably millimetres."""
@@ -96,38 +92,3 @@ USUAL = AssumptionOptions()
 
 NOISE_ONLY = AssumptionOptions(still=True, ring_tolerance_m=0.0, rig_stability=0.0)
 """Nothing but image noise and the errors of the calibration, as for Cramer-Rao bounds."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KnownRadii:
-    """Prior of the radii of the ring's edges."""
-
-    radius_m: Float64[Array, "edge=2"]
-    """NaN for an edge without a prior."""
-    sd_m: Float64[Array, "edge=2"]
-    """Standard deviations."""
-    tolerance_m: float | None = None
-    """Of the ring's form, by a catalogue; None if it states none, or the user states another one."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ring:
-    """An entry of a catalogue, with radii as intervals: real ones differ from nominal ones by millimetres."""
-
-    name: str
-    radius_inner_m: tuple[float, float]
-    """Lower and upper limit."""
-    radius_outer_m: tuple[float, float]
-    nominal: bool
-    """Whether the intervals were derived from a nominal interface diameter, not from a drawing or a measurement."""
-    source: str = ""
-    tolerance_m: float | None = None
-    """Standard deviation of the edges from circles, and of the face from a plane."""
-
-    @property
-    def known_radii(self) -> KnownRadii:
-        """Mean and standard deviation of a uniform distribution over each interval."""
-        intervals = np.array([self.radius_inner_m, self.radius_outer_m])
-        return KnownRadii(
-            radius_m=intervals.mean(axis=1), sd_m=np.ptp(intervals, axis=1) / np.sqrt(12), tolerance_m=self.tolerance_m
-        )

@@ -16,8 +16,8 @@ from ringpose.estimate.residuals import Prior
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.maximum_likelihood import most_likely_pose
-from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, KnownRadii, motion_prior
-from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint
+from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, motion_prior
+from ringpose.types.pose import MEASURED_PARAMETERS, KnownRadii, LinearizationPoint
 from ringpose.types.rig import ParameterCovariance
 
 KNOWN = KnownRadii(radius_m=np.array([0.5671, 0.5968]), sd_m=np.array([1e-4, 2e-4]))

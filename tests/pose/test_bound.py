@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.assumptions import KnownRadii
-from ringpose.types.pose import PoseFlag
+from ringpose.types.pose import KnownRadii, PoseFlag
 
 POINT_PX, LINE_PX = 0.3, 0.01
 """Of a break point, and of the middle of a stripe's line: 0.1 px a column, a hundred independent columns."""

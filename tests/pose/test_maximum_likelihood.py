@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.assumptions import KnownRadii
-from ringpose.types.pose import NoPose, PoseFlag
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 POINT_PX, LINE_PX = 0.3, 0.01

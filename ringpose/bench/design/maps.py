@@ -26,9 +26,9 @@ from ringpose.geometry.rotations import facing_normal
 from ringpose.pose.record import RADIUS_SD_M, pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.placement import image_ray, ring_rotation
-from ringpose.types.assumptions import NOISE_ONLY, KnownRadii, RigStability
+from ringpose.types.assumptions import NOISE_ONLY, RigStability
 from ringpose.types.detection import BreakPoints
-from ringpose.types.pose import PoseFlag, PoseLine
+from ringpose.types.pose import KnownRadii, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
 from ringpose.types.scene import RingView, Scene
 

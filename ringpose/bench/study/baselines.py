@@ -16,9 +16,8 @@ from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.closed_form import constrained_form, why_undetermined
 from ringpose.pose.triangulation import triangulated
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.assumptions import KnownRadii
 from ringpose.types.detection import BreakPoints, Detection, RingEdgePoints
-from ringpose.types.pose import NoPose, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.study import StudyMethod
 

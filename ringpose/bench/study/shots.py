@@ -26,11 +26,11 @@ from ringpose.simulate.common_errors import drawn_rig
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.simulate.placement import ring_views
-from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, KnownRadii, MotionPrior
+from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrior
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.pose import NoPose, PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene, Truth
 from ringpose.types.session import parsed_sequence

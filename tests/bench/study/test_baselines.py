@@ -5,9 +5,8 @@ import pytest
 from ring_scenes import RIGS, make_scene, pixels_of
 
 from ringpose.bench.study.baselines import BASELINES, circle_poses
-from ringpose.types.assumptions import KnownRadii
 from ringpose.types.detection import Detection, NoBreakPoints, RingEdgePoints
-from ringpose.types.pose import NoPose, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, RingPose
 from ringpose.types.study import StudyMethod
 
 OF_POINTS = (StudyMethod.BISECTORS, StudyMethod.POINTS)
