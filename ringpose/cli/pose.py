@@ -260,7 +260,7 @@ class _Stream:
 
     def measured(self, source: "Shot | Detection") -> "PoseLine":
         """The pose line of a shot or detection."""
-        from ringpose.pose.record import pose_line
+        from ringpose.pose.pipeline import pose_line
         from ringpose.types.image import Shot
 
         if self.motion_until is not None and isinstance(source, Shot):
@@ -352,7 +352,7 @@ def _write(
     """Every line as it comes, with the health of the rig; then its picture."""
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
-    from ringpose.pose.record import remarks_on
+    from ringpose.pose.pipeline import remarks_on
 
     for line in with_progress(lines, "shots", quiet):
         with_health, warning = stream.monitor.update(line)

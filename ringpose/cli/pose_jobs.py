@@ -32,7 +32,7 @@ class SingleShot:
     def __call__(self, item: "Input") -> "tuple[Input, PoseLine]":
         """The input with its pose line."""
         from ringpose.files.sources import read_source
-        from ringpose.pose.record import pose_line
+        from ringpose.pose.pipeline import pose_line
 
         source = read_source(item, self.rig, self.channel)
         line = pose_line(

@@ -9,7 +9,7 @@ import viser.transforms
 from viser import uplot
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.record import remarks_on
+from ringpose.pose.pipeline import remarks_on
 from ringpose.report.overlay import color_of, pose_texts
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseLine, RingPose, RingVelocity

@@ -17,7 +17,7 @@ from ringpose.console.state import ConsoleState
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import truth_at
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import pose_line
 from ringpose.report.overlay import captioned, overlay, picture_of
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import illuminated_ring, simulated_shot, view_truth

@@ -23,7 +23,7 @@ from ringpose.bench.table import number
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.rotations import facing_normal
-from ringpose.pose.record import RADIUS_SD_M, pose_line
+from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.placement import image_ray, ring_rotation
 from ringpose.types.assumptions import NOISE_ONLY, RigStability

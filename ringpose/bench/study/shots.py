@@ -21,7 +21,7 @@ from ringpose.bench.study.runs import tracked, with_run
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
-from ringpose.pose.record import RADIUS_SD_M, pose_line
+from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
 from ringpose.simulate.common_errors import drawn_rig
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.pipeline import simulated_shot

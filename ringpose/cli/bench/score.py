@@ -273,7 +273,7 @@ def _estimates(
     from ringpose.cli.progress import with_progress
     from ringpose.detect.pipeline import detect
     from ringpose.files.images.shots import read_shot
-    from ringpose.pose.record import pose_line
+    from ringpose.pose.pipeline import pose_line
 
     for truth in with_progress(truths, "shots", quiet):
         with batch.guarded():

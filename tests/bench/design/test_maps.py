@@ -19,7 +19,7 @@ from ringpose.bench.design.maps import (
 )
 from ringpose.estimate.nuisance import with_stability
 from ringpose.files.scenes.scene import read_scene
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 
