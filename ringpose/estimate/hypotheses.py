@@ -26,7 +26,6 @@ from ringpose.estimate.covariance import (
     quantities,
     ring_velocity,
 )
-from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
 from ringpose.estimate.solver import (
@@ -180,8 +179,7 @@ def explain(
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
     whether the ring is needed to the precision of a pose, and not only the decision.
     """
-    guess = initial_guess(measured, measured.observations(rig.lasers), prior)
-    measured = measured if guess is None else at_reference_time(guess, measured, rig.lasers)
+    measured, guess = at_reference_time(measured, rig.lasers, prior)
     step_sigmas = PRECISE_SIGMAS if precise else DECISION_SIGMAS
     best = _better_side(measured, rig, prior, labelled, edges_named, guess, step_sigmas)
     if prior.radii is not None and best is not None and PoseFlag.RADIUS_INCONSISTENT not in best.flag:

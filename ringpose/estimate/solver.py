@@ -42,7 +42,7 @@ from ringpose.geometry.ring import (
     motion_derivatives,
     predicted_view,
 )
-from ringpose.geometry.robust import huber_weights, redescending_weights
+from ringpose.geometry.robust import huber_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import LaserPlanes, Rig
 
@@ -235,7 +235,8 @@ def refine_ring(
 ) -> tuple[RingArcs, Float64[Array, "step=7 step=7"]] | None:
     """A ring near `arcs` after some iterations, and the covariance of its step; None if it diverges.
 
-    For the edge search: many visible edge points may be outliers, so that these have redescending weights.
+    For the edge search: many visible edge points may be outliers, so that these have the redescending weights of Geman
+    and McClure's loss (Statistical Methods for Tomographic Image Reconstruction, 1987), (1 + (r / s)^2)^-2.
     """
     observations = measured.observations(rig.lasers)
     residuals = ring_residuals(arcs, measured, observations, prior)
@@ -245,7 +246,7 @@ def refine_ring(
     try:
         for _ in range(iterations):
             weights = np.ones(len(residuals.residual))
-            weights[robust] = redescending_weights(residuals.residual[robust], HUBER_SIGMAS)
+            weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
             normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, _nuisance(residuals, fixed))
             rate_step = nuisance_step[: len(residuals.rate_sds)]
             moved = moved_residuals(residuals, step, rate_step, measured, observations, prior)
@@ -426,23 +427,27 @@ def _with_zero_rows(rows: Float64[Array, "data column"], count: int) -> Float64[
     return np.concatenate([rows, np.zeros((count, rows.shape[1]))])
 
 
-def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlanes) -> Measurements:
+def at_reference_time(
+    measured: Measurements, planes: LaserPlanes, prior: Prior
+) -> tuple[Measurements, RingArcs | None]:
     """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
 
-    At this time pose and rates are least correlated (ringpose-method(7), section 8). `arcs`: an approximate ring.
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
+    ring, None if there is none.
     """
-    stamp_s = measured.stamp_s
-    first = float(stamp_s.min())
-    if not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
-        return measured
-    residuals = ring_residuals(arcs, measured, measured.observations(planes), Prior())
+    stamp_s, observations = measured.stamp_s, measured.observations(planes)
+    arcs = initial_guess(measured, observations, prior)
+    first = float(stamp_s.min(initial=np.inf))
+    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
+        return measured, arcs
+    residuals = ring_residuals(arcs, measured, observations, Prior())
     rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0).wrt_rates[:, :3]
     weight = (rows * rows).sum(axis=1)
     if not 0.0 < float(weight.sum()) < np.inf:
-        return measured
+        return measured, arcs
     moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
     covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
-    return moved if covered else measured
+    return (moved if covered else measured), arcs
 
 
 def _ordinate_scale(
