@@ -1,11 +1,13 @@
 """Which explanation of a shot is the best one: all measurements on one ring, or some of them wrong.
 
 Six break points and three stripes give twelve numbers for seven parameters. If the ring that fits all of them fails the
-chi-squared test, or misses one of them clearly, the shot is solved again for each hypothesis of `outlier_hypotheses`:
+chi-squared test, or misses one of them clearly, the shot is solved again for the hypotheses of `outlier_hypotheses`:
 one break point, a stripe, the visible edges, the assignment of the lasers, or the assumed radii are wrong; or the
 target moves faster, or the ring is less perfect, than assumed. The hypotheses are compared by chi-squared plus a
-penalty for what they reject, or for how much wider their priors are. Where two of them are comparable, only the
-quantities that they have in common are determined (`Explanation.differing`).
+penalty for what they reject, or for how much wider their priors are; one whose penalty alone exceeds the score of
+another is not solved. (The normal equations of all measurements do not predict which one it will be: a gross outlier
+moves the ring so far that they do not hold.) Where two of them are comparable, only the quantities that they have in
+common are determined (`Explanation.differing`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
