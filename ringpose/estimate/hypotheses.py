@@ -12,6 +12,7 @@ common are determined (`Explanation.differing`).
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import permutations, product
 from math import inf, nan, sqrt
 from typing import NamedTuple
@@ -67,6 +68,9 @@ OCCLUDED_PENALTY = 4.0
 
 RELABEL_PENALTY = 20.0
 """Penalty for exchanging lasers that were switched one by one; lower than for a stripe, as no number is rejected."""
+
+DECISION_CHI2 = 0.1
+"""Change of chi-squared from that of a decision to that of a pose from which the decision is repeated."""
 
 CLEARLY = 6.0
 """Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
@@ -182,21 +186,46 @@ def explain(
     whether the ring is needed to the precision of a pose, and not only the decision.
     """
     measured, guess = at_reference_time(measured, rig.lasers, prior)
-    step_sigmas = PRECISE_SIGMAS if precise else DECISION_SIGMAS
-    best = _better_side(measured, rig, prior, labelled, edges_named, guess, step_sigmas)
-    if prior.radii is not None and best is not None and PoseFlag.RADIUS_INCONSISTENT not in best.flag:
-        # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
-        alone = _better_side(measured, rig, prior._replace(radii=None), labelled, edges_named)
-        if alone is not None and _contradicts(alone.estimate, prior.radii):
-            best = alone._replace(
-                flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
-                remark=RADIUS_REMARK,
-                rejected=(*alone.rejected, Rejection(what="radius")),
-            )
-    if best is None or not precise:
-        return best
+    decided = partial(_decided, measured, rig, prior, labelled, edges_named, guess)
+    if not precise:
+        return decided(DECISION_SIGMAS, DECISION_SIGMAS)
+    best = decided(PRECISE_SIGMAS, DECISION_SIGMAS)
+    if best is None:
+        return None
     estimate = precise_ring(best.estimate, best.measured, rig)
-    return None if estimate is None else best._replace(estimate=estimate)
+    if estimate is not None and estimate.chi2 < best.estimate.chi2 + DECISION_CHI2:
+        return best._replace(estimate=estimate)
+    return decided(PRECISE_SIGMAS, PRECISE_SIGMAS)  # the shorter iteration had ended near a saddle point
+
+
+def _decided(
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    labelled: bool,
+    edges_named: bool,
+    guess: RingArcs | None,
+    step_sigmas: float,
+    other_sigmas: float,
+) -> Explanation | None:
+    """The best explanation with the radii of the prior or, if the shot contradicts them, without.
+
+    `step_sigmas`: length of the last step of the estimate from all measurements; `other_sigmas`: of the same with inner
+    and outer edge exchanged, or without radii.
+    """
+    best = _better_side(measured, rig, prior, labelled, edges_named, guess, step_sigmas, other_sigmas)
+    if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
+        return best
+    # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
+    free = prior._replace(radii=None)
+    alone = _better_side(measured, rig, free, labelled, edges_named, None, other_sigmas, other_sigmas)
+    if alone is None or not _contradicts(alone.estimate, prior.radii):
+        return best
+    return alone._replace(
+        flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
+        remark=RADIUS_REMARK,
+        rejected=(*alone.rejected, Rejection(what="radius")),
+    )
 
 
 def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
@@ -224,11 +253,12 @@ def _better_side(
     prior: Prior,
     labelled: bool,
     edges_named: bool,
-    guess: RingArcs | None = None,
-    step_sigmas: float = DECISION_SIGMAS,
+    guess: RingArcs | None,
+    step_sigmas: float,
+    other_sigmas: float,
 ) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
-    best = _explained(measured, rig, prior, labelled, guess=guess, step_sigmas=step_sigmas)
+    best = _explained(measured, rig, prior, labelled, step_sigmas, guess=guess)
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
@@ -239,7 +269,8 @@ def _better_side(
     if best is not None and best.everything is not None and not best.everything[1].regularized:
         opposite = best.everything[1].arcs.with_center_opposite()
     max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
-    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled, start=opposite, max_score=max_score)
+    exchanged = measured.with_edges_exchanged()
+    other = _explained(exchanged, rig, prior, labelled, other_sigmas, start=opposite, max_score=max_score)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -263,10 +294,10 @@ def _explained(
     rig: Rig,
     prior: Prior,
     labelled: bool,
+    step_sigmas: float,
     *,
     guess: RingArcs | None = None,
     start: RingArcs | None = None,
-    step_sigmas: float = DECISION_SIGMAS,
     max_score: float = inf,
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
