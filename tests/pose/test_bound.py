@@ -143,8 +143,8 @@ def test_errors_of_some_shots_are_near_the_bound(scene_of, face_points, rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True], ids=["radii unknown", "radii known"])
 @pytest.mark.parametrize(
-    ("rig", "distance_m", "size"),  # any two of these values are in a case
-    [("A", 0.25, "R597"), ("B", 0.25, "R1194"), ("A", 0.5, "R1194"), ("B", 0.5, "R597"), ("B", 1.0, "R1194")],
+    ("rig", "distance_m", "size"),
+    [("A", 0.25, "R597"), ("A", 0.5, "R1194"), ("B", 0.5, "R597"), ("B", 1.0, "R1194")],
 )
 def test_errors_are_at_the_bound_and_as_told(scene_of, face_points, rng, rig, distance_m, size, known):
     scene = scene_of(rig, distance_m=distance_m, size=size)
