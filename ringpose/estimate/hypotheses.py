@@ -265,12 +265,9 @@ def _better_side(
         compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
-    opposite = None  # the same arcs, on a ring whose centre is on the other side of the face
-    if best is not None and best.everything is not None and not best.everything[1].regularized:
-        opposite = best.everything[1].arcs.with_center_opposite()
     max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
     exchanged = measured.with_edges_exchanged()
-    other = _explained(exchanged, rig, prior, labelled, other_sigmas, start=opposite, max_score=max_score)
+    other = _explained(exchanged, rig, prior, labelled, other_sigmas, max_score=max_score)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -297,13 +294,12 @@ def _explained(
     step_sigmas: float,
     *,
     guess: RingArcs | None = None,
-    start: RingArcs | None = None,
     max_score: float = inf,
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     edges_seen = len(measured.edges.edge) > 0
     first_sigmas = DECISION_SIGMAS if edges_seen else step_sigmas
-    estimate = estimate_ring(measured, rig, prior, start, guess=guess, step_sigmas=first_sigmas)
+    estimate = estimate_ring(measured, rig, prior, guess=guess, step_sigmas=first_sigmas)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
         estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=step_sigmas)

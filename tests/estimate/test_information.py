@@ -281,7 +281,8 @@ def nees_of(point, covariance, ring):
 
 
 @pytest.mark.slow
-def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(rng):
+@pytest.mark.parametrize("known", [True], ids=["radii drawn from their prior"])
+def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(rng, known):
     rig = replace(RIGS["B"], covariance=ParameterCovariance(parameters=PLANES, data=np.diag(PLANES_SD**2)))
     nees = {common: [] for common in (True, False)}
     for _ in range(100):
@@ -290,7 +291,7 @@ def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(
         lasers = replace(rig.lasers, normal=np.array(normals), distance_m=rig.lasers.distance_m + step[2::3])
         scene = make_scene(replace(rig, lasers=lasers), distance_m=0.4, tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
         assumed_m = RADIUS_M + RADIUS_SD_M * rng.normal(size=2)
-        radii = KnownRadii(radius_m=assumed_m, sd_m=np.full(2, RADIUS_SD_M))
+        radii = KnownRadii(radius_m=assumed_m, sd_m=np.full(2, RADIUS_SD_M)) if known else None
         shots = [most_likely_pose(face_points_of(scene, 0.3, 0.02, rng), rig, known=radii) for _ in range(30)]
         for common, values in nees.items():
             values.append(nees_of(*combined([each.measurement for each in shots], rig, radii, common), scene.ring))
