@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06

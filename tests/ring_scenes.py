@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints, RingEdgePoints
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 SIZES = {"R597": (0.567, 0.597), "R833": (0.803, 0.833), "R1194": (1.154, 1.194)}
 

@@ -6,8 +6,7 @@ import shape_checks
 from jaxtyping import TypeCheckError
 
 from ringpose.geometry.rotations import tilted
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.rig import LaserPlanes
+from ringpose.types.rig import LaserPlanes, ParameterCovariance
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -23,10 +23,10 @@ from ringpose.estimate.pose_errors import (
 )
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status
-from ringpose.types.truth import Truth
+from ringpose.types.rig import Camera
+from ringpose.types.scene import Truth
 
 WRONG_SIGMAS = 5.0
 """A quantity farther from the truth than this (Mahalanobis distance), and without a flag that names it, is wrong."""

@@ -16,11 +16,10 @@ from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulated_shot
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 Clock = Callable[[], float]
 

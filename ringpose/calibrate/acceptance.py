@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import inf, radians
 from typing import Any
 
-from ringpose.types.verdict import Check, Grade, Verdict
+from ringpose.types.calibration import Check, Grade, Verdict
 
 Limits = Mapping[str, tuple[float, float]]
 """By name of a check: limit of a good value, and limit beyond which the calibration must be repeated."""

@@ -21,7 +21,7 @@ from ringpose.capture.shot_check import MAX_LOST, TRIES, AmbientLightChanged, Mi
 from ringpose.errors import DeviceError, UsageError
 from ringpose.types.image import Frame, Shot
 from ringpose.types.rig import Rig
-from ringpose.types.sequence import Step
+from ringpose.types.session import Step
 
 MIN_SETTLE_S = 0.02
 """Minimum settling time of the attempt that follows the first one with wrong lasers."""

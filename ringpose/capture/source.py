@@ -21,8 +21,7 @@ from ringpose.capture.uri import CAMERAS, LASERS, device_uri, driver
 from ringpose.errors import UsageError
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
-from ringpose.types.sequence import Step, written_sequence
-from ringpose.types.session import Capture
+from ringpose.types.session import Capture, Step, written_sequence
 
 Choice = Callable[[tuple[Step, ...]], tuple[Step, ...]]
 """Returns the steps of the next shot; called with those of a shot that switches the lasers one by one."""

@@ -30,7 +30,7 @@ from ringpose.files.images.shots import SHOT_SUFFIXES, checked_shot, read_shot
 from ringpose.files.inputs import Input, Problem, inputs, path_of_input
 from ringpose.types.image import Shot
 from ringpose.types.options import STDIN
-from ringpose.types.sequence import Step, steps_of
+from ringpose.types.session import Step, steps_of
 
 if TYPE_CHECKING:
     from ringpose.types.detection import Detection

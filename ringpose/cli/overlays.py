@@ -114,7 +114,7 @@ class PosePictures:
 
         import cv2
 
-        from ringpose.pose.record import remarks_on
+        from ringpose.pose.pipeline import remarks_on
         from ringpose.report.page import Picture
         from ringpose.report.poses import badness
 

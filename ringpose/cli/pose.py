@@ -71,9 +71,8 @@ if TYPE_CHECKING:
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
-    from ringpose.types.pose import PoseLine
+    from ringpose.types.pose import KnownRadii, PoseLine, Ring
     from ringpose.types.rig import Rig
-    from ringpose.types.ring import KnownRadii, Ring
 
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
@@ -261,7 +260,7 @@ class _Stream:
 
     def measured(self, source: "Shot | Detection") -> "PoseLine":
         """The pose line of a shot or detection."""
-        from ringpose.pose.record import pose_line
+        from ringpose.pose.pipeline import pose_line
         from ringpose.types.image import Shot
 
         if self.motion_until is not None and isinstance(source, Shot):
@@ -353,7 +352,7 @@ def _write(
     """Every line as it comes, with the health of the rig; then its picture."""
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
-    from ringpose.pose.record import remarks_on
+    from ringpose.pose.pipeline import remarks_on
 
     for line in with_progress(lines, "shots", quiet):
         with_health, warning = stream.monitor.update(line)

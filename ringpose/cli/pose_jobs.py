@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
-    from ringpose.types.pose import PoseLine
+    from ringpose.types.pose import KnownRadii, PoseLine, Ring
     from ringpose.types.rig import Rig
-    from ringpose.types.ring import KnownRadii, Ring
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +32,7 @@ class SingleShot:
     def __call__(self, item: "Input") -> "tuple[Input, PoseLine]":
         """The input with its pose line."""
         from ringpose.files.sources import read_source
-        from ringpose.pose.record import pose_line
+        from ringpose.pose.pipeline import pose_line
 
         source = read_source(item, self.rig, self.channel)
         line = pose_line(

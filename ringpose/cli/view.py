@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
-    from ringpose.types.truth import Truth
+    from ringpose.types.scene import Truth
 
 Poses = Annotated[
     list[Path] | None,

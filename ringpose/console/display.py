@@ -9,13 +9,12 @@ import viser.transforms
 from viser import uplot
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.record import remarks_on
+from ringpose.pose.pipeline import remarks_on
 from ringpose.report.overlay import color_of, pose_texts
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
 from ringpose.types.pose import PoseLine, RingPose, RingVelocity
-from ringpose.types.rig import Rig
-from ringpose.types.truth import Truth
+from ringpose.types.rig import Camera, Rig
+from ringpose.types.scene import Truth
 
 PLOTS = (
     ("error of the centre (mm)", "center_m", 1e3),

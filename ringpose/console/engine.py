@@ -17,20 +17,18 @@ from ringpose.console.state import ConsoleState
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import truth_at
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import pose_line
 from ringpose.report.overlay import captioned, overlay, picture_of
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import illuminated_ring, simulated_shot, view_truth
 from ringpose.simulate.renderer import render_view
 from ringpose.track.pipeline import Tracker
 from ringpose.types.arrays import Array, UInt8
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.pose import PoseLine
-from ringpose.types.rig import Rig
-from ringpose.types.scene import Scene
+from ringpose.types.rig import Camera, Rig
+from ringpose.types.scene import Scene, Truth
 from ringpose.types.track import TrackLine
-from ringpose.types.truth import Truth
 
 PREVIEW_WIDTH = 640
 """Largest width of a preview, which is rendered with one ray a pixel."""

@@ -30,11 +30,10 @@ from ringpose.errors import DataError, RingposeError
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.simulate.placement import ring_views, target_placement
 from ringpose.simulate.target.parts import body_part, ring_part
-from ringpose.types.motion import MOTION_PRESETS
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Earth, RingView, Scene
-from ringpose.types.sequence import parsed_sequence, steps_of, written_sequence
-from ringpose.types.target import MATERIALS, Box, Part
+from ringpose.types.session import parsed_sequence, steps_of, written_sequence
+from ringpose.types.target import MATERIALS, MOTION_PRESETS, Box, Part
 
 PERIOD_S = 0.05
 """Time between two states while the motion plays."""

@@ -27,7 +27,6 @@ from ringpose.kernels.ends import EndParams, Ends, LitLines, MarkParams, flagged
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
-from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     MAX_OFFSET,
     UNLABELLED,
@@ -38,7 +37,7 @@ from ringpose.types.detection import (
     outside_image,
 )
 from ringpose.types.pose import PoseFlag
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 KINK_LEVEL = 0.25
 """Ratio of the level beyond the edge to that on the face above which the stripe continues: a wall."""
@@ -130,7 +129,7 @@ def without_outliers(
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, camera=camera)
-        best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False)
+        best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False, precise=False)
     if best is not None and straight(*best.estimate.curvature_alone):
         return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:

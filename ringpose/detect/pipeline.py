@@ -25,7 +25,6 @@ from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32, Int64
 from ringpose.types.assumptions import USUAL, Assumptions
-from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     UNLABELLED,
     BreakPointFlag,
@@ -41,7 +40,7 @@ from ringpose.types.detection import (
 )
 from ringpose.types.image import Frame, Shot
 from ringpose.types.options import StripeSource
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 DARK_SHARE = 8 / 255
 """Share of the saturation value that the brightest pixel of a frame must reach, or the image is reported as dark."""

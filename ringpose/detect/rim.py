@@ -35,9 +35,8 @@ from ringpose.kernels.lines import (
     ring_faces,
 )
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
 from ringpose.types.detection import UNLABELLED
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 DEPTH_RANGE_M = (0.05, 3.0)
 """Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""

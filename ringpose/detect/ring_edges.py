@@ -31,7 +31,7 @@ from ringpose.detect.edge_search import (
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import estimate_ring, refine_ring
+from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, refine_ring
 from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import (
@@ -293,7 +293,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser):
         return None
-    estimate = estimate_ring(measured, rig, Prior())
+    estimate = estimate_ring(measured, rig, Prior(), step_sigmas=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
     return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))

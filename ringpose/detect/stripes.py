@@ -19,9 +19,9 @@ from ringpose.kernels import stripes as kernel
 from ringpose.kernels.lines import Lens, TrackParams
 from ringpose.kernels.stripes import Filters
 from ringpose.types.arrays import Array, Float64, Int32, UInt
-from ringpose.types.camera import Camera
 from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.image import full_scale_dn
+from ringpose.types.rig import Camera
 
 STRIPE_SIGMA_PX = 1.6
 """Width (sigma) of a typical stripe, for converting a peak value into a response of the ridge filter."""

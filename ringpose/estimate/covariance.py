@@ -102,7 +102,7 @@ def quantities(estimate: Estimate) -> Quantities:
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
     jacobian[BAND_OUT, HALF_BAND] = 2.0
     along_wrt_ray = face_direction @ mean_wrt_ray[:, :2]
-    along_wrt_x = along_wrt_ray @ np.array([np.ones(len(rays)), residuals.slope]) / len(rays)
+    along_wrt_x = along_wrt_ray @ np.array([np.ones(len(rays)), residuals.stripes.slope[residuals.ends :]]) / len(rays)
     return Quantities(
         center_m=arcs.center,
         radius_m=arcs.radius_m,

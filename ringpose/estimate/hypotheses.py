@@ -1,17 +1,20 @@
 """Which explanation of a shot is the best one: all measurements on one ring, or some of them wrong.
 
 Six break points and three stripes give twelve numbers for seven parameters. If the ring that fits all of them fails the
-chi-squared test, or misses one of them clearly, the shot is solved again for each hypothesis of `outlier_hypotheses`:
+chi-squared test, or misses one of them clearly, the shot is solved again for the hypotheses of `outlier_hypotheses`:
 one break point, a stripe, the visible edges, the assignment of the lasers, or the assumed radii are wrong; or the
 target moves faster, or the ring is less perfect, than assumed. The hypotheses are compared by chi-squared plus a
-penalty for what they reject, or for how much wider their priors are. Where two of them are comparable, only the
-quantities that they have in common are determined (`Explanation.differing`).
+penalty for what they reject, or for how much wider their priors are; one whose penalty alone exceeds the score of
+another is not solved. (The normal equations of all measurements do not predict which one it will be: a gross outlier
+moves the ring so far that they do not hold.) Where two of them are comparable, only the quantities that they have in
+common are determined (`Explanation.differing`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import permutations, product
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,17 +29,24 @@ from ringpose.estimate.covariance import (
     quantities,
     ring_velocity,
 )
-from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
-from ringpose.estimate.solver import OUTLIER_SIGMAS, at_reference_time, estimate_ring, predicted_residuals
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
+from ringpose.estimate.solver import (
+    DECISION_SIGMAS,
+    OUTLIER_SIGMAS,
+    PRECISE_SIGMAS,
+    STRIPES_OF_A_PLANE,
+    at_reference_time,
+    estimate_ring,
+    precise_ring,
+    predicted_residuals,
+)
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
-from ringpose.types.pose import PoseFlag
+from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.rig import Rig
-from ringpose.types.ring import KnownRadii
 
 PARAMETER_PENALTY = 4.0
 """Penalty in chi-squared for each rejected number; by chance, rejecting one lowers chi-squared by 1."""
@@ -58,6 +68,9 @@ OCCLUDED_PENALTY = 4.0
 
 RELABEL_PENALTY = 20.0
 """Penalty for exchanging lasers that were switched one by one; lower than for a stripe, as no number is rejected."""
+
+DECISION_CHI2 = 0.1
+"""Change of chi-squared from that of a decision to that of a pose from which the decision is repeated."""
 
 CLEARLY = 6.0
 """Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
@@ -163,19 +176,49 @@ class Explanation(NamedTuple):
     """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
 
 
-def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool) -> Explanation | None:
+def explain(
+    measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
-    the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried.
+    the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
+    whether the ring is needed to the precision of a pose, and not only the decision.
     """
-    start = initial_guess(measured, measured.observations(rig.lasers), prior)
-    measured = measured if start is None else at_reference_time(start, measured, rig.lasers)
-    best = _better_side(measured, rig, prior, labelled, edges_named)
+    measured, guess = at_reference_time(measured, rig.lasers, prior)
+    decided = partial(_decided, measured, rig, prior, labelled, edges_named, guess)
+    if not precise:
+        return decided(DECISION_SIGMAS, DECISION_SIGMAS)
+    best = decided(PRECISE_SIGMAS, DECISION_SIGMAS)
+    if best is None:
+        return None
+    estimate = precise_ring(best.estimate, best.measured, rig)
+    if estimate is not None and estimate.chi2 < best.estimate.chi2 + DECISION_CHI2:
+        return best._replace(estimate=estimate)
+    return decided(PRECISE_SIGMAS, PRECISE_SIGMAS)  # the shorter iteration had ended near a saddle point
+
+
+def _decided(
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    labelled: bool,
+    edges_named: bool,
+    guess: RingArcs | None,
+    step_sigmas: float,
+    other_sigmas: float,
+) -> Explanation | None:
+    """The best explanation with the radii of the prior or, if the shot contradicts them, without.
+
+    `step_sigmas`: length of the last step of the estimate from all measurements; `other_sigmas`: of the same with inner
+    and outer edge exchanged, or without radii.
+    """
+    best = _better_side(measured, rig, prior, labelled, edges_named, guess, step_sigmas, other_sigmas)
     if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
         return best
     # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
-    alone = _better_side(measured, rig, prior._replace(radii=None), labelled, edges_named)
+    free = prior._replace(radii=None)
+    alone = _better_side(measured, rig, free, labelled, edges_named, None, other_sigmas, other_sigmas)
     if alone is None or not _contradicts(alone.estimate, prior.radii):
         return best
     return alone._replace(
@@ -205,17 +248,26 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
 
 
 def _better_side(
-    measured: Measurements, rig: Rig, prior: Prior, labelled: bool, edges_named: bool
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    labelled: bool,
+    edges_named: bool,
+    guess: RingArcs | None,
+    step_sigmas: float,
+    other_sigmas: float,
 ) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
-    best = _explained(measured, rig, prior, labelled)
+    best = _explained(measured, rig, prior, labelled, step_sigmas, guess=guess)
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
         compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
-    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled)
+    max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
+    exchanged = measured.with_edges_exchanged()
+    other = _explained(exchanged, rig, prior, labelled, other_sigmas, max_score=max_score)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -234,35 +286,78 @@ def _side_score(explanation: Explanation) -> float:
     return score + min(estimate.arcs.curvature, 0.0) ** 2 / variance
 
 
-def _explained(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Explanation | None:
-    """The best explanation with inner and outer edges as they are named."""
-    estimate = estimate_ring(measured, rig, prior)
-    if estimate is not None and len(measured.edges.edge):
+def _explained(
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    labelled: bool,
+    step_sigmas: float,
+    *,
+    guess: RingArcs | None = None,
+    max_score: float = inf,
+) -> Explanation | None:
+    """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
+    edges_seen = len(measured.edges.edge) > 0
+    first_sigmas = DECISION_SIGMAS if edges_seen else step_sigmas
+    estimate = estimate_ring(measured, rig, prior, guess=guess, step_sigmas=first_sigmas)
+    if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        estimate = estimate_ring(measured, rig, prior, estimate.arcs)
+        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=step_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, everything, _single_stripes(everything, rig))
-    tried: list[Solved] = []
-    for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
-        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior)
-        if estimate is None or not (_is_ring(estimate) or hypothesis.both):
-            continue
-        wider = 0.0
-        if everything is not None and hypothesis.flag & WIDER:
-            # the likelihood of a wider prior: what it explains, less all that it could have explained
-            wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
-        tried.append(Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate))
+    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, labelled), key=lambda each: each.penalty)
+    tried = _possibly_best(hypotheses, everything, rig, max_score)
     if everything is None and not tried:
         return None
-    best, rivals = _select(everything, tried)
+
+    def both_ends(laser: int) -> Solved | None:
+        """The explanation that rejects both ends of a laser's stripe, also if it is not nearly the best one."""
+        known = [each for each in tried if each.hypothesis.both and each.hypothesis.laser == laser]
+        others = (each for each in hypotheses if each.both and each.laser == laser)
+        return known[0] if known else next((_solved(each, everything, rig) for each in others), None)
+
+    best, rivals = _select(everything, tried, both_ends)
     return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
-def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, list[Solved]]:
+def _possibly_best(
+    hypotheses: Sequence[Hypothesis], everything: Solved | None, rig: Rig, max_score: float
+) -> list[Solved]:
+    """The hypotheses that may be the best one or comparable to it: the penalty of the others alone exceeds its score.
+
+    `hypotheses`: in the order of their penalties. `max_score`: of the explanations that matter.
+    """
+    tried: list[Solved] = []
+    lowest = inf if everything is None else min(everything.score, max_score)
+    for hypothesis in hypotheses:
+        if hypothesis.penalty > lowest + CLEARLY:
+            break
+        found = _solved(hypothesis, everything, rig)
+        if found is not None:
+            tried.append(found)
+            lowest = min(lowest, found.score)
+    return tried
+
+
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig) -> Solved | None:
+    """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=DECISION_SIGMAS)
+    if estimate is None or not (_is_ring(estimate) or hypothesis.both):
+        return None
+    wider = 0.0
+    if everything is not None and hypothesis.flag & WIDER:
+        # the likelihood of a wider prior: what it explains, less all that it could have explained
+        wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
+    return Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate)
+
+
+def _select(
+    everything: Solved | None, tried: list[Solved], both_ends: Callable[[int], Solved | None]
+) -> tuple[Solved, list[Solved]]:
     """The best of the explanations, and its comparable rivals."""
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
-    best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, tried) or near[0], tried)
+    best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
     if fails_chi2_test(best.estimate):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
@@ -337,9 +432,10 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
     for a common ring. Visible edges are further evidence.
     """
-    measured = solved.hypothesis.measured.once()
-    if len(measured.edges.edge):
+    measured = solved.hypothesis.measured
+    if len(measured.edges.edge) or len(measured.stripes) != STRIPES_OF_A_PLANE:
         return []
+    measured = measured.once()
     found = []
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
@@ -359,9 +455,11 @@ def single_stripe_estimates(
     Assumed radii are not used: with them the length of one stripe determines the angle at which it crosses the face,
     but not to which side.
     """
-    for laser in measured.stripes if len(measured.stripes) == 2 else []:
+    for laser in measured.stripes if len(measured.stripes) == STRIPES_OF_A_PLANE else []:
         alone = measured.without_laser(laser)
-        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions)) if len(alone.points.x) else None
+        if not len(alone.points.x):
+            continue
+        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), step_sigmas=DECISION_SIGMAS)
         if estimate is not None:
             yield laser, alone, estimate
 
@@ -494,12 +592,12 @@ def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
     return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
 
 
-def _both_ends_if_either_is_suspect(near: list[Solved], tried: list[Solved]) -> Solved | None:
+def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:
     """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
     points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
     lasers = {each.hypothesis.laser for each in points}
     if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
-        return next((each for each in tried if each.hypothesis.both and each.hypothesis.laser in lasers), None)
+        return both_ends(lasers.pop())
     return None
 
 
@@ -510,7 +608,7 @@ def _nested(best: Solved, other: Solved) -> bool:
     return whole and first.laser == second.laser >= 0
 
 
-def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
+def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | None]) -> Solved:
     """The same, or without the other end of the stripe, too, if only that end determines the ring's curvature.
 
     What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
@@ -518,8 +616,7 @@ def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
     hypothesis = best.hypothesis
     if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both or hypothesis.cause_seen:
         return best
-    both = (each for each in tried if each.hypothesis.both and each.hypothesis.laser == hypothesis.laser)
-    without = next(both, None)
+    without = both_ends(hypothesis.laser)
     if without is None:
         return best
     sd, sd_without = (sqrt(float(each.estimate.inverse[CURVATURE, CURVATURE])) for each in (best, without))

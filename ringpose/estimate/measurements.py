@@ -16,16 +16,14 @@ from itertools import product
 from math import sqrt
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import undistort
+from ringpose.geometry.rays import rays_wrt_pixel, undistort
 from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 NOMINAL_SIGMA_PX = 0.3
 """Of a break point without a covariance; it only weights the points against each other and is not reported."""
@@ -353,26 +351,6 @@ def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Li
     for number in set(laser.tolist()) - middle.keys():
         middle[number] = float(x[laser == number].mean())
     return np.array([middle[number] for number in laser.tolist()], dtype=np.float64)
-
-
-def rays_wrt_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
-    """Derivatives of the normalised coordinates with respect to the distorted pixel."""
-    pixel_wrt_ray, _ = pixels_wrt_ray_and_camera(xy, camera)
-    inverse: Float64[Array, "n 2 2"] = np.linalg.inv(pixel_wrt_ray)
-    return inverse
-
-
-def pixels_wrt_ray_and_camera(
-    xy: Float64[Array, "n xy=2"], camera: Camera
-) -> tuple[Float64[Array, "n 2 2"], Float64[Array, "n 2 parameter"]]:
-    """Derivatives of the distorted pixel with respect to the ray (x, y, 1), and to fx, fy, cx, cy, k1, k2, ..."""
-    if not len(xy):
-        return np.empty((0, 2, 2)), np.empty((0, 2, 4 + len(camera.distortion_coefficients)))
-    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    zero = np.zeros(3)
-    _, jacobian = cv2.projectPoints(rays, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
-    columns = np.asarray(jacobian, dtype=np.float64).reshape(len(xy), 2, -1)
-    return columns[:, :, 3:5], columns[:, :, 6:]  # 0 to 2 rotation, 3 and 4 translation in x and y, from 6 the camera
 
 
 def no_edges() -> Edges:

@@ -13,14 +13,14 @@ from math import sqrt
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
+from ringpose.estimate.measurements import Measurements, Observations
 from ringpose.estimate.residuals import FixedColumns, Prior, Residuals
+from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, laser_parameters
-from ringpose.types.rig import Rig
+from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, Rig, laser_parameters
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""
@@ -142,9 +142,11 @@ def fixed_columns(
 ) -> FixedColumns:
     """Derivatives by the errors of rig, form, mount and visible edges."""
     by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
+    mean_ray = np.zeros((2, 0))
     errors = rig_errors(rig, prior.assumptions.stability)
     if errors is not None:
-        by_rig = rig_jacobian(residuals, measured, observations, errors, rig)
+        by_rig, mean_ray = _wrt_rig(residuals, measured, observations, errors, rig)
+        mean_ray = mean_ray @ errors.root
         columns.append(by_rig @ errors.root)
     if prior.assumptions.ring_tolerance_m > 0.0:
         form = form_jacobian(residuals, measured)
@@ -156,52 +158,45 @@ def fixed_columns(
     if len(measured.edges.edge):
         columns.append(edge_jacobian(residuals, measured))
     edge_errors = measured.edges.common.shape[1] if len(measured.edges.edge) else 0
-    return FixedColumns(by_rig, form, residuals.wrt_camera, np.concatenate(columns, axis=1), edge_errors)
+    every = np.concatenate(columns, axis=1)
+    return FixedColumns(by_rig, form, residuals.wrt_camera, mean_ray, every, edge_errors)
 
 
 def rig_jacobian(
     residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
 ) -> Float64[Array, "row parameter"]:
-    """Derivatives of the residuals with respect to the rig's parameters, in their own units; 0 for the prior.
+    """Derivatives of the residuals with respect to the rig's parameters, in their own units; 0 for the prior."""
+    return _wrt_rig(residuals, measured, observations, errors, rig)[0]
 
-    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe.
+
+def _wrt_rig(
+    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
+    """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
+
+    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
+    points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
     """
-    ends, lines = residuals.ends, np.repeat(measured.lines.laser, 2)
-    ray = _ray_wrt_rig(observations.view.rays[:, :2], errors, rig)
-    y_wrt_planes = _ordinate_wrt_planes(residuals, np.concatenate([lines, measured.points.laser]), errors)
-    above = ray[:, 1] - residuals.stripes.slope[:, None] * ray[:, 0] - y_wrt_planes
-    distance = residuals.points.wrt_ray[:, 1:] * y_wrt_planes[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
+    ends, stripes, samples = residuals.ends, residuals.stripes, len(observations.view.rays)
+    rays = _rays_wrt_rig(np.concatenate([observations.view.rays, observations.view.visible_rays]), errors, rig)
+    ray, edge_ray = rays[:samples], rays[samples:]
+    laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
+    y_wrt_tilts = (errors.basis[laser] @ stripes.y_wrt_light_normal[:, :, None])[:, :, 0]
+    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance])
+    predicted_y = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
+    sloped = stripes.slope[:, None] * ray[:, 0]
+    above = ray[:, 1] - sloped - predicted_y
+    distance = residuals.points.wrt_ray[:, 1:] * predicted_y[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
     blocks = [observations.whitening @ above[:ends], residuals.distance_scale[:, None] * distance]
     which, share, scale = residuals.ordinates
     if len(which):
         blocks.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
-    if len(measured.edges.edge):
-        edge_ray = _ray_wrt_rig(measured.edges.ray[:, :2], errors, rig)
+    if len(edge_ray):
         by_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
         blocks.append((by_ray[:, :, None] * edge_ray).sum(axis=1))
     blocks.append(np.zeros((len(residuals.residual) - residuals.data_rows, len(errors.parameters))))
-    jacobian: Float64[Array, "row parameter"] = np.concatenate(blocks)
-    return jacobian
-
-
-def mean_ray_jacobian(
-    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
-) -> Float64[Array, "xy=2 error"]:
-    """Derivatives of the mean of the predicted break points by rates and errors of the rig, for a fixed ring.
-
-    The abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
-    """
-    y_wrt_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * residuals.rate_sds
-    wrt_rates = np.array([np.zeros_like(y_wrt_rates), y_wrt_rates])
-    errors = rig_errors(rig, prior.assumptions.stability)
-    if errors is None:
-        return wrt_rates
-    points = slice(residuals.ends, None)
-    x_wrt_rig = _ray_wrt_rig(observations.view.rays[points, :2], errors, rig)[:, 0]
-    laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
-    y_wrt_rig = _ordinate_wrt_planes(residuals, laser, errors)[points] + residuals.slope[:, None] * x_wrt_rig
-    wrt_rig = np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
-    return np.concatenate([wrt_rates, wrt_rig], axis=1)
+    mean_ray = np.array([ray[ends:, 0].mean(axis=0), (predicted_y + sloped)[ends:].mean(axis=0)])
+    return np.concatenate(blocks), mean_ray
 
 
 def form_sd_m(tolerance_m: float) -> float:
@@ -237,19 +232,10 @@ def edge_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
     return jacobian
 
 
-def _ray_wrt_rig(xy: Float64[Array, "n xy=2"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 parameter"]:
+def _rays_wrt_rig(rays: Float64[Array, "n xyz=3"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 parameter"]:
     """Derivatives of the normalised coordinates of fixed pixels with respect to the rig's parameters."""
     if not errors.camera.any():
-        return np.zeros((len(xy), 2, len(errors.parameters)))
-    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(xy, rig.camera)
+        return np.zeros((len(rays), 2, len(errors.parameters)))
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(rays[:, :2], rig.camera)
     derivative: Float64[Array, "n 2 parameter"] = -np.linalg.inv(pixel_wrt_ray) @ (pixel_wrt_camera @ errors.camera)
-    return derivative
-
-
-def _ordinate_wrt_planes(residuals: Residuals, laser: Array, errors: RigErrors) -> Float64[Array, "sample parameter"]:
-    """Derivatives of the predicted ordinates with respect to tilts and distances of their light planes."""
-    stripes = residuals.stripes
-    y_wrt_tilts = (errors.basis[laser] @ stripes.y_wrt_light_normal[:, :, None])[:, :, 0]
-    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance])
-    derivative: Float64[Array, "sample parameter"] = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
     return derivative

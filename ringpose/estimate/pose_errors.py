@@ -9,8 +9,8 @@ from ringpose.errors import DataError
 from ringpose.geometry.rays import intersect, rays
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
-from ringpose.types.truth import Truth
+from ringpose.types.rig import Camera
+from ringpose.types.scene import Truth
 
 MAX_BAND_DISTANCE_M = 0.005
 """A grasp point farther than this from the rim is wrong, whatever its covariance."""

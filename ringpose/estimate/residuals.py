@@ -20,7 +20,7 @@ from ringpose.geometry.ring import (
 )
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import Assumptions
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii
 
 PARAMETERS = len(STEP)
 
@@ -79,6 +79,8 @@ class Residuals(NamedTuple):
     jacobian: Float64[Array, "row step=7"]
     ends: int
     """Number of the lines' ends: their residuals and predictions come before those of the break points."""
+    stripe_rows: int
+    """Number of residuals of stripes and break points, which come before those of visible edges."""
     data_rows: int
     """Number of residuals before those of the prior."""
     stripe_numbers: int
@@ -103,21 +105,6 @@ class Residuals(NamedTuple):
     y_wrt_rates: Float64[Array, "sample rate"]
     """Derivatives of the predicted ordinates by the rates."""
 
-    @property
-    def stripe_rows(self) -> int:
-        """Number of residuals of stripes and break points, which come before those of visible edges."""
-        return self.data_rows - len(self.edge_scale)
-
-    @property
-    def slope(self) -> Float64[Array, "point"]:
-        """Of the predicted lines at the break points."""
-        return self.stripes.slope[self.ends :]
-
-    @property
-    def y(self) -> Float64[Array, "point"]:
-        """Predicted ordinates of the break points."""
-        return self.stripes.rays[self.ends :, 1]
-
 
 class FixedColumns(NamedTuple):
     """Derivatives by common errors that are evaluated once, near the solution."""
@@ -128,6 +115,8 @@ class FixedColumns(NamedTuple):
     """In metres; None for a perfect ring."""
     camera: Float64[Array, "row parameter"]
     """By the mount's parameters, in their own units."""
+    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
+    """By the rig's errors, in standard deviations: of the mean of the predicted break points, for a fixed ring."""
     columns: Float64[Array, "row error"]
     """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
     edge_errors: int
@@ -138,6 +127,10 @@ class Estimate(NamedTuple):
     """A maximum-likelihood ring, and the linearised problem at the solution."""
 
     residuals: Residuals
+    arcs: RingArcs
+    """The ring at the reference time of the measurements."""
+    rates: Rates
+    """Its motion."""
     weights: Float64[Array, "row"]
     """1 for a residual that was used, 0 for a rejected edge point."""
     fixed: FixedColumns
@@ -157,16 +150,8 @@ class Estimate(NamedTuple):
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
-
-    @property
-    def arcs(self) -> RingArcs:
-        """The ring at the reference time of the measurements."""
-        return self.residuals.arcs
-
-    @property
-    def rates(self) -> Rates:
-        """Its motion."""
-        return self.residuals.rates
+    step_sigmas: float
+    """Length of the last step of the iteration, in standard deviations."""
 
     @property
     def regularized(self) -> bool:

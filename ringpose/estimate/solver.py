@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, Observations, Points
-from ringpose.estimate.nuisance import fixed_columns, mean_ray_jacobian
+from ringpose.estimate.nuisance import fixed_columns
 from ringpose.estimate.residuals import (
     CURVATURE_SD,
     EXPECTED_CURVATURE,
@@ -42,7 +42,7 @@ from ringpose.geometry.ring import (
     motion_derivatives,
     predicted_view,
 )
-from ringpose.geometry.robust import huber_weights, redescending_weights
+from ringpose.geometry.robust import huber_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import LaserPlanes, Rig
 
@@ -54,12 +54,18 @@ OUTLIER_SIGMAS = 3.5
 
 MAX_ITERATIONS = 20
 
-NEAR_SIGMAS, MIN_STEP_SIGMAS = 0.1, 1e-7
-"""Steps below the first length (in standard deviations) end the robust phase, below the second one the iteration.
+NEAR_SIGMAS = 0.1
+"""Length of a step, in standard deviations, below which the robust phase ends."""
 
-After the last step, which is made, the next one would be a hundred to a thousand times shorter: the measurement of a
-record and its priors give its pose to a nanometre.
+PRECISE_SIGMAS, DECISION_SIGMAS = 1e-7, 0.05
+"""Length of the last step, which is made; the next one would be twenty to a thousand times shorter.
+
+Of a pose: the measurement of a record and its priors give it to a nanometre. To decide between explanations: their
+chi-squared is then known to 1e-4.
 """
+
+HOPELESS = 1e4
+"""Factor on the limits of `poorly_determined` beyond which an iteration that starts without weak priors ends."""
 
 STRIPES_OF_A_PLANE = 2
 """With fewer stripes the tilt about the stripe is determined by the edges only."""
@@ -74,39 +80,66 @@ MAX_TILT_RAD = 0.7
 """Largest tilt in one iteration."""
 
 
-def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, start: RingArcs | None = None) -> Estimate | None:
-    """The maximum-likelihood ring; None if the iteration diverges. `start`: an approximate ring, if one is known.
+def estimate_ring(
+    measured: Measurements,
+    rig: Rig,
+    prior: Prior,
+    start: RingArcs | None = None,
+    *,
+    guess: RingArcs | None = None,
+    step_sigmas: float = PRECISE_SIGMAS,
+) -> Estimate | None:
+    """The maximum-likelihood ring; None if the iteration diverges. `start`: a ring near it, if one is known.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
-    priors in a second run, so that they do not degrade the others. If visible edges close such a gap, the regularised
-    solution is the start: far from the ring, edges lead to wrong minima.
+    priors about the initial guess in a second run, so that they do not degrade the others. If visible edges close such
+    a gap, the regularised solution is the start: far from the ring, edges lead to wrong minima. `guess`: the initial
+    guess, if it was made already; `step_sigmas`: length of the step that ends the iteration.
     """
     edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
     observations = measured.observations(rig.lasers)
 
-    def solve(start: RingArcs, prior: Prior) -> Estimate | None:
+    def solve(start: RingArcs, prior: Prior, step_sigmas: float = step_sigmas) -> Estimate | None:
         try:
-            return _gauss_newton(measured, observations, rig, start, prior)
+            return _gauss_newton(measured, observations, rig, start, prior, step_sigmas=step_sigmas)
         except np.linalg.LinAlgError:
             return None
 
-    with np.errstate(all="ignore"):  # a diverging iteration ends in `_plausible`
-        guess = start
-        start = initial_guess(measured, observations, prior) if guess is None else guess
+    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_residuals`
+        if guess is None and start is None:
+            guess = initial_guess(measured, observations, prior)
+        if (
+            start is None
+            and guess is not None
+            and len(measured.edges.edge)
+            and len(measured.stripes) < STRIPES_OF_A_PLANE
+        ):
+            regularized = solve(guess, prior._replace(regularize_about=guess), NEAR_SIGMAS)
+            start = None if regularized is None else regularized.arcs
+        start = guess if start is None else start
         if start is None:
             return None
-        if guess is None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE:
-            regularized = solve(start, prior._replace(regularize_about=start))
-            start = start if regularized is None else regularized.arcs
         estimate = solve(start, prior)
-        if estimate is None or is_poorly_determined(estimate):
-            estimate = solve(start, prior._replace(regularize_about=start))
+        if estimate is None or poorly_determined(estimate.inverse):
+            guess = initial_guess(measured, observations, prior) if guess is None else guess
+            estimate = solve(start, prior._replace(regularize_about=start if guess is None else guess))
         # one edge without a line on the face beside it leaves open on which side the centre is: try the other one
         side_open = prior.single_edge and bool(measured.points.isolated.all())
         if estimate is not None and estimate.arcs.curvature < 0 and side_open:
             estimate = solve(estimate.arcs.with_center_opposite(), prior) or estimate
     return estimate
+
+
+def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estimate | None:
+    """An estimate that may have ended after a longer step, to the precision of a pose; None if it diverges."""
+    if estimate.step_sigmas < PRECISE_SIGMAS:
+        return estimate
+    observations = measured.observations(rig.lasers)
+    try:
+        return _gauss_newton(measured, observations, rig, estimate.arcs, estimate.prior, estimate.rates)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _gauss_newton(
@@ -116,9 +149,12 @@ def _gauss_newton(
     arcs: RingArcs,
     prior: Prior,
     rates: Rates = STILL,
+    step_sigmas: float = PRECISE_SIGMAS,
 ) -> Estimate | None:
-    """Iteratively reweighted Gauss-Newton from a ring; None if it diverges."""
+    """Iteratively reweighted Gauss-Newton from a ring; None if it diverges, or is far from being determined."""
     residuals = ring_residuals(arcs, measured, observations, prior, rates)  # r and J, whitened
+    if prior.regularize_about is None and _is_hopeless(residuals):
+        return None
     count = len(residuals.rate_sds)
     nuisance = residuals.wrt_rates * residuals.rate_sds
     fixed, predicted, weights, near = None, residuals.residual, np.ones(len(residuals.residual)), False
@@ -126,9 +162,8 @@ def _gauss_newton(
         if iteration == 1:  # these derivatives hardly change from here
             fixed = fixed_columns(residuals, measured, observations, prior, rig)
             nuisance = _nuisance(residuals, fixed)
-        if not near:
-            # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
-            weights = _robust_weights(predicted, residuals)
+        # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
+        weights = weights if near else _robust_weights(predicted, residuals)
         normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
         sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
@@ -136,10 +171,12 @@ def _gauss_newton(
         if moved is None:
             return None
         residuals, nuisance = moved, _nuisance(moved, fixed)
-        if near and sigmas < MIN_STEP_SIGMAS:
-            break
+        converged = near and sigmas < step_sigmas
         if iteration and not near and sigmas < NEAR_SIGMAS:
-            near, weights = True, _inlier_weights(predicted, residuals)
+            robust, near, weights = weights, True, _inlier_weights(predicted, residuals)
+            converged = sigmas < step_sigmas and np.array_equal(weights, robust)
+        if converged:
+            break
     inverse = _inverse(normal_matrix)
     if inverse is None or fixed is None:
         return None
@@ -148,18 +185,23 @@ def _gauss_newton(
     squares = np.minimum(remaining**2, 1e6)
     squares[residuals.stripe_rows : residuals.data_rows] = 0.0
     common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
+    y_wrt_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * residuals.rate_sds
+    mean_ray_wrt_rates = np.array([np.zeros_like(y_wrt_rates), y_wrt_rates])
     return Estimate(
         residuals=residuals,
+        arcs=residuals.arcs,
+        rates=residuals.rates,
         weights=weights,
         fixed=fixed,
         nuisance=nuisance,
-        mean_ray_wrt_nuisance=mean_ray_jacobian(residuals, measured, observations, prior, rig),
+        mean_ray_wrt_nuisance=np.concatenate([mean_ray_wrt_rates, fixed.mean_ray_wrt_rig], axis=1),
         nuisance_step=nuisance_step,
         normal_matrix=normal_matrix,
         inverse=inverse,
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
+        step_sigmas=sigmas,
     )
 
 
@@ -193,7 +235,8 @@ def refine_ring(
 ) -> tuple[RingArcs, Float64[Array, "step=7 step=7"]] | None:
     """A ring near `arcs` after some iterations, and the covariance of its step; None if it diverges.
 
-    For the edge search: many visible edge points may be outliers, so that these have redescending weights.
+    For the edge search: many visible edge points may be outliers, so that these have the redescending weights of Geman
+    and McClure's loss (Statistical Methods for Tomographic Image Reconstruction, 1987), (1 + (r / s)^2)^-2.
     """
     observations = measured.observations(rig.lasers)
     residuals = ring_residuals(arcs, measured, observations, prior)
@@ -203,7 +246,7 @@ def refine_ring(
     try:
         for _ in range(iterations):
             weights = np.ones(len(residuals.residual))
-            weights[robust] = redescending_weights(residuals.residual[robust], HUBER_SIGMAS)
+            weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
             normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, _nuisance(residuals, fixed))
             rate_step = nuisance_step[: len(residuals.rate_sds)]
             moved = moved_residuals(residuals, step, rate_step, measured, observations, prior)
@@ -255,27 +298,36 @@ def solve_normal_equations(
 
 def _robust_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Float64[Array, "row"]:
     """Huber weights of break points and visible edges; 1 for lines, which are robust fits, and for the prior."""
-    first, last = residuals.ends, residuals.data_rows
+    robust = slice(residuals.ends, residuals.data_rows)
     weights = np.ones(len(residual))
-    weights[first:last] = huber_weights(residual[first:last], HUBER_SIGMAS)
+    if np.abs(residual[robust]).max(initial=0.0) > HUBER_SIGMAS:
+        weights[robust] = huber_weights(residual[robust], HUBER_SIGMAS)
     return weights
 
 
 def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Float64[Array, "row"]:
     """0 for the visible edge points that are outliers, 1 for everything else."""
     weights = np.ones(len(residual))
-    edges = slice(residuals.data_rows - len(residuals.edge_scale), residuals.data_rows)
+    edges = slice(residuals.stripe_rows, residuals.data_rows)
     weights[edges] = np.abs(residual[edges]) < OUTLIER_SIGMAS
     return weights
 
 
-def is_poorly_determined(estimate: Estimate) -> bool:
-    """Whether the shot leaves tilt or in-plane rotation to more than 0.5 rad, or curvature to more than 1/m (sigmas).
+def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
+    """Whether tilt or in-plane rotation are left to more than 0.5 rad, or curvature to more than 1/m (sigmas).
 
-    The weak priors of `ring_residuals` have about these standard deviations.
+    The weak priors of `ring_residuals` have about these standard deviations. `factor`: on the variances.
     """
-    variance = estimate.inverse.diagonal().tolist()
-    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
+    variance = covariance.diagonal().tolist()
+    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 * factor) or bool(
+        variance[CURVATURE] > factor
+    )
+
+
+def _is_hopeless(residuals: Residuals) -> bool:
+    """Whether parameters are so far from being determined that the iteration is useless without weak priors."""
+    inverse = _inverse(residuals.jacobian.T @ residuals.jacobian)
+    return inverse is not None and poorly_determined(inverse, HOPELESS)
 
 
 def ring_residuals(
@@ -323,6 +375,7 @@ def ring_residuals(
         residual=np.concatenate([residual, prior_residual]),
         jacobian=np.concatenate([wrt_all[:, :PARAMETERS], prior_jacobian]),
         ends=ends,
+        stripe_rows=len(residual) - len(edge_scale),
         data_rows=len(residual),
         stripe_numbers=observations.stripe_numbers,
         stripes=stripes._replace(y_wrt_step=stripes.y_wrt_step[:, :PARAMETERS]),
@@ -374,23 +427,27 @@ def _with_zero_rows(rows: Float64[Array, "data column"], count: int) -> Float64[
     return np.concatenate([rows, np.zeros((count, rows.shape[1]))])
 
 
-def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlanes) -> Measurements:
+def at_reference_time(
+    measured: Measurements, planes: LaserPlanes, prior: Prior
+) -> tuple[Measurements, RingArcs | None]:
     """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
 
-    At this time pose and rates are least correlated (ringpose-method(7), section 8). `arcs`: an approximate ring.
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
+    ring, None if there is none.
     """
-    stamp_s = measured.stamp_s
-    if not bool(np.isfinite(stamp_s).all()):
-        return measured
-    residuals = ring_residuals(arcs, measured, measured.observations(planes), Prior())
+    stamp_s, observations = measured.stamp_s, measured.observations(planes)
+    arcs = initial_guess(measured, observations, prior)
+    first = float(stamp_s.min(initial=np.inf))
+    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
+        return measured, arcs
+    residuals = ring_residuals(arcs, measured, observations, Prior())
     rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0).wrt_rates[:, :3]
     weight = (rows * rows).sum(axis=1)
     if not 0.0 < float(weight.sum()) < np.inf:
-        return measured
-    first = float(stamp_s.min())
+        return measured, arcs
     moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
     covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
-    return moved if covered else measured
+    return (moved if covered else measured), arcs
 
 
 def _ordinate_scale(

@@ -17,10 +17,8 @@ from ringpose.files.io import provenance, read_bytes
 from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
-from ringpose.types.covariance import camera_parameters, laser_parameters
-from ringpose.types.rig import LaserPlanes, Rig
-from ringpose.types.robot import Mount
-from ringpose.types.sequence import MAX_LASERS
+from ringpose.types.rig import LaserPlanes, Mount, Rig, camera_parameters, laser_parameters
+from ringpose.types.session import MAX_LASERS
 
 SCHEMA = "rig/1"
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.types.assumptions import MAX_TOLERANCE_M
-from ringpose.types.ring import Ring
+from ringpose.types.pose import Ring
 
 SCHEMA = "rings/1"
 

@@ -5,10 +5,9 @@ from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot, shot_of
 from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in, detection_of, is_detection
-from ringpose.types.camera import Camera
 from ringpose.types.detection import MAX_OFFSET, BreakPoints, Detection, outside_image
 from ringpose.types.image import Shot
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 SUFFIXES = (RECORDS_SUFFIX, *SHOT_SUFFIXES)
 

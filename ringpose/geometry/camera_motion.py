@@ -9,7 +9,7 @@ import numpy as np
 from ringpose.geometry.ring import CameraDisplacements, rotation_by
 from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.robot import MOUNT_PARAMETERS, Mount, RobotPoses
+from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
 MAX_GAP_S = 0.25
 """Longest time between two poses of the robot within which its motion is interpolated."""

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 _EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
 """Termination of the iterative undistortion; OpenCV's default of five iterations leaves errors of up to 0.01 px."""
@@ -79,3 +79,23 @@ def intersect(
 def _focal_and_principal(camera: Camera) -> tuple[Float64[Array, "2"], Float64[Array, "2"]]:
     matrix = camera.camera_matrix
     return np.array([matrix[0, 0], matrix[1, 1]]), np.array([matrix[0, 2], matrix[1, 2]])
+
+
+def rays_wrt_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
+    """Derivatives of the normalised coordinates with respect to the distorted pixel."""
+    pixel_wrt_ray, _ = pixels_wrt_ray_and_camera(xy, camera)
+    inverse: Float64[Array, "n 2 2"] = np.linalg.inv(pixel_wrt_ray)
+    return inverse
+
+
+def pixels_wrt_ray_and_camera(
+    xy: Float64[Array, "n xy=2"], camera: Camera
+) -> tuple[Float64[Array, "n 2 2"], Float64[Array, "n 2 parameter"]]:
+    """Derivatives of the distorted pixel with respect to the ray (x, y, 1), and to fx, fy, cx, cy, k1, k2, ..."""
+    if not len(xy):
+        return np.empty((0, 2, 2)), np.empty((0, 2, 4 + len(camera.distortion_coefficients)))
+    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    zero = np.zeros(3)
+    _, jacobian = cv2.projectPoints(rays, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
+    columns = np.asarray(jacobian, dtype=np.float64).reshape(len(xy), 2, -1)
+    return columns[:, :, 3:5], columns[:, :, 6:]  # 0 to 2 rotation, 3 and 4 translation in x and y, from 6 the camera

@@ -173,25 +173,20 @@ def motion_derivatives(
 
     wrt_step = np.zeros((*time.shape[:-1], len(STEP), len(STEP)))
     wrt_step[...] = np.eye(len(STEP))
-    wrt_step[..., displaced, LIFT] = components @ before.axes[2]
-    wrt_step[..., displaced, SHIFT] = components @ before.axes[0]
-    wrt_step[..., displaced, TURN] += lever_m * _dot(components, turned[..., [1], :])
-    wrt_step[..., displaced, TILT_INWARD] = -lever_m * _dot(components, turned[..., [2], :])
+    wrt_step[..., displaced, LIFT : SHIFT + 1] = components @ before.axes[[2, 0]].T
+    along_turned = lever_m * (components @ turned.swapaxes(-1, -2))
+    wrt_step[..., displaced, TURN] += along_turned[..., 1]
+    wrt_step[..., displaced, TILT_INWARD] = -along_turned[..., 2]
     if abs(before.mean_radius_m) < MAX_LEVER_M:
-        wrt_step[..., displaced, CURVATURE] = -(lever_m**2) * _dot(components, turned[..., [0], :])
+        wrt_step[..., displaced, CURVATURE] = -lever_m * along_turned[..., 0]
 
     wrt_rates = np.zeros((*time.shape[:-1], len(STEP), 5))
     wrt_rates[..., displaced, :3] = time[..., None] * components
     # about an axis a the normal n turns by a x n, the inward axis i by a x i; along = n x i
-    inward, along, normal = (time * (moved.axes[..., axis, :] @ before.axes[:2].T) for axis in range(3))
+    inward, along, normal = np.moveaxis(time[..., None] * (moved.axes @ before.axes[:2].T), -2, 0)
     wrt_rates[..., TILT_INWARD, 3:], wrt_rates[..., TILT_ALONG, 3:] = along, -inward
     wrt_rates[..., LIFT, 3:], wrt_rates[..., TURN, 3:] = lever_m * along, (1.0 - lever_m * curvature) * normal
     return MotionDerivatives(wrt_step, wrt_rates)
-
-
-def _dot(first: Float64[Array, "*first xyz=3"], second: Float64[Array, "*second xyz=3"]) -> Float64[Array, "*product"]:
-    product: Float64[Array, "*product"] = (first * second).sum(axis=-1)
-    return product
 
 
 def ring_arcs(
@@ -429,25 +424,22 @@ class RingPrediction(NamedTuple):
 
 def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
     """What is seen of the ring `arcs` at the reference time that moves at these rates; `rates` None if it is still."""
-    of_samples, of_points, of_visible, derivatives = arcs, arcs, arcs, None
+    of_samples, of_edges, derivatives = arcs, arcs, None
+    instants = np.concatenate([view.of_sample, view.of_sample[view.ends :], view.of_visible])
     if rates is not None or view.camera is not None:
         rings, derivatives = _at_instants(arcs, view, rates)
-        of_samples, of_visible = rings.at_rows(view.of_sample), rings.at_rows(view.of_visible)
-        of_points = rings.at_rows(view.of_sample[view.ends :])
+        of_samples, of_edges = rings.at_rows(view.of_sample), rings.at_rows(instants[len(view.rays) :])
     stripes = predicted_stripes(of_samples, view.rays[:, 0], view.light_normal, view.light_distance_m)
-    points = edge_distances(of_points, stripes.rays[view.ends :], view.edge_sign)
-    if len(view.visible_sign):
-        edges = edge_distances(of_visible, view.visible_rays, view.visible_sign)
-    else:
-        edges = EdgeDistances(np.empty(0), np.empty((0, len(STEP))), np.empty((0, 2)))
-    if derivatives is None:
-        return RingPrediction(stripes, points, edges)
-    of_sample = derivatives[view.of_sample]
-    return RingPrediction(
-        stripes._replace(y_wrt_step=(stripes.y_wrt_step[:, None] @ of_sample)[:, 0]),
-        points._replace(wrt_step=(points.wrt_step[:, None] @ of_sample[view.ends :])[:, 0]),
-        edges._replace(wrt_step=(edges.wrt_step[:, None] @ derivatives[view.of_visible])[:, 0]),
-    )
+    rays = np.concatenate([stripes.rays[view.ends :], view.visible_rays])
+    edges = edge_distances(of_edges, rays, np.concatenate([view.edge_sign, view.visible_sign]))
+    if derivatives is not None:
+        rows = np.concatenate([stripes.y_wrt_step, edges.wrt_step])
+        rows = (rows[:, None] @ derivatives[instants])[:, 0]
+        stripes = stripes._replace(y_wrt_step=rows[: len(view.rays)])
+        edges = edges._replace(wrt_step=rows[len(view.rays) :])
+    count = len(view.edge_sign)
+    points, visible = (EdgeDistances(*(each[part] for each in edges)) for part in (slice(count), slice(count, None)))
+    return RingPrediction(stripes, points, visible)
 
 
 def _at_instants(

@@ -18,15 +18,6 @@ def robust_std(errors: Float64[Array, "*shape"]) -> float:
     return STD_PER_MAD * float(np.median(np.abs(errors)))
 
 
-def redescending_weights(residuals: Float64[Array, "n"], scale: float) -> Float64[Array, "n"]:
-    """Weights (1 + (r / s)^2)^-2 of Geman and McClure's loss, under which gross outliers lose all influence.
-
-    Geman and McClure, Statistical Methods for Tomographic Image Reconstruction, 1987.
-    """
-    weights: Float64[Array, "n"] = (1.0 + (residuals / scale) ** 2) ** -2
-    return weights
-
-
 def huber_weights(residuals: Float64[Array, "n"], limit: float) -> Float64[Array, "n"]:
     """Weights w of Huber's loss: sum(w r^2) grows as r^2 up to the limit (in the unit of the residuals), as |r| beyond.
 

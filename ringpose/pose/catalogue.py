@@ -6,7 +6,7 @@ from math import exp, log, pi, sqrt
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.ring import KnownRadii, Ring
+from ringpose.types.pose import KnownRadii, Ring
 
 NONE_OF_THESE = "none of these"
 """Key of the probability that the ring is not in the catalogue."""

@@ -14,9 +14,8 @@ from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.plane_evidence import MovedPlane, RigEvidence
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.covariance import PLANE_PARAMETERS
 from ringpose.types.pose import PoseFlag, PoseLine
-from ringpose.types.rig import PlaneCorrection, Rig
+from ringpose.types.rig import PLANE_PARAMETERS, PlaneCorrection, Rig
 
 FORGETTING = 0.98
 """Weight of earlier shots in the share of contradictory ones: about fifty count."""

@@ -33,9 +33,18 @@ from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
-from ringpose.types.pose import NoPose, PlaneEvidence, PoseFlag, PoseResult, Priors, RadiusPrior, RingVelocity
+from ringpose.types.pose import (
+    KnownRadii,
+    NoPose,
+    PlaneEvidence,
+    PoseFlag,
+    PoseResult,
+    Priors,
+    RadiusPrior,
+    Ring,
+    RingVelocity,
+)
 from ringpose.types.rig import Rig
-from ringpose.types.ring import KnownRadii, Ring
 
 RIG_SUSPECT = PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT | PoseFlag.RING_FORM | PoseFlag.MOTION
 """Flags of an explanation for which an error of the rig is an alternative."""
@@ -298,5 +307,6 @@ def _residual_rms_px(estimate: Estimate, measured: Measurements, rig: Rig) -> fl
     """Root mean square distance of the break points from the predicted ones: along their lines, and across."""
     points, residuals, matrix = measured.points, estimate.residuals, rig.camera.camera_matrix
     along_px = residuals.points.distance_m / residuals.distance_wrt_x * matrix[0, 0]
-    across_px = (points.y - residuals.y) * matrix[1, 1]
-    return sqrt(float(((1.0 + residuals.slope**2) * along_px**2 + across_px**2).sum()) / len(along_px))
+    across_px = (points.y - residuals.stripes.rays[residuals.ends :, 1]) * matrix[1, 1]
+    stretch = 1.0 + residuals.stripes.slope[residuals.ends :] ** 2
+    return sqrt(float((stretch * along_px**2 + across_px**2).sum()) / len(along_px))

@@ -23,9 +23,8 @@ from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
-from ringpose.types.covariance import PLANE_PARAMETERS, laser_parameters
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
-from ringpose.types.rig import Rig
+from ringpose.types.rig import PLANE_PARAMETERS, Rig, laser_parameters
 
 STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
 """At most one stream of so many shots in a thousand may have a false alarm: a normal quantile."""

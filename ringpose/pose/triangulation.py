@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
 from ringpose.estimate.nuisance import rig_errors
-from ringpose.geometry.rays import intersect, rays
+from ringpose.geometry.rays import intersect, pixels_wrt_ray_and_camera, rays
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints
 from ringpose.types.pose import RingPoints
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 
 def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:

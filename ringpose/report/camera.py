@@ -13,10 +13,8 @@ from ringpose.calibrate.camera.quality import projection_sigma_m
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, verdict_section
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import CAMERA_PARAMETERS
-from ringpose.types.verdict import Verdict
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison, Verdict
+from ringpose.types.rig import CAMERA_PARAMETERS, Camera
 
 
 def camera_report(

@@ -11,7 +11,6 @@ from ringpose.geometry.rays import project
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.transform import pose_in_frame
 from ringpose.types.arrays import EDGES, Array, Float64, Int64, UInt, UInt8
-from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     UNLABELLED,
     BreakPointFlag,
@@ -24,7 +23,7 @@ from ringpose.types.detection import (
 from ringpose.types.image import Shot
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import LaserState, PoseLine, RingPose
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 Color = tuple[int, int, int]
 

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from string import Template
 
 from ringpose.errors import UsageError
-from ringpose.types.verdict import Check, Verdict
+from ringpose.types.calibration import Check, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,7 +20,7 @@ from ringpose.report.overlay import color_of, pose_in_camera_frame, pose_texts
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.truth import Truth
+from ringpose.types.scene import Truth
 
 WIDTH_PX = 800
 """Width of the pictures, at most."""

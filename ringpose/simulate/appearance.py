@@ -23,7 +23,7 @@ from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, in_fan,
 from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 from ringpose.types.scene import RingView, Scene
 
 

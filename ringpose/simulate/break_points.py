@@ -12,7 +12,7 @@ from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.kernels.render import blocked
 from ringpose.simulate.light import IlluminatedTarget, in_fan, sheets
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 from ringpose.types.target import RingShape
 
 _INSIDE_M = 1e-6

@@ -36,7 +36,6 @@ from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, ring_views, target_placement
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import MotionPrior
-from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     BreakPointFlag,
     BreakPoints,
@@ -45,9 +44,9 @@ from ringpose.types.detection import (
     RingEdgePoints,
     joined_edge_points,
 )
-from ringpose.types.scene import RingView, Scene
+from ringpose.types.rig import Camera
+from ringpose.types.scene import RingView, Scene, Truth
 from ringpose.types.target import RingForm, RingShape
-from ringpose.types.truth import Truth
 
 _FEATURES, _COMMON = 2, 3
 """First numbers of the seeds of shots and of their common errors; images have 0 and 1."""

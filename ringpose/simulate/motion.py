@@ -13,8 +13,8 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.motion import FreeMotion, TargetPath, TimedPoses
 from ringpose.types.scene import RingView
+from ringpose.types.target import FreeMotion, TargetPath, TimedPoses
 
 RELATIVE_TOLERANCE = 1e-13
 """Of the integration; over ten minutes at 8 deg/s, energy and angular momentum are kept to 1e-10."""

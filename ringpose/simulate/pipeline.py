@@ -23,8 +23,7 @@ from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.target.parts import part_around, view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
-from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene
-from ringpose.types.truth import Truth, TruthFrame
+from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene, Truth, TruthFrame
 
 _SHOTS, _BOARDS = 0, 1
 """First number of each seed, so that the noise of boards and shots is independent."""

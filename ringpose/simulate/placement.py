@@ -13,8 +13,7 @@ from ringpose.geometry.rotations import facing_normal
 from ringpose.simulate.motion import moving_views
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
-from ringpose.types.camera import Camera
-from ringpose.types.rig import LaserPlanes
+from ringpose.types.rig import Camera, LaserPlanes
 from ringpose.types.scene import Approach, BoardApproach, BoardSet, NamedBoardPose, RingView, Scene
 
 READOUT_S = 0.002

@@ -19,8 +19,8 @@ from ringpose.kernels.render import THIN, PixelImage
 from ringpose.simulate.light import IlluminatedTarget, caster_input
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.types.arrays import Array, Float32, Float64, Int16, Int64, UInt8
-from ringpose.types.camera import Camera
 from ringpose.types.image import Frame
+from ringpose.types.rig import Camera
 from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
 
 

@@ -11,10 +11,8 @@ from ringpose.errors import DataError
 from ringpose.estimate.nuisance import covariance_root, form_sd_m
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.covariance import ParameterCovariance, laser_parameters
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
-from ringpose.types.rig import PlaneCorrection, Rig
-from ringpose.types.robot import MOUNT_PARAMETERS, Mount
+from ringpose.types.rig import MOUNT_PARAMETERS, Mount, ParameterCovariance, PlaneCorrection, Rig, laser_parameters
 
 NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
 """Of a rig that counts as exact."""

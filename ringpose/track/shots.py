@@ -1,6 +1,6 @@
 """Shots -> track in one process: the track predicts where a shot shows the stripes, and to which lasers they belong.
 
-The computation of `ringpose pose --track`, with `ringpose.pose.record` between detection and track:
+The computation of `ringpose pose --track`, with `ringpose.pose.pipeline` between detection and track:
 
 detection = shots.detected(shot, rig, assumptions)
 track_line = shots.added(pose_line(detection, rig), now_s)

@@ -1,14 +1,117 @@
-"""The rig: camera, light planes, their joint covariance, and the mounting."""
+"""The rig: camera, light planes, their joint covariance, and the robot or tool that carries the camera."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.robot import Mount
+from ringpose.types.options import DistortionModel
+
+CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""In the order of OpenCV's Jacobian; a camera with fewer distortion coefficients has the first of them."""
+
+PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
+"""Parameters of each light plane."""
+
+
+def camera_parameters(coefficients: int) -> tuple[str, ...]:
+    """Names of a camera's parameters, for so many distortion coefficients."""
+    return CAMERA_PARAMETERS[: 4 + coefficients]
+
+
+def laser_parameters(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the light planes' parameters, those of each laser in turn."""
+    return tuple(f"{name}.{what}" for name in names for what in PLANE_PARAMETERS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterCovariance:
+    """Joint covariance of named parameters; pixels, radians, metres.
+
+    Names: `CAMERA_PARAMETERS`, and `<laser>.tilt_1 <laser>.tilt_2 <laser>.distance` of each light plane (tilt basis:
+    `ringpose.geometry.rotations.tilt_basis`).
+    """
+
+    parameters: tuple[str, ...]
+    data: Float64[Array, "parameter parameter"]
+
+    def of(self, names: Sequence[str]) -> Float64[Array, "n n"]:
+        """The covariance of these parameters in their order; zero rows and columns for those that it does not have."""
+        known = [name for name in names if name in self.parameters]
+        here = [names.index(name) for name in known]
+        there = [self.parameters.index(name) for name in known]
+        covariance = np.zeros((len(names), len(names)))
+        covariance[np.ix_(here, here)] = self.data[np.ix_(there, there)]
+        return covariance
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """Standard deviations by name."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.data)).tolist(), strict=True))
+
+
+DISTORTION_COEFFICIENTS = {DistortionModel.PLUMB_BOB.value: 5, DistortionModel.RATIONAL_POLYNOMIAL.value: 8}
+"""Number of coefficients of the ROS distortion models that OpenCV supports."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Camera:
+    """Intrinsic parameters; pixel (0, 0) is the centre of the top-left pixel."""
+
+    camera_name: str
+    image_width: int
+    image_height: int
+    camera_matrix: Float64[Array, "3 3"]
+    distortion_model: str
+    distortion_coefficients: Float64[Array, "coefficient"]
+    """OpenCV's order: k1, k2, p1, p2, k3 (plumb_bob), and k4, k5, k6 (rational_polynomial)."""
+    covariance: ParameterCovariance | None = None
+    """Covariance of the intrinsic parameters alone; the joint covariance of a rig is in `Rig`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotPoses:
+    """Poses of the tool in the base frame, in the order of their stamps."""
+
+    stamp_s: Float64[Array, "pose"]
+    position_m: Float64[Array, "pose xyz=3"]
+    rotation: Float64[Array, "pose 3 3"]
+    """From tool to base."""
+
+
+MOUNT_PARAMETERS = (
+    "mount.rotation_x", "mount.rotation_y", "mount.rotation_z",
+    "mount.translation_x", "mount.translation_y", "mount.translation_z", "mount.delay",
+)  # fmt: skip
+"""Uncertain parameters of a mount: rotation vector (rad) and translation (m) of the camera in the tool frame, delay."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mount:
+    """How the camera is mounted on the tool, and how well that is known."""
+
+    tool_from_camera: Float64[Array, "4 4"]
+    root: Float64[Array, "6 6"]
+    """R of the covariance R R^T of rotation vector (rad) and translation (m), in the tool frame."""
+    delay_s: float = 0.0
+    """The robot's stamp that belongs to the camera's stamp t is t + delay_s ..."""
+    delay_sd_s: float = 0.0
+    """... with this standard deviation."""
+
+    @property
+    def covariance(self) -> Float64[Array, "parameter=7 parameter=7"]:
+        """Of `MOUNT_PARAMETERS`."""
+        covariance = np.zeros((7, 7))
+        covariance[:6, :6], covariance[6, 6] = self.root @ self.root.T, self.delay_sd_s**2
+        return covariance
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Those of `MOUNT_PARAMETERS` that have a variance."""
+        return tuple(name for name, sd in zip(MOUNT_PARAMETERS, np.diag(self.covariance), strict=True) if sd > 0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,8 +1,106 @@
-"""Description of a capture: devices, sequence and shots."""
+"""A capture: its laser sequence, the lasers and exposure of each frame of a shot, its devices and its shots.
 
-from collections.abc import Mapping
+Sequences are written as `off,1,2,3,off` or `off,all@500us,all@4ms`.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
+
+from ringpose.errors import UsageError
+
+MAX_LASERS = 8
+"""A mask is one byte."""
+
+_STEP = re.compile(r"[1-9][0-9]{0,3}(\+[1-9][0-9]{0,3})*")
+
+_EXPOSURE = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,12})?)(us|ms|s)")
+
+_UNIT_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One frame of a shot: which lasers are on."""
+
+    text: str
+    """`off`, `all`, or 1-based laser numbers joined by `+`, as given by the user."""
+    exposure: str = ""
+    """Exposure such as `500us`; empty for the default exposure."""
+
+    @property
+    def written(self) -> str:
+        """The step in the syntax of a sequence."""
+        return f"{self.text}@{self.exposure}" if self.exposure else self.text
+
+    @property
+    def exposure_s(self) -> float | None:
+        """Exposure of this frame; None for the default exposure."""
+        found = _EXPOSURE.fullmatch(self.exposure)
+        return None if found is None else float(found[1]) * _UNIT_S[found[2]]
+
+    def mask(self, count: int) -> int:
+        """Bit i for laser i of a rig with `count` lasers; a number beyond them is an error."""
+        if self.text == "off":
+            return 0
+        if self.text == "all":
+            return (1 << count) - 1
+        numbers = [int(number) for number in self.text.split("+")]
+        if max(numbers) > count:
+            lasers = "1 laser" if count == 1 else f"{count} lasers"
+            raise UsageError("--sequence", f'step "{self.text}" names laser {max(numbers)} of a rig with {lasers}')
+        return sum(1 << (number - 1) for number in numbers)
+
+
+def parsed_sequence(text: str) -> tuple[Step, ...]:
+    """The steps of a sequence: separated by commas, each `off`, `all` or laser numbers joined by `+`.
+
+    A step may be followed by `@` and an exposure in us, ms or s.
+    """
+    return tuple(_exposed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
+
+
+def written_sequence(steps: Iterable[Step]) -> str:
+    """The steps in the syntax of a sequence."""
+    return ",".join(step.written for step in steps)
+
+
+def steps_of(masks: Iterable[int], count: int) -> tuple[Step, ...]:
+    """The steps for these laser masks on a rig with `count` lasers."""
+    return tuple(_step_of(mask, count) for mask in masks)
+
+
+def _step_of(mask: int, count: int) -> Step:
+    if mask == (1 << count) - 1:
+        return Step("all")
+    numbers = [str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1]
+    return Step("+".join(numbers) or "off")
+
+
+def _exposed_step(word: str, place: int) -> Step:
+    lasers, at, exposure = word.partition("@")
+    step = Step(_parsed_step(lasers, place).text, exposure)
+    if at and not step.exposure_s:
+        found = f'step {place}, "{word}", has no exposure after its @'
+        raise UsageError("--sequence", found, "write it as 500us, 4ms or 0.5s")
+    return step
+
+
+def _parsed_step(word: str, place: int) -> Step:
+    if word in ("off", "all"):
+        return Step(word)
+    if not _STEP.fullmatch(word):
+        raise UsageError(
+            "--sequence", f'step {place} is "{word}"', "a step is off, all, or laser numbers from 1 joined by +"
+        )
+    numbers = word.split("+")
+    if len(set(numbers)) < len(numbers):
+        raise UsageError("--sequence", f'step {place}, "{word}", names a laser twice')
+    if max(map(int, numbers)) > MAX_LASERS:
+        raise UsageError("--sequence", f'step {place}, "{word}", names a laser beyond the {MAX_LASERS} of a mask')
+    return Step(word)
+
 
 CaptureState = Literal["capturing", "finished", "stopped"]
 """`capturing` in a folder that is no longer being written: the capture was aborted, and may have more shots than

@@ -9,9 +9,9 @@ import pytest
 
 from ringpose.bench import score
 from ringpose.bench.score import PoseEstimate
-from ringpose.types.camera import Camera
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose
-from ringpose.types.truth import Truth
+from ringpose.types.rig import Camera
+from ringpose.types.scene import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
 NO_FLAG = PoseFlag(0)

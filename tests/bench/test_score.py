@@ -9,7 +9,7 @@ from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEst
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
 from ringpose.types.pose import PoseFlag, RingVelocity
-from ringpose.types.truth import Truth, TruthFrame
+from ringpose.types.scene import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
 NO_POSE = PoseEstimate(shot="a", method="paper", pose=None)

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from ringpose.bench.design.maps import Place, place_result, scene_at
 from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import angle_between
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.types.arrays import Array, Float64

@@ -39,8 +39,7 @@ from ringpose.detect.stripes import find_stripes
 from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.scenes.scene import read_scene
-from ringpose.pose.pipeline import estimate_pose
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import estimate_pose, pose_line
 from ringpose.simulate.pipeline import illuminated_ring, moving_frame, render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.renderer import layers, pixel_rays
@@ -48,11 +47,10 @@ from ringpose.simulate.sensor import digitised
 from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
 from ringpose.types.arrays import Array, Float32, Float64
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 from ringpose.types.scene import Scene
 
 SCENE = Path(__file__).parents[2] / "examples" / "scene.yaml"

@@ -15,10 +15,9 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.types.arrays import Array, Float64, UInt8
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06

@@ -9,8 +9,8 @@ import pytest
 
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
+from ringpose.types.rig import Camera
 
 MATRIX = np.array([[1781.3, 0.0, 803.7], [0.0, 1780.6, 596.2], [0.0, 0.0, 1.0]])
 COEFFICIENTS = np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0])

@@ -1,7 +1,7 @@
 """Verdicts in files and in lines."""
 
 from ringpose.calibrate.acceptance import verdict_lines, verdict_values
-from ringpose.types.verdict import Check, Verdict
+from ringpose.types.calibration import Check, Verdict
 
 POOR = Check(
     name="held_out_rms_m", value=4e-4, pass_limit=2e-4, fail_limit=1e-3, advice="add a view at 1 m", place="left"

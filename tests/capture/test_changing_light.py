@@ -7,7 +7,7 @@ from blinking_scene import BlinkingScene
 from ringpose.capture.ambient import lost_attempts_dn
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 IN_TURN = "off,1,2,3,off"
 

@@ -15,7 +15,7 @@ from ringpose.cli.main import main
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
 from ringpose.types.image import Frame, Shot
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 FULL_DN = 255
 ROWS = (30.0, 60.0, 90.0)

@@ -11,7 +11,7 @@ from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived, UsageError
 from ringpose.types.image import Frame, Shot
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 
 class RecordingLasers(LaserDriver):

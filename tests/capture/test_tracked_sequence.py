@@ -1,7 +1,7 @@
 """The lasers of each shot while a track assigns their stripes."""
 
 from ringpose.capture.source import OFF_EVERY, TrackedSequence
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 
 def test_the_sequence_is_switched_until_the_lasers_are_assigned_and_shows_the_background_now_and_then():

@@ -14,7 +14,7 @@ from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.records.truths import truth_record
 from ringpose.types.pose import PoseLine, RingPose
-from ringpose.types.truth import Truth
+from ringpose.types.scene import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
 X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])

@@ -21,7 +21,7 @@ from ringpose.files.records.detections import detection_record
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
 from ringpose.files.sources import read_source
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import pose_line
 from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import NoPose

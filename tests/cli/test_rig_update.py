@@ -14,7 +14,7 @@ from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.rigs import read_rig, write_rig
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.covariance import laser_parameters
+from ringpose.types.rig import laser_parameters
 
 TILT_RAD, SHIFT_M, SHOTS = (0.0, 0.004), 0.001, 14
 

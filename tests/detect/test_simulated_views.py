@@ -7,10 +7,9 @@ import pytest
 
 from ringpose.detect.pipeline import detect
 from ringpose.simulate.pipeline import simulate
-from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 from ringpose.types.scene import Light, RingView, Scene, Sensor
 from ringpose.types.target import Body, RingShape
 

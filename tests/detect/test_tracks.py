@@ -7,8 +7,8 @@ import pytest
 from ringpose.detect.break_points import mark_params
 from ringpose.detect.stripes import stripe_line_segments
 from ringpose.kernels.ends import flagged_ends
-from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
+from ringpose.types.rig import Camera
 
 CAMERA = Camera(
     camera_name="plain",

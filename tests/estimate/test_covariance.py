@@ -12,16 +12,16 @@ from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.pose.maximum_likelihood import most_likely_pose
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import Method
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag
+from ringpose.types.rig import ParameterCovariance
 
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 PLANES = tuple(f"{laser}.{what}" for laser in ("left", "middle", "right") for what in ("tilt_1", "tilt_2", "distance"))
 SIGMA_PX = {Method.PAPER: 1e-9, Method.PAPER_CONSTRAINED: 0.03}
 """`paper` is linear only for noise that no image has: its plane row is too light to hold the centre in the plane."""
 NOISE = pytest.mark.parametrize("method", list(FORMS))
-SAMPLES = pytest.mark.parametrize("samples", [400, pytest.param(4000, marks=pytest.mark.slow)])
+SAMPLES = pytest.mark.parametrize("samples", [400, pytest.param(2000, marks=pytest.mark.slow)])
 
 
 def largest_deviation(samples, covariance):
@@ -155,7 +155,7 @@ def test_samples_of_a_wrong_rig_scatter_as_predicted(scene, rng, samples):
     assert largest_deviation(np.array(centers), predicted.covariance_center_m2) < tolerance(samples)
 
 
-@pytest.mark.parametrize("samples", [150, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("samples", [150, pytest.param(1000, marks=pytest.mark.slow)])
 def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, face_points, rng, samples):
     names = CAMERA + PLANES
     known = ParameterCovariance(parameters=names, data=correlated(rng))
@@ -254,9 +254,8 @@ def test_rig_covariance_of_an_unknown_parameter_is_bad_data(scene):
 
 @pytest.mark.slow
 @NOISE
-@pytest.mark.parametrize("rig", ["A", "B"])
 @pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
-@pytest.mark.parametrize("tilt_rad", [(0.1, -0.1), (0.0, 0.2)])
+@pytest.mark.parametrize(("rig", "tilt_rad"), [("A", (0.1, -0.1)), ("B", (0.0, 0.2))])
 def test_a_center_far_beyond_its_covariance_is_flagged(scene_of, rng, rig, method, distance_m, tilt_rad):
     scene = scene_of(rig, distance_m=distance_m, tilt_rad=tilt_rad)
 

@@ -7,8 +7,7 @@ import pytest
 
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.pipeline import estimate_pose, pose_result
-from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, RingPose
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
 OTHER = KnownRadii(radius_m=np.array([0.64, 0.67]), sd_m=np.array([2e-4, 2e-4]))
@@ -156,13 +155,14 @@ OTHER_RADII = (
         )
         for number, radii in enumerate(OTHER_RADII)
         for near, distance_m in enumerate((0.25, 0.5, 1.0))
+        if (number + near) % 3 < 2
     ],
 )
 def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, distance_m, size, said):
     scene = scene_of("B", distance_m=distance_m, size=size)
     known = KnownRadii(radius_m=np.array(said), sd_m=np.full(2, 5e-4))
 
-    results = [pose_result(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(10)]
+    results = [pose_result(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(6)]
 
     assert all(result.flags & CONTRADICTIONS for result in results)
     assert all(result.remark for result in results)
@@ -184,9 +184,9 @@ def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(scene_of, face_p
 
 @pytest.mark.slow
 def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
-    poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(1000)]
+    poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(600)]
 
-    assert sum(bool(pose.flags & ~HARMLESS_FLAGS) for pose in poses) <= 2
+    assert sum(bool(pose.flags & ~HARMLESS_FLAGS) for pose in poses) <= 1
 
 
 @EVERY_POINT
@@ -257,9 +257,8 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
 @pytest.mark.parametrize(
     ("distance_m", "end_sigma_px"),
     [
-        (0.25, 0.3),
         (0.5, 2.0),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.25, 2.0), (0.25, 8.0), (0.5, 0.3), (0.5, 8.0))),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.25, 0.3), (0.25, 8.0), (0.5, 0.3))),
     ],
 )
 def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(

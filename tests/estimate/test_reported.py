@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import PoseFlag
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii, PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 

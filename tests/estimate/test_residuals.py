@@ -7,7 +7,7 @@ from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import ring_residuals
 from ringpose.geometry.ring import ring_arcs
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii
 
 STEP = 1e-6
 RADII = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([0.001, 0.002]))

@@ -10,9 +10,8 @@ from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import estimate_ring, ring_residuals
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.pose import NoPose, RingPose
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii, NoPose, RingPose
+from ringpose.types.rig import ParameterCovariance
 
 INNER_ONLY = KnownRadii(radius_m=np.array([0.567, np.nan]), sd_m=np.full(2, 1e-4))
 BOTH = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.full(2, 1e-4))

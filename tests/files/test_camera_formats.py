@@ -12,9 +12,8 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files.cameras import matlab
 from ringpose.files.cameras.formats import read_camera, write_camera_as
 from ringpose.files.cameras.ros import write_camera
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import CameraFormat
+from ringpose.types.rig import Camera, ParameterCovariance
 
 MATRIX = np.array([[700.123456789012, 0, 320.5], [0, 710.0 / 3, 240.25], [0, 0, 1]])
 PLUMB_BOB = np.array([-0.1, 0.12, 1e-4, -2e-4, 0.0312345678901234])

@@ -5,8 +5,7 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.files.cameras.formats import read_camera
 from ringpose.files.cameras.ros import write_camera
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.rig import Camera, ParameterCovariance
 
 MATRIX = np.array([[700.0, 0, 320.5], [0, 710.0, 240.25], [0, 0, 1]])
 COEFFICIENTS = np.array([-0.1, 0.12, 1e-4, -2e-4, 0.03])

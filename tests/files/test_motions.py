@@ -10,7 +10,7 @@ from ringpose.cli.main import main
 from ringpose.errors import DataError
 from ringpose.files.scenes.motions import read_poses
 from ringpose.files.scenes.scene import read_scene
-from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
+from ringpose.types.target import MOTION_PRESETS, FreeMotion, TimedPoses
 
 POSES = [
     {"time_s": 0.0, "position_m": [-0.58, 0, 0.5], "orientation_xyzw": [1, 0, 0, 0]},

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.errors import CannotCreateError, DataError
 from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_rig
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.rig import ParameterCovariance
 
 MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
 """Turns the z axis over alone: what comes of a left-handed frame."""

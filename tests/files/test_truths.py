@@ -7,7 +7,7 @@ from schemas import validated
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.records.truths import read_truths, truth_record
-from ringpose.types.truth import Truth, TruthFrame
+from ringpose.types.scene import Truth, TruthFrame
 
 LINE = {
     "shot": "a",

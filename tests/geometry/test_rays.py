@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.geometry.rays import intersect, project, rays, undistort, undistorted_pixels
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 DISTORTIONS = {
     "plumb_bob": [-0.105, 0.118, 0.00055, -0.0004, 0.01],

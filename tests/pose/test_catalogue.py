@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.pose.catalogue import LIKELY_ENOUGH, NONE_OF_THESE, ring_posterior
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.ring import Ring
+from ringpose.types.pose import Ring
 
 SIZES = {"R468": (0.4285, 0.4685), "R597": (0.567, 0.597), "R833": (0.798, 0.833), "R1312": (1.272, 1.312)}
 RINGS = [

@@ -7,7 +7,7 @@ from drawn_scene import RADII_M, DrawnScene, draw_shot, drawn_rig
 from ringpose.detect.pipeline import detect
 from ringpose.estimate.measurements import integrated_autocorrelation_time
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii
 
 KNOWN = KnownRadii(radius_m=np.array(RADII_M), sd_m=np.array([1e-4, 1e-4]))
 SHOTS = 40

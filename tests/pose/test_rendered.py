@@ -12,10 +12,9 @@ from ringpose.files.images.shots import read_shot
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.pose.pipeline import estimate_pose as most_likely_pose
-from ringpose.types.camera import Camera
 from ringpose.types.options import Method
 from ringpose.types.pose import NoPose
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 FOLDERS = pytest.mark.parametrize("folder", ["rig_a", "rig_b", "variants_a", "variants_b"])

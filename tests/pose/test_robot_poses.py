@@ -10,12 +10,11 @@ from ring_scenes import Ring, Scene, pixels_of
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import displacement_increments, ring_arcs
-from ringpose.pose.pipeline import pose_result
-from ringpose.pose.record import pose_line
+from ringpose.pose.pipeline import pose_line, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, MotionPrior
 from ringpose.types.detection import Detection, joined_edge_points
 from ringpose.types.pose import NoPose, PoseFlag, RingPose
-from ringpose.types.robot import MOUNT_PARAMETERS, Mount, RobotPoses
+from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
 STAMPS_S = 100.0 + np.arange(3) / 30
 STILL = Assumptions()

@@ -10,8 +10,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulate
-from ringpose.types.pose import PoseFlag
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.scene import Approach
 
 SCENE = Path(__file__).parents[2] / "examples" / "scene-full.yaml"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.pose.triangulation import point_covariance, point_jacobians, points_wrt_plane, triangulated
-from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
+from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS
 
 LASER = np.repeat([0, 1, 2], 2)
 RATIONAL = np.array([-0.105, 0.118, 0.00055, -0.0004, 0.02, 0.01, -0.02, 0.005])

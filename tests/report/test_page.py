@@ -13,7 +13,7 @@ import pytest
 from ringpose.errors import UsageError
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, require_matplotlib, verdict_section
-from ringpose.types.verdict import Check, Verdict
+from ringpose.types.calibration import Check, Verdict
 
 
 class Tags(HTMLParser):

@@ -19,7 +19,7 @@ from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Reje
 from ringpose.types.image import Shot
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import LaserState, PoseFlag, PoseLine, RingPose
-from ringpose.types.robot import Mount
+from ringpose.types.rig import Mount
 
 NO_POINTS = Detection(shot="a", stamp_s=0.0, break_points=NoBreakPoints.NO_RING)
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.types.camera import Camera
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Camera, LaserPlanes, Rig
 from ringpose.types.scene import LaserLight, Lens, Light, RingView, Scene, Sensor, Speckle
 from ringpose.types.target import Body, RingShape
 

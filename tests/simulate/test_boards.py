@@ -11,7 +11,7 @@ from ringpose.simulate.board_target import board_print
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.simulate.placement import board_poses, middle_of_board_m
 from ringpose.types.board import Board, BoardView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 from ringpose.types.scene import BoardApproach, BoardSet
 
 CHARUCO = Board(kind="charuco", squares_x=7, squares_y=5, square_m=0.04, marker_m=0.03, dictionary="DICT_4X4_50")

@@ -8,7 +8,7 @@ from ringpose.simulate.light import IlluminatedTarget, caster_input
 from ringpose.simulate.placement import Placement
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.target.parts import body_part, target_tables
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 from ringpose.types.scene import LaserLight, Light
 from ringpose.types.target import Body
 

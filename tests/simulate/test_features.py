@@ -15,10 +15,9 @@ from ringpose.simulate.features import Deviations, draw_detection, drawn_feature
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import target_placement
 from ringpose.types.assumptions import MotionPrior, RigStability
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.motion import FreeMotion
-from ringpose.types.target import Gap, RingForm
+from ringpose.types.rig import ParameterCovariance
+from ringpose.types.target import FreeMotion, Gap, RingForm
 
 EXACT = Deviations(noise=False)
 STILL_FORM = RingForm(radial_m=np.zeros((2, 3, 2)), axial_m=np.zeros((3, 2)))

@@ -14,9 +14,8 @@ from ringpose.simulate.motion import FreeAttitude, PosePath, velocities
 from ringpose.simulate.pipeline import SceneFrames, illuminated_ring, simulate
 from ringpose.simulate.placement import ring_views, target_placement
 from ringpose.simulate.renderer import blur_px, layers, pixel_rays
-from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
 from ringpose.types.scene import Light, RingView
-from ringpose.types.target import MATERIALS, Body
+from ringpose.types.target import MATERIALS, MOTION_PRESETS, Body, FreeMotion, TimedPoses
 
 STRESS_RAD_S = np.array(MOTION_PRESETS["stress"].angular_velocity_rad_s)
 TEN_MINUTES_S = 600.0

@@ -12,7 +12,7 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import predicted_ring, predicted_stripes
 from ringpose.track.shots import ShotTracker
-from ringpose.types.robot import Mount, RobotPoses
+from ringpose.types.rig import Mount, RobotPoses
 from ringpose.types.track import FusionStatus
 
 TOOL_FROM_CAMERA = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.05], [0, 0, 1, -0.1], [0, 0, 0, 1]])

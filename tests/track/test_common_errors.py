@@ -9,9 +9,8 @@ from ring_scenes import RIGS
 from ringpose.errors import DataError
 from ringpose.track.common_errors import common_errors
 from ringpose.types.assumptions import Assumptions, RigStability
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RingMeasurement
-from ringpose.types.rig import PlaneCorrection
+from ringpose.types.rig import ParameterCovariance, PlaneCorrection
 
 STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
 CALIBRATED = ("fx", "fy", "left.tilt_1", "left.distance")

@@ -24,7 +24,7 @@ from ringpose.estimate.covariance import standard_deviation
 from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import facing_normal
-from ringpose.pose.record import RADIUS_SD_M, pose_line
+from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.light import radiance_along
 from ringpose.simulate.pipeline import illuminated_ring
@@ -32,9 +32,8 @@ from ringpose.simulate.placement import image_ray, ring_rotation
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import NOISE_ONLY, RigStability
 from ringpose.types.detection import BreakPoints
-from ringpose.types.pose import PoseFlag, PoseLine
+from ringpose.types.pose import KnownRadii, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
-from ringpose.types.ring import KnownRadii
 from ringpose.types.scene import RingView, Scene
 
 WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN

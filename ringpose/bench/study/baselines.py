@@ -17,9 +17,8 @@ from ringpose.pose.closed_form import constrained_form, why_undetermined
 from ringpose.pose.triangulation import triangulated
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.detection import BreakPoints, Detection, RingEdgePoints
-from ringpose.types.pose import NoPose, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.ring import KnownRadii
 from ringpose.types.study import StudyMethod
 
 MIN_ELLIPSE_POINTS = 20

@@ -22,9 +22,8 @@ from ringpose.types.board import BoardView
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import Rig
-from ringpose.types.scene import BoardSet, Scene
+from ringpose.types.scene import BoardSet, Scene, Truth
 from ringpose.types.study import Row, Study, StudyMethod
-from ringpose.types.truth import Truth
 
 PART_S = (0.5, 10.0)
 """Time after which finished shots are written to a new part file, at first and later: what a killed study loses."""

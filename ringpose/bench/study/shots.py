@@ -21,7 +21,7 @@ from ringpose.bench.study.runs import tracked, with_run
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
-from ringpose.pose.record import RADIUS_SD_M, pose_line
+from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
 from ringpose.simulate.common_errors import drawn_rig
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
@@ -30,14 +30,12 @@ from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrio
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.pose import NoPose, PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.ring import KnownRadii
-from ringpose.types.scene import Approach, Scene
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.scene import Approach, Scene, Truth
+from ringpose.types.session import parsed_sequence
 from ringpose.types.study import Row, Study, StudyMethod, Value, columns
 from ringpose.types.target import RingShape
-from ringpose.types.truth import Truth
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION = 10, 11, 12, 13, 14
 """First numbers of the seeds of a shot's factors, scene, true rig, assumed radii and motion."""

@@ -21,7 +21,7 @@ from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 MIN_SIGMA_PX = 0.002
 """Lower limit of a corner's standard deviation in one view, and of the systematic part common to all views."""

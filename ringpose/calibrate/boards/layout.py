@@ -16,7 +16,7 @@ from ringpose.calibrate.acceptance import BOARD_LIMITS, check
 from ringpose.calibrate.boards.patterns.markers import Markers
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
-from ringpose.types.verdict import Check
+from ringpose.types.calibration import Check
 
 MAX_MISFIT = 0.25
 """Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1

@@ -8,7 +8,7 @@ import numpy as np
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 MIRRORED_RAD = 0.01
 """Minima whose normals differ by less are the same."""

@@ -27,9 +27,8 @@ from ringpose.calibrate.camera.validation import (
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.calibration import CameraAssessment, CameraCalibration, Coverage
-from ringpose.types.camera import Camera
-from ringpose.types.verdict import Check
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, Check, Coverage
+from ringpose.types.rig import Camera
 
 CHANCE = 2.5
 """Disagreement of the views, 1 if noise explains it, is significant above 1 + CHANCE / sqrt(views - 1): of 80 sets of 8

@@ -31,7 +31,7 @@ from ringpose.calibrate.camera.parameters import (
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera
 
 MIN_VIEWS = 3
 """Two views of a plane give four equations for the four parameters of the pinhole, and none to check them."""

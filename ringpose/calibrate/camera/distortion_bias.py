@@ -16,7 +16,7 @@ from ringpose.calibrate.boards.pose import board_pose
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 _SAMPLES = 33
 

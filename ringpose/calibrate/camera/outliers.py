@@ -11,7 +11,7 @@ from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 VIEW_FACTOR = 2.5
 """A view is rejected if its rms exceeds this multiple of the views' median; in good sets the ratio is below 1.5."""

@@ -8,8 +8,7 @@ import numpy as np
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
-from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
-from ringpose.types.covariance import camera_parameters
+from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, camera_parameters
 
 MIN_SHARE = 1e-14
 """Lower limit of eigenvalues, over the largest one: rounding of smaller ones would make variances negative."""

@@ -25,8 +25,7 @@ from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, covaria
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import CameraCalibration, CameraView
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.rig import Camera, ParameterCovariance
 
 MAX_FOCAL_SHARE = 0.1
 """Relative standard deviation of the focal length above which the views do not determine it."""

@@ -15,12 +15,13 @@ from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,
     CameraView,
+    Check,
     Coverage,
     LeftOutView,
     ModelComparison,
+    Verdict,
 )
-from ringpose.types.covariance import CAMERA_PARAMETERS
-from ringpose.types.verdict import Check, Verdict
+from ringpose.types.rig import CAMERA_PARAMETERS
 
 
 def camera_quality(

@@ -40,9 +40,8 @@ from ringpose.types.calibration import (
     ModelComparison,
     ModelFit,
 )
-from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import DistortionModel
+from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, ParameterCovariance
 
 MAX_SOLVED = 20
 """Above this number of views, leave-one-out cameras are computed by one Gauss-Newton step; solving again takes 1 s for

@@ -22,16 +22,21 @@ from ringpose.calibrate.planes.joint_adjustment import (
     joint_fit,
     prior_information,
 )
-from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
-from ringpose.geometry.rays import intersect, project, rays
+from ringpose.geometry.rays import intersect, pixels_wrt_ray_and_camera, project, rays
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.closed_form import differentiated, pose_covariance
 from ringpose.pose.triangulation import point_covariance
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.options import Method
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import (
+    CAMERA_PARAMETERS,
+    PLANE_PARAMETERS,
+    Camera,
+    LaserPlanes,
+    ParameterCovariance,
+    Rig,
+    laser_parameters,
+)
 
 SIGNIFICANCE = 3.0
 """Significance of the chi-squared test, in its standard deviations above the mean."""

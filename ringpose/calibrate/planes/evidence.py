@@ -22,7 +22,7 @@ from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 OUTLIER_FACTOR = 4.0
 """A view is left out if its corners' rms exceeds the median of the views by this factor, and OUTLIER_FLOOR_PX."""

@@ -46,7 +46,7 @@ from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 ROBUST_SIGMAS = 3.0
 """Limit of the Huber loss in standard deviations: 0.3 % of normal errors exceed it."""

@@ -32,10 +32,8 @@ from ringpose.calibrate.planes.stripes.board_surface import triangulated
 from ringpose.errors import DataError
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import LaserPlanes
+from ringpose.types.rig import Camera, LaserPlanes, ParameterCovariance
 
 _SIGMA_ROUNDS = 5
 """Maximum number of re-estimations of the corners' standard deviations."""

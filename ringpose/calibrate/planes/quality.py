@@ -12,10 +12,8 @@ from ringpose.calibrate.planes.covariance import RADII_M, ring_center_sd_m, wors
 from ringpose.calibrate.planes.stripes.labels import THREE
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.covariance import laser_parameters
-from ringpose.types.rig import Rig
-from ringpose.types.verdict import Verdict
+from ringpose.types.calibration import LaserCalibration, PlanesCalibration, Verdict
+from ringpose.types.rig import Rig, laser_parameters
 
 DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
 """Distances at which depth uncertainties are reported."""

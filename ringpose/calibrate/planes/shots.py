@@ -17,11 +17,10 @@ from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, l
 from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.errors import DataError, UsageError
 from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
+from ringpose.types.calibration import StripeView, Verdict
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
-from ringpose.types.verdict import Verdict
+from ringpose.types.rig import Camera
 
 MARKER_BOARDS = ("four_markers", "aruco_grid")
 """Boards whose corners are those of single markers, as the paper's method needs them."""

@@ -8,9 +8,8 @@ import numpy as np
 from ringpose.calibrate.acceptance import PLANES_LIMITS, check
 from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m, worst_depth_sd_m
 from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
-from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.verdict import Check, Verdict
+from ringpose.types.calibration import Check, LaserCalibration, PlanesCalibration, Verdict
+from ringpose.types.rig import ParameterCovariance
 
 STRAY_FACTOR = 2.0
 """The advice names a view whose held-out rms exceeds the median by this factor."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.types.image import ALL_LASERS, Shot, shot_with_frames
-from ringpose.types.sequence import MAX_LASERS, Step
+from ringpose.types.session import MAX_LASERS, Step
 
 
 class Recording:

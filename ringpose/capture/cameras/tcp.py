@@ -13,7 +13,7 @@ from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
 from ringpose.types.image import Frame
-from ringpose.types.sequence import steps_of, written_sequence
+from ringpose.types.session import steps_of, written_sequence
 from ringpose.wire import images as wire
 from ringpose.wire.images import Fields, Greeting, MalformedMessage, ServedFrame
 

@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 from ringpose.capture.uri import Device, DeviceUri
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.types.sequence import MAX_LASERS
+from ringpose.types.session import MAX_LASERS
 
 
 class LasersWentOff(DeviceError):

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from ringpose.capture.lasers.driver import LaserContext, LaserDriver
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
-from ringpose.types.sequence import MAX_LASERS, Step
+from ringpose.types.session import MAX_LASERS, Step
 
 
 class UncontrolledLasers(LaserDriver):

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
     from ringpose.bench.summary import Summary
     from ringpose.cli.batch import Batch
-    from ringpose.types.camera import Camera
-    from ringpose.types.rig import Rig
-    from ringpose.types.truth import Truth
+    from ringpose.types.rig import Camera, Rig
+    from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
 
@@ -274,7 +273,7 @@ def _estimates(
     from ringpose.cli.progress import with_progress
     from ringpose.detect.pipeline import detect
     from ringpose.files.images.shots import read_shot
-    from ringpose.pose.record import pose_line
+    from ringpose.pose.pipeline import pose_line
 
     for truth in with_progress(truths, "shots", quiet):
         with batch.guarded():

@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperCommand
 
 if TYPE_CHECKING:
-    from ringpose.types.verdict import Verdict
+    from ringpose.types.calibration import Verdict
 
 
 def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
@@ -31,7 +31,7 @@ def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> i
     from ringpose.calibrate.acceptance import verdict_lines
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
-    from ringpose.types.verdict import Grade
+    from ringpose.types.calibration import Grade
 
     bad = verdict.grade is Grade.REDO
     for line in verdict_lines(verdict)[:bad] if quiet else summary:

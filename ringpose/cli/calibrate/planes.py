@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.pose.plane_evidence import RigEvidence
-    from ringpose.types.camera import Camera
-    from ringpose.types.rig import Rig
+    from ringpose.types.rig import Camera, Rig
 
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""

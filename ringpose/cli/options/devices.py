@@ -9,7 +9,7 @@ from ringpose.cli.options.common import finite
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
-    from ringpose.types.sequence import Step
+    from ringpose.types.session import Step
 
 MAX_SETTLE_S = 10.0
 
@@ -46,7 +46,7 @@ def exposure_time(text: str) -> float | Literal["auto"]:
 
 def steps(text: str) -> "tuple[Step, ...]":
     """The steps of a sequence."""
-    from ringpose.types.sequence import parsed_sequence
+    from ringpose.types.session import parsed_sequence
 
     return parsed_sequence(text)
 

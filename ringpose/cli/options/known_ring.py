@@ -10,7 +10,7 @@ from ringpose.errors import UsageError
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
-    from ringpose.types.ring import KnownRadii, Ring
+    from ringpose.types.pose import KnownRadii, Ring
 
 AUTO = "auto"
 """Value of --ring for which each shot selects the ring of the catalogue."""
@@ -69,7 +69,7 @@ def known_ring(
         return None
     import numpy as np
 
-    from ringpose.types.ring import KnownRadii
+    from ringpose.types.pose import KnownRadii
 
     radii = [np.nan if radius_m is None else radius_m for radius_m in (options.radius_inner_m, options.radius_outer_m)]
     sd_m = DEFAULT_SD_M if options.radius_sd_m is None else options.radius_sd_m

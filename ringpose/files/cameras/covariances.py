@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.files.schema import Fields, hint
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.rig import ParameterCovariance
 
 _TOLERANCE = 1e-9
 """Rounding errors of the correlation matrix: asymmetry, and negative eigenvalues per row."""

@@ -24,9 +24,8 @@ from ringpose.files.cameras.ros import (
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import CAMERA_PARAMETERS, ParameterCovariance
 from ringpose.types.options import CameraFormat
+from ringpose.types.rig import CAMERA_PARAMETERS, Camera, ParameterCovariance
 
 _MESSAGE_END = re.compile(rb"\n---\s*\Z")
 """The separator line that `ros2 topic echo` prints after a message, at the end of the file."""

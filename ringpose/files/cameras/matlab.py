@@ -17,7 +17,7 @@ from ringpose.errors import DataError
 from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 MAX_BYTES = 2**26
 """Maximum size of a .mat file with a calibration."""

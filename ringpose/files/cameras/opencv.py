@@ -15,7 +15,7 @@ from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 HEADER_4 = b"%YAML:1.0"
 """First line of the YAML that OpenCV 4 writes and that every version of OpenCV reads; it is not valid YAML."""

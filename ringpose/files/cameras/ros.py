@@ -13,8 +13,7 @@ from ringpose.files.io import provenance
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
-from ringpose.types.covariance import camera_parameters
+from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, camera_parameters
 
 SCHEMA = "camera/1"
 

@@ -19,7 +19,7 @@ from ringpose.files.images.headers import ImageHeader, image_header
 from ringpose.files.io import read_bytes
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 

@@ -15,8 +15,7 @@ from ringpose.files.io import provenance, sha256
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot
-from ringpose.types.sequence import MAX_LASERS
-from ringpose.types.session import Capture, CaptureState, Session
+from ringpose.types.session import MAX_LASERS, Capture, CaptureState, Session
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

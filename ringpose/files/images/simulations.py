@@ -17,8 +17,7 @@ from ringpose.types.board import Board
 from ringpose.types.detection import Detection
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
-from ringpose.types.scene import NamedBoardPose
-from ringpose.types.truth import Truth
+from ringpose.types.scene import NamedBoardPose, Truth
 
 
 class SimulationFolder:

@@ -13,7 +13,7 @@ from ringpose.files.inputs import Input, Problem, Record, inputs
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import STDIN
-from ringpose.types.robot import RobotPoses
+from ringpose.types.rig import RobotPoses
 
 MAX_REACH_M = 100.0
 """Longest plausible distance of a tool from the robot's base."""

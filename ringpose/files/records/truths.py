@@ -11,7 +11,7 @@ from ringpose.files import records
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields, kind
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.truth import Truth, TruthFrame
+from ringpose.types.scene import Truth, TruthFrame
 
 _KEYS = (
     "schema",

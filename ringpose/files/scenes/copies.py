@@ -11,7 +11,7 @@ from ringpose.files.rigs import write_rig
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Light, RingView
-from ringpose.types.sequence import steps_of, written_sequence
+from ringpose.types.session import steps_of, written_sequence
 
 
 def write_scene_copy(

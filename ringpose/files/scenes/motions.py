@@ -13,7 +13,7 @@ from ringpose.files import records
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
+from ringpose.types.target import MOTION_PRESETS, FreeMotion, TimedPoses
 
 MOTION_KEYS = (
     "preset",

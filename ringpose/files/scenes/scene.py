@@ -46,7 +46,7 @@ from ringpose.types.scene import (
     Speckle,
     TargetKind,
 )
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 from ringpose.types.target import Body, Foil, Part, Revolution, RingShape
 
 SCHEMA = "scene/1"

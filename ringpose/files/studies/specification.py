@@ -14,7 +14,7 @@ from ringpose.files.scenes.scene import read_scene
 from ringpose.files.schema import Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types.scene import Scene
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 from ringpose.types.study import LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, ShotRun, Study, StudyMethod, Value
 
 SCHEMA = "study/1"

@@ -10,8 +10,7 @@ from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.serve.scene_shots import Motion, MovingShot, SceneShots
 from ringpose.types.image import Frame
-from ringpose.types.scene import RingView, Scene
-from ringpose.types.truth import Truth
+from ringpose.types.scene import RingView, Scene, Truth
 from ringpose.wire import images as wire
 from ringpose.wire.images import ServedFrame
 

@@ -31,8 +31,7 @@ from ringpose.simulate.serve.image_clients import (
     jpeg,
     received,
 )
-from ringpose.types.scene import Scene
-from ringpose.types.truth import Truth
+from ringpose.types.scene import Scene, Truth
 from ringpose.wire import images as wire
 from ringpose.wire.images import MalformedMessage, ServedFrame
 

@@ -13,9 +13,8 @@ from ringpose.simulate.placement import MAX_DURATION_S, READOUT_S, ring_views
 from ringpose.simulate.renderer import RenderedView
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame
-from ringpose.types.motion import TargetPath
-from ringpose.types.scene import RingView, Scene
-from ringpose.types.truth import Truth
+from ringpose.types.scene import RingView, Scene, Truth
+from ringpose.types.target import TargetPath
 from ringpose.wire.images import ServedPose
 
 KEPT_BYTES = 1 << 27

@@ -9,7 +9,7 @@ from ringpose.bench.design.bounds import cramer_rao
 from ringpose.estimate.nuisance import with_stability
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.assumptions import RigStability
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii
 
 
 def bound_of(scene, rig=None, known=None):

@@ -6,8 +6,7 @@ from ring_scenes import RIGS, make_scene, pixels_of
 
 from ringpose.bench.study.baselines import BASELINES, circle_poses
 from ringpose.types.detection import Detection, NoBreakPoints, RingEdgePoints
-from ringpose.types.pose import NoPose, RingPose
-from ringpose.types.ring import KnownRadii
+from ringpose.types.pose import KnownRadii, NoPose, RingPose
 from ringpose.types.study import StudyMethod
 
 OF_POINTS = (StudyMethod.BISECTORS, StudyMethod.POINTS)

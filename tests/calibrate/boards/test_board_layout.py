@@ -9,7 +9,7 @@ from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID
 from ringpose.calibrate.boards.layout import marker_corners, marker_layout, marker_size_findings
 from ringpose.calibrate.boards.patterns.markers import Markers
 from ringpose.calibrate.boards.views import find_board
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import Grade
 
 MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}
 

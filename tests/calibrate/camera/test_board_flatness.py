@@ -11,7 +11,7 @@ from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_s
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import Grade
 
 POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))
 NOISE_PX = 0.02

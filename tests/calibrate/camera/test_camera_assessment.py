@@ -22,7 +22,7 @@ from ringpose.calibrate.camera.validation import (
     projection_sigma_px,
 )
 from ringpose.types.board import Board, BoardView
-from ringpose.types.verdict import Grade, Verdict
+from ringpose.types.calibration import Grade, Verdict
 
 CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
 POINTS = corner_points(CHESSBOARD)

@@ -16,8 +16,7 @@ from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import CameraAssessment, CameraCalibration
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, Grade
 
 K2 = CameraModel(fix_k3=True)
 SAMPLES = Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025)

@@ -13,7 +13,7 @@ from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
 from ringpose.calibrate.camera.validation import displacement_px, image_map, known_lens, projection_sigma_px
 from ringpose.types.board import Board, BoardView
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 MODEL = CameraModel(distortion_model="rational_polynomial")
 POINTS_M = corner_points(Board(kind="chessboard", squares_x=12, squares_y=9, square_m=0.025))

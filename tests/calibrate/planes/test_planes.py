@@ -9,8 +9,8 @@ from scipy.stats import chi2
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import PlanesMethod
+from ringpose.types.rig import ParameterCovariance
 
 NAMES = ("left", "middle", "right")
 MODEL = PlanesModel(names=NAMES)

@@ -10,8 +10,8 @@ from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
+from ringpose.types.rig import Camera
 
 MODEL = PlanesModel(names=("left", "middle", "right"), order=(2, 1, 0))
 FOCAL_PX, MIDDLE_PX = (889.0, 888.5), (402.3, 297.6)

@@ -15,8 +15,7 @@ from ringpose.files.rigs import read_rig, write_rig
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.rig import Camera, ParameterCovariance
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
 CAMERA = Camera(

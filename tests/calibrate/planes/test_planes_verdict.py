@@ -11,8 +11,8 @@ from ringpose.calibrate.planes.quality import plane_angles
 from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import Grade
+from ringpose.types.rig import ParameterCovariance
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m
-from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.rig import LaserPlanes
+from ringpose.types.rig import LaserPlanes, ParameterCovariance
 
 NAMES = ("left", "middle", "right")
 RADII_M = np.array([0.567, 0.597])

@@ -16,9 +16,9 @@ from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
+from ringpose.types.rig import Camera
 
 RENDERED = (
     np.array(

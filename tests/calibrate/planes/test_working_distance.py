@@ -9,7 +9,7 @@ import pytest
 
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.verdict import planes_verdict
-from ringpose.types.verdict import Grade
+from ringpose.types.calibration import Grade
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
 

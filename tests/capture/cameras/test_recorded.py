@@ -6,7 +6,7 @@ import pytest
 from ringpose.capture.cameras.recorded import Recording, frames_of_steps
 from ringpose.errors import DataError
 from ringpose.types.image import ALL_LASERS, Shot
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 
 def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:

@@ -11,7 +11,7 @@ from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_swit
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import UsageError
 from ringpose.types.image import Frame
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 DESCRIPTION = CameraDescription(name="scene", image_width=3, image_height=2, saturation_dn=255)
 

@@ -20,7 +20,7 @@ from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
 from ringpose.simulate.serve import scene_shots
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 
 
 @pytest.fixture(scope="module")

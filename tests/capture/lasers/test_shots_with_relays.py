@@ -12,7 +12,7 @@ from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.simulate.serve.relays import RelayFaults, ServedRelays
-from ringpose.types.sequence import parsed_sequence
+from ringpose.types.session import parsed_sequence
 from ringpose.wire.lcus import LcusCodec
 
 IN_TURN = "off,1,2,3,off"

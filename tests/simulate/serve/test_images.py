@@ -26,7 +26,7 @@ from ringpose.simulate.pipeline import render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve import image_clients, images, scene_shots
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
-from ringpose.types.motion import FreeMotion
+from ringpose.types.target import FreeMotion
 
 SECRET = b"a secret of the test"
 

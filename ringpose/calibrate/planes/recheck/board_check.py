@@ -25,8 +25,7 @@ from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.covariance import laser_parameters
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Rig, laser_parameters
 
 SIGMAS = 3.0
 """Limit of a stripe's distance from its plane in standard deviations of rig and view, to which FLATNESS_M is added."""

@@ -34,9 +34,8 @@ from ringpose.geometry.rotations import tilted
 from ringpose.pose.plane_evidence import MovedPlane, RigEvidence
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
-from ringpose.types.covariance import PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.pose import PlaneEvidence
-from ringpose.types.rig import Rig
+from ringpose.types.rig import PLANE_PARAMETERS, ParameterCovariance, Rig, laser_parameters
 
 MIN_STREAM_SHOTS, MIN_BOARD_SHOTS = 4, 2
 """Number of shots at different poses that a plane can be estimated from."""

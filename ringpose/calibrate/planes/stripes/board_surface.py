@@ -9,8 +9,8 @@ from ringpose.calibrate.boards.views import board_image, dark_image
 from ringpose.geometry.rays import intersect, project, rays
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardPose
-from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
+from ringpose.types.rig import Camera
 
 PRINT_MARGIN_PX = 5.0
 """Distance from a printed edge within which a stripe's profile is asymmetric: three stripe sigmas."""

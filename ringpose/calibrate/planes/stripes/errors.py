@@ -6,12 +6,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
-from ringpose.geometry.rays import rays
+from ringpose.geometry.rays import pixels_wrt_ray_and_camera, rays
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
-from ringpose.types.camera import Camera
+from ringpose.types.rig import Camera
 
 MAX_LAG_PX = 16
 """Largest lag at which the correlation of neighbouring centres is summed; it is tapered beyond half of it. Speckle is

@@ -21,10 +21,10 @@ from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
 from ringpose.types.image import Shot
-from ringpose.types.sequence import MAX_LASERS
+from ringpose.types.rig import Camera
+from ringpose.types.session import MAX_LASERS
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""

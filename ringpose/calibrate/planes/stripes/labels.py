@@ -18,7 +18,7 @@ from ringpose.errors import DataError, UsageError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
 from ringpose.types.image import ALL_LASERS, Shot
-from ringpose.types.sequence import MAX_LASERS
+from ringpose.types.session import MAX_LASERS
 
 THREE = ("left", "middle", "right")
 """Default names of three lasers, by mask bit."""

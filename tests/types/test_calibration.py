@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from ringpose.types.verdict import Check, Grade, Verdict
+from ringpose.types.calibration import Check, Grade, Verdict
 
 
 def finding(value: float, good: float = 1.0, redo: float = 2.0, advice: str = "") -> Check:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import UsageError
-from ringpose.types.sequence import MAX_LASERS, Step, parsed_sequence, steps_of, written_sequence
+from ringpose.types.session import MAX_LASERS, Step, parsed_sequence, steps_of, written_sequence
 
 numbers = st.sets(st.integers(1, MAX_LASERS), min_size=1)
 
