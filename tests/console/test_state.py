@@ -224,7 +224,7 @@ def test_nothing_is_rendered_while_nobody_watches(scene, state):
 
 def test_the_running_measurement_tracks_a_moving_target():
     scene = read_scene(Path(__file__).parents[2] / "examples" / "scene.yaml")
-    start = replace(first_state(scene, ring_views(scene)[0]), width=320, drift_m_s=np.array([0.01, 0.0, -0.02]))
+    start = replace(first_state(scene, ring_views(scene)[0]), width=480, drift_m_s=np.array([0.01, 0.0, -0.02]))
     engine = Engine(scene, lambda *_: None)
     pictures = [engine.measured(replace(start, number=number, time_s=0.1 * number)) for number in range(3)]
 
