@@ -119,9 +119,17 @@ class ShotChecker:
             _reject_stripe(never_seen, np.minimum.reduce([*shot.images, self._dark_image(shot)]))
         return never_seen
 
+    def unseen(self, shot: Shot) -> int:
+        """The mask of the lasers that a checked shot commanded and that were seen neither in it nor before."""
+        if shot.seen_lasers is None:
+            return 0
+        missing = int(np.bitwise_or.reduce(shot.lasers & ~shot.seen_lasers))
+        return missing & ~sum(1 << laser for laser in self._pixels)
+
     def reject_stripe_in_dark(self, missing: int) -> None:
         """Raise a safety fault if a stripe shows with all lasers off while the lasers of the mask are missing."""
-        _reject_stripe(missing, self._dark_frame().image)
+        if missing:
+            _reject_stripe(missing, self._dark_frame().image)
 
     def _check_reported_off(self) -> None:
         """Raise a safety fault if the board still reports a laser on after all have been off for long enough."""
