@@ -196,7 +196,9 @@ def main():
     parser.add_argument("--max-age", type=float, default=1.0, help="seconds between a shot and its use, at most")
     parser.add_argument("--replay", action="store_true", help="recorded shots: obey them as they come, however old")
     parser.add_argument("--period", type=float, default=0.02, help="of the control loop, in seconds")
-    parser.add_argument("--patience", type=float, default=0.5, help="hold after so many seconds without a pose record")
+    parser.add_argument(
+        "--patience", type=float, default=0.5, help="hold after this number of seconds without a pose record"
+    )
     parser.add_argument("--grasp-m", type=float, default=0.002, help="standard deviation that is good enough")
     parser.add_argument("--tilt-rad", type=float, default=0.05, help="standard deviation that is good enough")
     parser.add_argument("--health", type=float, default=3.0, help="rig_health from which the rig is not trusted")
@@ -208,7 +210,7 @@ def main():
     try:
         control(sys.stdin, limits)
         status = 0
-    except BrokenPipeError:  # nobody reads the commands any more
+    except BrokenPipeError:  # the reader of the commands has ended
         status = 141
     except KeyboardInterrupt:
         status = 130

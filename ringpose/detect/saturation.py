@@ -40,10 +40,10 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
 
 
 def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], saturation_dn: int) -> bool:
-    """Whether the ambient light saturates along most of the course of most stripes across the image.
+    """Whether the ambient light saturates most of the pixels along most stripes.
 
-    What is seen of them then lies in shadows, and the ring's face is among what is saturated: metal in the sun is
-    brighter than foil. Edges seen there are borders of the shadows.
+    The visible parts of the stripes then lie in shadows, and the ring's face is saturated, since metal in sunlight is
+    brighter than foil. Edges found there are those of the shadows.
     """
     saturated, stripes = 0, 0
     for image in images:

@@ -187,7 +187,7 @@ class Measurements:
         return sorted(set(self.lines.laser.tolist()))
 
     def once(self) -> "Measurements":
-        """The measurements without the repeated ones of stripes and break points."""
+        """The measurements with each stripe and each break point once: repetitions in later frames are dropped."""
         first = np.unique(2 * self.points.laser + self.points.edge, return_index=True)[1]
         kept = np.unique(self.lines.laser, return_index=True)[1]
         lines = {each.name: getattr(self.lines, each.name)[kept] for each in fields(Lines)}

@@ -194,7 +194,7 @@ class Estimate(NamedTuple):
 
     @property
     def largest_reduction(self) -> float:
-        """By how much chi-squared would fall without the number of stripes and break points that contradicts most.
+        """Largest decrease of chi-squared by leaving out one row of a stripe or break point.
 
         r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
         """

@@ -128,7 +128,7 @@ def _unusable(measured: Measurements, rig: Rig, camera: CameraMotion | None) -> 
 
 
 def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
-    """Whether a ray runs along its light plane, or meets it behind the camera."""
+    """The reason for an estimate that is not finite: a ray is nearly parallel to its light plane or meets it behind."""
     points = measured.points
     rays = np.stack([points.x, points.y, np.ones_like(points.x)], axis=-1)
     cosine = (rays * rig.lasers.normal[points.laser]).sum(axis=1)

@@ -27,7 +27,7 @@ from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import PLANE_PARAMETERS, Rig, laser_parameters
 
 STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
-"""At most one stream of so many shots in a thousand may have a false alarm: a normal quantile."""
+"""At most one in a thousand streams of this number of shots may have a false alarm: a normal quantile."""
 
 MOVED_TILT_RAD, MOVED_DISTANCE_M = 0.05, 0.02
 """Standard deviations of a plane that has moved."""
@@ -122,9 +122,9 @@ class RigEvidence:
         return chi2
 
     def moved_laser(self, chi2: Float64[Array, "laser"]) -> tuple[int | None, bool]:
-        """The laser whose plane has moved, None if another plane explains about as much as the largest of `chi2`.
+        """The laser whose plane has moved, and whether a rotation of the camera explains the evidence about as well.
 
-        And whether a turn of the camera against all planes explains about as much.
+        The laser is None if the plane of another one, or the rotation of the camera, explains it better or as well.
         """
         worst = int(np.argmax(chi2))
         turned = self._chi2(self.prior) - self._chi2(self._prior_if_camera_turned())

@@ -16,7 +16,7 @@ BORDER_PX = 16.0
 """Distance from the image's border within which the detector may miss a stripe or its end."""
 
 PREDICTION_SIGMAS = 3.0
-"""A stripe or break point is expected in view only if it is predicted farther than so many sigmas from the border."""
+"""A stripe or break point is expected in view if it is predicted farther than this number of sigmas from the border."""
 
 SEEN_SHARE = 0.5
 """A stripe is expected to be found if at least this share of its length on the face is in view."""

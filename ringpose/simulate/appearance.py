@@ -198,7 +198,7 @@ def _peak_electrons(
 # Visible edges
 
 EDGE_SPACING_PX = 12.0
-"""Distance between places on an edge: the detector averages the image over so many pixels."""
+"""Distance between places on an edge: the detector averages the image over this number of pixels."""
 
 EDGE_MARGIN_PX = 8.0
 """Minimum distance of a place from the image's border."""
@@ -299,7 +299,7 @@ def edge_normals_px(
 
 
 def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, camera: Camera) -> Bool[Array, "*shape"]:
-    """Which positions are at least so far inside the image; false for NaN."""
+    """Which positions are at least this far inside the image; false for NaN."""
     size_px = np.array([camera.image_width, camera.image_height])
     return np.asarray(((position_px >= margin_px) & (position_px <= size_px - 1 - margin_px)).all(axis=-1))
 

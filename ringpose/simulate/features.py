@@ -208,7 +208,7 @@ def _motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float6
 
 
 class _Course(NamedTuple):
-    """Where the ring is during a shot: its motion from the pose in which its arcs are given."""
+    """Motion of the ring during a shot, relative to the pose at which its arcs are given."""
 
     scene: Scene
     view: RingView

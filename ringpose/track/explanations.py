@@ -99,7 +99,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fusion:
-    """What became of a measurement."""
+    """How a measurement was used, and its test ratio."""
 
     status: FusionStatus
     test_ratio: float = float("nan")

@@ -190,11 +190,11 @@ class _Reported:
         return self._of(np.concatenate([self._rows(_GRASP, across), self._rows(_NORMAL, self.basis)]))
 
     def velocity_covariance(self) -> Float64[Array, "5 5"]:
-        """Of the velocity x, y, z and the two rates."""
+        """Covariance of the velocity (x, y, z) and the two rates."""
         return self._of(np.concatenate([self._jacobian[_VELOCITY], self._rows(_RATES, self.basis)]))
 
     def pose_covariance(self) -> Float64[Array, "7 7"]:
-        """In the parameters of the records: tilts, offset, centre in the plane, radii."""
+        """Covariance in the parameters of the records: tilts, offset, centre in the plane, radii."""
         normal_wrt, center_wrt = self._jacobian[_NORMAL], self._jacobian[_CENTER]
         plane = plane_and_center(self.value[_NORMAL], self.value[_CENTER], normal_wrt, center_wrt)
         return self._of(np.concatenate([plane, self._jacobian[_RADII]]))

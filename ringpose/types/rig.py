@@ -18,7 +18,7 @@ PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
 
 
 def camera_parameters(coefficients: int) -> tuple[str, ...]:
-    """Names of a camera's parameters, for so many distortion coefficients."""
+    """Names of a camera's parameters, for this number of distortion coefficients."""
     return CAMERA_PARAMETERS[: 4 + coefficients]
 
 

@@ -43,7 +43,7 @@ class AsciiCodec:
         return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The mask in the last line."""
+        """The mask of closed relays that the last line of an answer reports; 0 for an acknowledgement."""
         lines = received.decode("ascii", "replace").split("\n")
         line = lines[-2].strip() if len(lines) > 1 else ""
         if isinstance(command, Read):

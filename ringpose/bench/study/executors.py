@@ -98,7 +98,7 @@ def here(work: Work, indices: Iterable[int]) -> Iterator[Done]:
 
 
 def by_processes(work: Work, indices: Iterable[int], jobs: int) -> Iterator[Done]:
-    """The shots in chunks, by so many processes, in any order; processes that are killed are replaced."""
+    """The shots in chunks, by this number of processes, in any order; processes that are killed are replaced."""
     chunks, pool = _Chunks(indices), Pool(work)
     try:
         while pool.busy or chunks.remain:

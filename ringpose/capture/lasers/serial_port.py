@@ -96,7 +96,7 @@ class SerialPort:
 
 
 def _number(error: BaseException | None) -> int | None:
-    """The errno of an error; for some of pyserial's, only their cause has one."""
+    """The errno of an error, or of its cause: some errors of pyserial have none of their own."""
     if error is None:
         return None
     number = next((part for part in error.args if isinstance(part, int)), None)

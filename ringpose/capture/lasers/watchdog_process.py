@@ -209,7 +209,7 @@ class ParentProcess:
         self._status = os.open(f"/proc/{pid}/stat", os.O_RDONLY)
 
     def fault(self) -> str:
-        """That the process is ending or was stopped; empty while it runs."""
+        """A message if the process is ending or was stopped; empty while it runs."""
         try:
             fields = os.pread(self._status, 1024, 0).rpartition(b")")[2].split()
         except OSError:

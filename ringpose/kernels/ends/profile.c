@@ -189,7 +189,7 @@ typedef struct {
     Doubles offset[MAX_ROWS], value[MAX_ROWS], shape[MAX_ROWS];
 } Sections;
 
-/* True if the sections of so many columns lie in the image. */
+/* True if the sections of this number of columns lie in the image. */
 static int sections_inside(const Images *images, const double *y, int reach) {
     int inside = 1;
     for (int i = 0; i < TOGETHER; i++)
@@ -270,7 +270,7 @@ static inline void fit_peaks(const Sections *sections, int rows, const Parts *pa
     peak[1] = residuals / (WHERE(many, used - 2) + WHERE(~many, one));
 }
 
-/* The same peaks of so many columns first, first + 1, ... with the line at y, in what the lasers add. */
+/* The same peaks of this number of columns first, first + 1, ... with the line at y, in what the lasers add. */
 VECTOR_LOOP
 static void fitted_peaks(const Images *images, const double *y, ptrdiff_t first, double sigma, int reach,
                          const Parts *parts,

@@ -32,7 +32,7 @@ enum { ROUNDS = 2 };
 /* Rows that are worked on together. */
 enum { MAX_ROWS = 6 };
 
-/* Memory for so many columns; NULL if there is none. */
+/* Memory for this number of columns; NULL if there is none. */
 static void *allocate_columns(Columns *columns, size_t count) {
     size_t n = count + PARTS;
     double *value = malloc(n * (5 * sizeof(double) + 5 * sizeof(float) + 2 * sizeof(int32_t)));

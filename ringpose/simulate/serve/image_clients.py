@@ -174,7 +174,7 @@ def http(status: str, kind: str, body: bytes) -> bytes:
 
 
 def http_head(status: str, kind: str, more: str = "") -> bytes:
-    """The head of an HTTP response, which nothing stores and no other site may embed."""
+    """The head of an HTTP response that must not be cached, nor embedded by other sites."""
     head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\n{more}Cache-Control: no-store\r\nConnection: close\r\n"
     return f"{head}X-Content-Type-Options: nosniff\r\nCross-Origin-Resource-Policy: same-origin\r\n\r\n".encode()
 

@@ -109,7 +109,7 @@ class Motion:
 
 
 class SceneShots:
-    """The views of a trajectory one after the other, from the beginning after the last.
+    """The views of a trajectory in their order, repeated from the beginning after the last.
 
     The next one of a still target is rendered in the background, and as many as fit into `KEPT_BYTES` are kept. The
     methods are called by one thread.
