@@ -105,8 +105,9 @@ MIN_DEVIATION_M = 0.001
 EDGE_NUMBERS = 8.0
 """Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
 
-REJECTED_SHARE = 0.25
-"""Share of visible edge points rejected by the fit from which edges and stripes count as contradictory."""
+MAX_EDGE_MEAN_SQUARE = 2.0
+"""Mean square of the whitened edge residuals from which visible edges contradict the rest. Their standard deviations are
+those of the fit to all measurements: 150 drawn shots without outliers have at most 1.05."""
 
 BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0, 100.0)
 """Where a stripe on the background may be seen: range of its line's position, of the change along it, of its ends."""
@@ -146,10 +147,7 @@ class Solved(NamedTuple):
     def score(self) -> float:
         """Penalised chi-squared, visible edges included by their mean: less is better."""
         total = self.estimate.chi2 + self.hypothesis.penalty
-        edges = self.estimate.edge_residuals
-        if not len(edges):
-            return total
-        return total + EDGE_NUMBERS * max(float(np.minimum(edges**2, OUTLIER_SIGMAS**2).mean()) - 1.0, 0.0)
+        return total + EDGE_NUMBERS * max(_edge_mean_square(self.estimate) - 1.0, 0.0)
 
 
 class Explanation(NamedTuple):
@@ -359,7 +357,7 @@ def _select(
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
     best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
-    if fails_chi2_test(best.estimate):
+    if _contradicts_itself(best.estimate):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
         best = everything or best
         remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
@@ -430,16 +428,17 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
     redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
-    for a common ring. Visible edges are further evidence.
+    for a common ring. Visible edges are further evidence: for it, or, if they were rejected, against it.
     """
     measured = solved.hypothesis.measured
+    edges_contradict = PoseFlag.EDGE_REJECTED in solved.hypothesis.flag
     if len(measured.edges.edge) or len(measured.stripes) != STRIPES_OF_A_PLANE:
         return []
     measured = measured.once()
     found = []
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
-        if ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
+        if edges_contradict or ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
@@ -624,14 +623,20 @@ def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | N
 
 
 def _is_suspicious(solved: Solved) -> bool:
-    """Whether the ring fails the chi-squared test, or would fit much better without one of its numbers."""
+    """Whether the measurements contradict each other, or the ring would fit much better without one of its numbers."""
     estimate = solved.estimate
-    if fails_chi2_test(estimate):
-        return True
-    weights = estimate.edge_weights
-    if len(weights) and float((weights == 0).mean()) > REJECTED_SHARE:
-        return True
-    return estimate.largest_reduction > SUSPICIOUS_REDUCTION
+    return _contradicts_itself(estimate) or estimate.largest_reduction > SUSPICIOUS_REDUCTION
+
+
+def _contradicts_itself(estimate: Estimate) -> bool:
+    """Whether stripes and break points do not fit one ring, or the visible edges do not fit it."""
+    return fails_chi2_test(estimate) or _edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
+
+
+def _edge_mean_square(estimate: Estimate) -> float:
+    """Mean square of the whitened edge residuals, each limited as in the robust fit; 0 without visible edges."""
+    squares = np.minimum(estimate.edge_residuals**2, OUTLIER_SIGMAS**2)
+    return float(squares.mean()) if len(squares) else 0.0
 
 
 def fails_chi2_test(estimate: Estimate) -> bool:

@@ -9,6 +9,7 @@ import pytest
 from ringpose.bench.study.shots import scene_of, setting_of, study_rows
 from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
 from ringpose.files.scenes.scene import read_scene
+from ringpose.files.studies.specification import read_study, study_path
 from ringpose.types.assumptions import RigStability
 from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
 
@@ -166,3 +167,13 @@ def test_an_image_of_a_study_is_detected_and_scored(study):
     assert [without_times(row) for row in first] == [without_times(row) for row in second]
     assert first[0]["status"] == "ok"
     assert first[0]["detect_s"] > 0
+
+
+@pytest.mark.parametrize("index", [412, 710, 966, 1084])
+def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_without_a_flag(index):
+    """A stripe on a surface behind the ring beside a missing or a wrong one: two stripes that agree on another ring."""
+    row = study_rows(read_study(study_path("violations")).study, index)[0]
+
+    assert row["method"] == "ml"
+    assert row["edge_points"] > 30
+    assert not row["wrong"]
