@@ -91,7 +91,7 @@ def stripe_evidence(
     )
     _check_all_lasers_seen(evidence.views, names)
     points = [evidence.points(laser) for laser in range(len(names))]
-    exchanged = exchanged_lasers(points, names)
+    exchanged = exchanged_lasers(points, names, [view.board.name for view in evidence.views])
     contradicting = [(evidence.views[index].board.name, message) for index, message in exchanged.items()]
     right = [index for index in range(len(kept)) if index not in exchanged]
     evidence = _labelled(evidence.only(right), order)
@@ -223,7 +223,7 @@ def _sum_of_squares_m2(view: StripeView, pose: BoardPose, camera: Camera, planes
 
 def _without_outlying_stripes(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
     """The evidence without stripes beside their laser's plane; remarks on these, and on views with no other stripes."""
-    outlying = [outlying_views(evidence.points(laser), name) for laser, name in enumerate(evidence.names)]
+    outlying = [outlying_views(evidence.points(laser)) for laser in range(len(evidence.names))]
     remarks, inconsistent = [], []
     for index, view in enumerate(evidence.views):
         seen = [laser for laser, px in enumerate(view.stripes_px) if len(px)]

@@ -1,7 +1,6 @@
 """One laser's plane through its triangulated points of all views (method(7), section 6)."""
 
 from collections.abc import Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +20,6 @@ MIN_MEAN_WEIGHT = 0.1
 
 MAX_SCATTER = 0.02
 """Root mean square distance from the plane, over the points' extent, above which they are not one stripe."""
-
-MAX_DISTANCE_OF_MOST_M = 5e-3
-"""Distance from a plane within which most of the views must lie: stripes of other lasers are 20 mm off and more."""
-
-_MAX_STARTS = 200
-"""Maximum number of pairs of views that are tried; if half of the views are wrong, a quarter of the pairs are right."""
 
 _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficient for normal errors."""
@@ -140,30 +133,16 @@ def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Ar
     return normal, distance_m
 
 
-def outlying_views(points: Sequence[Points], name: str) -> dict[int, float]:
-    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views.
-
-    DataError if no plane has most of the views near it: then it is ambiguous which of them are right.
-    """
+def outlying_views(points: Sequence[Points]) -> dict[int, float]:
+    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views."""
     seen = [index for index, own in enumerate(points) if len(own)]
     if len(seen) < 4:
         return {}
     views = [points[index] for index in seen]
-    # Start: of planes through two views each, the one with the smallest distance of most views (least median of
-    # squares). The mean squared distance of a view's points p from a plane q = (n, d) is q^T M q, with M the mean of
-    # h h^T, h = (p, -1).
-    pairs = list(combinations(views, 2))
-    starts = [nearest_plane(np.concatenate(pair))[:2] for pair in pairs[:: len(pairs) // _MAX_STARTS + 1]]
-    homogeneous = [np.insert(own, 3, -1.0, axis=1) for own in views]
-    moments = np.array([h.T @ h / len(h) for h in homogeneous])
-    planes = np.array([[*normal, distance_m] for normal, distance_m in starts])
-    squares_m2 = np.einsum("pi,vij,pj->pv", planes, moments, planes)
-    of_most_m2 = np.sort(squares_m2, axis=1)[:, len(views) // 2]
-    if of_most_m2.min() > MAX_DISTANCE_OF_MOST_M**2:
-        found = f"half of the {len(views)} views that show its stripe contradict the others"
-        remedy = "see with --overlay which stripe is whose: the lasers may be exchanged in half of the shots"
-        raise DataError(f'laser "{name}"', found, remedy)
-    normal, distance_m, weights = robust_plane(np.concatenate(views), starts[int(of_most_m2.argmin())])
+    # Start: of the planes of all views but one, the one with the smallest median distance (least median of squares).
+    starts = [nearest_plane(np.concatenate([*views[:index], *views[index + 1 :]]))[:2] for index in range(len(views))]
+    start = min(starts, key=lambda plane: float(np.median([rms(own @ plane[0] - plane[1]) for own in views])))
+    normal, distance_m, weights = robust_plane(np.concatenate(views), start)
     by_view = np.split(weights, np.cumsum([len(own) for own in views])[:-1])
     return {
         index: rms(points[index] @ normal - distance_m)

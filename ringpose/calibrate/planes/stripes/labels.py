@@ -4,18 +4,19 @@ A frame with one laser on labels its stripe by the bit of its mask. Stripes of f
 assigned by a given order across the image, or by the light planes of the stripes that are labelled already.
 
 Labels can be wrong: a late or miswired switch exchanges lasers in all frames of a shot. Each shot by itself looks
-right; only the other shots contradict it. `exchanged_lasers` takes the labels of most shots as the correct ones.
+right; only the other shots contradict it. `exchanged_lasers` therefore estimates the light planes with the labels of
+all shots free, and takes the labels that most shots share as the correct ones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 
-from ringpose.calibrate.planes.plane_fit import Points, outlying_views, rms, robust_plane
 from ringpose.errors import DataError, UsageError
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.planes import nearest_plane
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.calibration import StripeView
 from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.session import MAX_LASERS
@@ -31,6 +32,21 @@ EXCHANGE_RATIO = 3.0
 
 MIN_GAIN_M = 5e-4
 """Distance of the stripes from their own planes above which it is reported: bent boards move stripes by less."""
+
+MAX_DISTANCE_M = 5e-3
+"""Truncation of a stripe's distance from its plane in the score: such a stripe may belong to none of the lasers."""
+
+_ANCHORS, _PARTNERS, _ITERATIONS = 3, 4, 2
+"""The search: number of anchor shots, of shots each is paired with, and of alternations between planes and labels."""
+
+StripeEnds = Float64[Array, "view laser end=2 xyz=3"]
+"""Two points of each stripe, one standard deviation of its centres to either side of their mean; NaN for none."""
+
+Labels = Int64[Array, "view laser"]
+"""Index of the plane to which each stripe is assigned; -1 where there is no stripe."""
+
+Planes = Float64[Array, "plane 4"]
+"""Unit normal and distance by plane; NaN where a plane is undetermined."""
 
 
 def laser_names(given: str | None, number: int) -> tuple[str, ...]:
@@ -127,34 +143,156 @@ def _with_labels(view: StripeView, by_laser: Mapping[int, Float64[Array, "_ xy=2
     return replace(view, stripes_px=stripes_px, unlabelled_px=())
 
 
-def exchanged_lasers(points: Sequence[Sequence[Points]], lasers: Sequence[str]) -> dict[int, str]:
+def exchanged_lasers(
+    points: Sequence[Sequence[Float64[Array, "_ xyz=3"]]], lasers: Sequence[str], shots: Sequence[str]
+) -> dict[int, str]:
     """Indices of the shots whose labels contradict those of most shots, with a message for each.
 
-    `points` are the stripes' triangulated centres by laser and shot. A stripe beside its laser's plane by the other
-    shots that lies on the plane of another laser has a wrong label.
+    `points` are the stripes' triangulated centres by laser and shot. Raises DataError if two labellings are shared by
+    equally many shots.
     """
-    beside = [outlying_views(own, name) for own, name in zip(points, lasers, strict=True)]
-    planes = [
-        robust_plane(np.concatenate([stripe for view, stripe in enumerate(own) if view not in outlying]))[:2]
-        if any(len(stripe) for stripe in own)
-        else (np.full(3, np.nan), np.nan)
-        for own, outlying in zip(points, beside, strict=True)
-    ]
+    ends = np.array([[_stripe_ends(own[view]) for own in points] for view in range(len(points[0]))])
+    usable = np.flatnonzero(np.isfinite(ends[..., 0, 0]).sum(axis=1) > 1)  # one stripe alone cannot be exchanged
+    if len(usable) < 2:
+        return {}
+    labels, planes = min(_hypotheses(ends, usable), key=lambda hypothesis: _score(ends, *hypothesis))
+    common = _most_common_labels(labels)
+    if len(common) > 1:
+        raise DataError(*_tie_message(labels, common, lasers, shots))
+    plane_of_laser = list(common[0])
+    squares_m2 = _squared_distances_m2(ends, planes[plane_of_laser])  # [view, stripe, laser]
     messages = {}
-    for view in sorted(set().union(*beside)):
-        stripes = [laser for laser, outlying in enumerate(beside) if view in outlying]
-        rms_m = np.array([[rms(points[laser][view] @ normal - d) for normal, d in planes] for laser in stripes])
-        nearest = np.nanargmin(rms_m, axis=1)
-        own_m, other_m = rms_m[range(len(stripes)), stripes], rms_m[range(len(stripes)), nearest]
-        wrong = own_m > np.maximum(EXCHANGE_RATIO * other_m, MIN_GAIN_M)
-        exchanged = {stripes[index]: int(nearest[index]) for index in np.flatnonzero(wrong)}
-        if exchanged:
-            found = f"stripes lie {1e3 * rms(own_m[wrong]):.3g} mm from their own planes"
+    for view in usable.tolist():
+        seen = {laser: plane_of_laser.index(plane) for laser, plane in enumerate(labels[view].tolist()) if plane >= 0}
+        exchanged = {laser: other for laser, other in seen.items() if other != laser}
+        if not exchanged:
+            continue
+        stripes, others = list(exchanged), list(exchanged.values())
+        own_m = float(np.sqrt(squares_m2[view, stripes, stripes].mean()))
+        other_m = float(np.sqrt(squares_m2[view, stripes, others].mean()))
+        if own_m > max(EXCHANGE_RATIO * other_m, MIN_GAIN_M):
             messages[view] = (
-                f"{_exchange_text(exchanged, lasers)} against the other shots: {found}, "
-                f"{1e3 * rms(other_m[wrong]):.2g} mm from the others'; left out: see how its lasers were switched"
+                f"{_exchange_text(exchanged, lasers)} against the other shots: stripes lie {1e3 * own_m:.3g} mm from "
+                f"their own planes, {1e3 * other_m:.2g} mm from the others'; left out: see how its lasers were switched"
             )
     return messages
+
+
+def _stripe_ends(points: Float64[Array, "_ xyz=3"]) -> Float64[Array, "end=2 xyz=3"]:
+    """Two points that replace a straight stripe: they have its mean and its standard deviation along the line."""
+    if len(points) < 2:
+        return np.full((2, 3), np.nan)
+    center = points.mean(axis=0)
+    _, singular, axes = np.linalg.svd(points - center, full_matrices=False)
+    ends: Float64[Array, "end=2 xyz=3"] = center + np.outer([-1.0, 1.0], axes[0] * singular[0] / np.sqrt(len(points)))
+    return ends
+
+
+def _hypotheses(ends: StripeEnds, usable: Int64[Array, "usable"]) -> Iterator[tuple[Labels, Planes]]:
+    """Candidate labels and planes, from pairs of shots and permutations between the two, each refined on all shots.
+
+    Two stripes at different depths determine a plane; labels and planes are then improved in turn, as in k-means.
+    """
+    lasers = ends.shape[1]
+    anchors = usable[np.linspace(0, len(usable) - 1, min(_ANCHORS, len(usable))).astype(int)]
+    for first in anchors.tolist():
+        for second in _farthest_shots(ends, first, usable).tolist():
+            for permutation in _permutations(lasers):
+                pairs = np.concatenate([ends[first], ends[second][list(permutation)]], axis=1)
+                planes = np.array([_plane(pair[np.isfinite(pair[:, 0])]) for pair in pairs])
+                labels = _nearest_labels(ends, planes)
+                for _ in range(_ITERATIONS):
+                    planes = _refitted(ends, labels, planes)
+                    labels = _nearest_labels(ends, planes)
+                yield labels, planes
+
+
+def _farthest_shots(ends: StripeEnds, first: int, usable: Int64[Array, "usable"]) -> Int64[Array, "partner"]:
+    """The shots whose stripes lie farthest from those of the first; these determine the planes best."""
+    with np.errstate(invalid="ignore"):
+        distance_m = np.linalg.norm(ends[usable].mean(axis=2) - ends[first].mean(axis=1), axis=-1)
+    farthest = usable[np.argsort(-np.nan_to_num(distance_m).max(axis=1))]
+    partners: Int64[Array, "partner"] = farthest[farthest != first][:_PARTNERS]
+    return partners
+
+
+def _permutations(lasers: int) -> list[tuple[int, ...]]:
+    """The permutations that wrong switching makes: identity, rotations, reversal, exchanges of two.
+
+    For three lasers these are all; for eight they are 37 of 40320.
+    """
+    identity = tuple(range(lasers))
+    found = [identity[shift:] + identity[:shift] for shift in identity] + [identity[::-1]]
+    for first, second in combinations(identity, 2):
+        swapped = list(identity)
+        swapped[first], swapped[second] = second, first
+        found.append(tuple(swapped))
+    return list(dict.fromkeys(found))
+
+
+def _plane(points: Float64[Array, "n xyz=3"]) -> Float64[Array, "4"]:
+    if len(points) < 3:
+        return np.full(4, np.nan)
+    normal, distance_m, _ = nearest_plane(points)
+    return np.append(normal, distance_m)
+
+
+def _refitted(ends: StripeEnds, labels: Labels, planes: Planes) -> Planes:
+    """Each plane through the stripes that are assigned to it and lie near it; unchanged if these are too few."""
+    near = _squared_distances_m2(ends, planes) < MAX_DISTANCE_M**2
+    refitted = []
+    for index, plane in enumerate(planes):
+        points = ends[(labels == index) & near[..., index]].reshape(-1, 3)
+        refitted.append(_plane(points) if len(points) > 2 else plane)
+    return np.array(refitted)
+
+
+def _squared_distances_m2(ends: StripeEnds, planes: Planes) -> Float64[Array, "view laser plane"]:
+    """Mean squared distance of each stripe from each plane; a very large number where either is undetermined."""
+    distance_m = np.einsum("...ei,pi->...ep", ends, planes[:, :3]) - planes[:, 3]
+    squares: Float64[Array, "view laser plane"] = np.nan_to_num(np.mean(distance_m**2, axis=-2), nan=np.inf)
+    return squares
+
+
+def _nearest_labels(ends: StripeEnds, planes: Planes) -> Labels:
+    """The assignment of each shot's stripes to planes, one to one, with the smallest sum of squared distances."""
+    from scipy.optimize import linear_sum_assignment
+
+    labels = np.full(ends.shape[:2], -1)
+    finite = np.minimum(_squared_distances_m2(ends, planes), 1.0)
+    for view, squares in enumerate(finite):
+        seen = np.flatnonzero(np.isfinite(ends[view, :, 0, 0]))
+        labels[view, seen] = linear_sum_assignment(squares[seen])[1]
+    return labels
+
+
+def _score(ends: StripeEnds, labels: Labels, planes: Planes) -> float:
+    """Truncated sum of squared distances, plus MIN_GAIN_M^2 for each label that differs from the most common one."""
+    seen = labels >= 0
+    squares = _squared_distances_m2(ends, planes)
+    own = np.take_along_axis(squares, np.maximum(labels, 0)[..., None], axis=-1)[..., 0]
+    uncommon = int(np.sum(seen & (labels != np.array(_most_common_labels(labels)[0]))))
+    return float(np.minimum(own, MAX_DISTANCE_M**2)[seen].sum()) + uncommon * MIN_GAIN_M**2
+
+
+def _most_common_labels(labels: Labels) -> list[tuple[int, ...]]:
+    """The permutation (plane by laser) that most shots agree with; several if equally many shots agree with each.
+
+    Candidates are the shots that show most stripes; lasers without a stripe get the planes that are left over.
+    """
+    number = (labels >= 0).sum(axis=1)
+    candidates = set()
+    for shot in labels[number == number.max()].tolist():
+        unused = iter(sorted(set(range(len(shot))) - set(shot)))
+        candidates.add(tuple(plane if plane >= 0 else next(unused) for plane in shot))
+    votes = {candidate: int(_agrees(labels, candidate).sum()) for candidate in sorted(candidates)}
+    return [candidate for candidate, count in votes.items() if count == max(votes.values())]
+
+
+def _agrees(labels: Labels, permutation: Sequence[int]) -> np.ndarray:
+    """For each shot, whether all its stripes have the labels of the permutation."""
+    agrees: np.ndarray = np.all((labels == np.array(permutation)) | (labels < 0), axis=1)
+    return agrees
 
 
 def _exchange_text(exchanged: Mapping[int, int], lasers: Sequence[str]) -> str:
@@ -163,3 +301,17 @@ def _exchange_text(exchanged: Mapping[int, int], lasers: Sequence[str]) -> str:
         return f"{' and '.join(lasers[laser] for laser in exchanged)} are exchanged"
     pairs = ", ".join(f"{lasers[laser]} shows the stripe of {lasers[other]}" for laser, other in exchanged.items())
     return f"lasers are exchanged ({pairs})"
+
+
+def _tie_message(
+    labels: Labels, common: Sequence[tuple[int, ...]], lasers: Sequence[str], shots: Sequence[str]
+) -> tuple[str, str, str]:
+    """Place, finding and remedy if equally many shots have either labelling."""
+    first, second = common[:2]
+    groups = [[shot for shot, agrees in zip(shots, _agrees(labels, own), strict=True) if agrees] for own in common[:2]]
+    exchanged = {laser: first.index(plane) for laser, plane in enumerate(second) if plane != first[laser]}
+    return (
+        ", ".join(groups[1]),
+        f"{_exchange_text(exchanged, lasers)} against {', '.join(groups[0])}: as many shots have either labelling",
+        "see with --overlay which stripe is whose, and leave out the shots whose lasers were switched wrongly",
+    )
