@@ -19,6 +19,7 @@ BOARD_LIMITS: Limits = {
 }
 
 CAMERA_LIMITS: Limits = {
+    "other_camera_share": (0.0, 0.2),  # if more views fit another camera, it is ambiguous which one is calibrated
     "views_used": (10.0, 4.0),
     "images_used_share": (0.8, 0.5),
     "corner_sigma_px": (0.3, 1.5),

@@ -15,6 +15,7 @@ from ringpose.calibrate.boards.corner_errors import whiten
 from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution, view_equations
 from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
+from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
     cross_validation,
@@ -83,6 +84,7 @@ def camera_assessment(
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, whole, model, where) if compare else None,
         board=(
+            other_camera_finding(calibration, boards),
             *marker_size_findings(boards),
             bow_finding(used, whole, model, _widening(disagreement, len(used))),
         ),

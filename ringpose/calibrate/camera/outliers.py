@@ -5,12 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import CAMERA_LIMITS, check
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.bundle_adjustment import view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
+from ringpose.calibrate.camera.validation import used_views
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.calibration import CameraCalibration, Check
 from ringpose.types.rig import Camera
 
 VIEW_FACTOR = 2.5
@@ -28,11 +31,20 @@ CORNER_SIGMAS = 5.0
 MAX_CORNER_SHARE = 0.05
 """Maximum share of corners left out: a wrong distortion model must not be hidden by rejecting what it misfits."""
 
+MIN_FOCAL_DIFFERENCE = 0.002
+"""Relative difference of the focal length below which two cameras are the same."""
+
 MAX_EXPLAINED_FACTOR = 2.0
 """A cause explains a view if it reduces the view's rms below this multiple of the median of the views."""
 
 SATURATED_SHARE = 0.5
 """Share of a view's corners near saturated pixels, above which saturation is given as the cause."""
+
+_SEED_FACTOR = 0.5
+"""A view belongs to another camera if its rms by that camera is below this share of its rms by the calibrated one."""
+
+_GAIN_SIGMAS = 5.0
+"""Significance, in standard deviations, with which a used view fits another camera better."""
 
 _ITERATIONS = 3
 
@@ -62,6 +74,45 @@ def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Arra
     return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)
 
 
+def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Check:
+    """Check of the share of views that one other camera explains; `boards` are those of all views, in their order.
+
+    The other camera is estimated from rejected views only; used views that fit it better are counted as well.
+    """
+    camera = calibration.camera
+    used = used_views(calibration, boards)
+    rejected = [board for view, board in zip(calibration.views, boards, strict=True) if view.rejected]
+    usual_px = float(np.median([_rms_px(board, camera) for board in used]))
+    members, other = _other_camera(rejected, camera, MAX_EXPLAINED_FACTOR * usual_px)
+    names = {board.name for board in members}
+    for board in used:  # those that fit the other camera significantly better
+        gain = len(board.ids) * (_rms_px(board, camera) ** 2 - _rms_px(board, other) ** 2)
+        names |= {board.name} if gain > (_GAIN_SIGMAS * usual_px) ** 2 else set()
+    names = names if len(names) > 1 else set()
+    listed = ", ".join(view.name for view in calibration.views if view.name in names)
+    advice = (
+        f"views {listed} look like another camera's, or another zoom's: "
+        f"focal length {focal_difference(other, camera)}; calibrate each by itself"
+    )
+    return check(CAMERA_LIMITS, "other_camera_share", len(names) / len(boards), advice)
+
+
+def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float) -> tuple[list[BoardView], Camera]:
+    """The largest group of views that one camera of another focal length fits, and that camera; may be empty."""
+    seeds = [camera_of([board], camera, 1) for board in rejected]
+    turned_px = [_rms_px(turned(board, camera), camera) for board in rejected]
+    # Views that fit better rotated by half a turn have another cause.
+    upright = [one for one, seed, px in zip(rejected, seeds, turned_px, strict=True) if _rms_px(one, seed) < px]
+    groups = [[one for one in upright if _rms_px(one, seed) < _SEED_FACTOR * _rms_px(one, camera)] for seed in seeds]
+    group = max(groups, key=len, default=[])
+    if not group:
+        return [], camera
+    other = camera_of(group, camera, 3 if len(group) > 1 else 1)
+    members = [one for one in upright if _rms_px(one, other) < limit_px]
+    apart = abs(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0] - 1.0) > MIN_FOCAL_DIFFERENCE
+    return (members, other) if members and apart else ([], camera)
+
+
 def _rms_px(board: BoardView, camera: Camera) -> float:
     """Rms residual of the corners by a camera, with the board's pose fitted."""
     return board_pose(board, camera).residual_rms_px
@@ -72,7 +123,7 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     limit_px = MAX_EXPLAINED_FACTOR * usual_px
     turned_px = _rms_px(turned(view, camera), camera)
     for unknowns in (1, 3):
-        other = camera_of(view, camera, unknowns)
+        other = camera_of([view], camera, unknowns)
         rms_px = _rms_px(view, other)
         if rms_px < min(limit_px, turned_px):
             moved_px = np.linalg.norm(other.camera_matrix[:2, 2] - camera.camera_matrix[:2, 2])
@@ -101,10 +152,10 @@ def focal_difference(other: Camera, camera: Camera) -> str:
     return f"{abs(100 * longer):.1f} % {'longer' if longer > 0 else 'shorter'}"
 
 
-def camera_of(view: BoardView, camera: Camera, unknowns: int) -> Camera:
-    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to a view.
+def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Camera:
+    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to these views.
 
-    Three Gauss-Newton iterations, each with the board's pose fitted anew; the given camera if they diverge. From a
+    Three Gauss-Newton iterations, each with the boards' poses fitted anew; the given camera if they diverge. From a
     start that is 10 % off, the focal length agrees with that of `scipy.optimize.least_squares` to 3e-8 of its value;
     this takes 8 ms, SciPy's solver 30 to 35 ms.
     """
@@ -114,7 +165,8 @@ def camera_of(view: BoardView, camera: Camera, unknowns: int) -> Camera:
     directions[2, 1] = directions[3, 2] = 1.0
     directions = directions[:, :unknowns]
     for _ in range(_ITERATIONS):
-        wrt_camera, residual = view_equations(view, board_pose(view, found), found, 1.0).without_pose()
+        rows = [view_equations(view, board_pose(view, found), found, 1.0).without_pose() for view in views]
+        wrt_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         step = np.linalg.lstsq(wrt_camera @ directions, residual)[0]
         if not np.abs(step[0]) < 0.5:  # relative step of the focal length: diverged
             return camera

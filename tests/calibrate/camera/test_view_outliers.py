@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
+from ringpose.types.calibration import Grade
 
 CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
 POINTS = corner_points(CHESSBOARD)
@@ -71,3 +73,57 @@ def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
 
     assert list(found) == ["v4"]
     assert "white is saturated beside 90 % of its corners" in found["v4"]
+
+
+def mixed(boards: list[BoardView], indices: tuple[int, ...]) -> list[BoardView]:
+    """The views, some of them with a focal length 2 % longer."""
+    middle = [800.0, 600.0]
+    return [
+        changed(view, middle + 1.02 * (view.points_px - middle)) if index in indices else view
+        for index, view in enumerate(boards)
+    ]
+
+
+@pytest.mark.parametrize(("indices", "grade"), [((0, 4), Grade.IMPROVABLE), ((0, 4, 8, 12), Grade.REDO)])
+def test_views_of_another_camera_are_told_together(views, indices, grade):
+    boards = mixed(views(15), indices)
+
+    finding = other_camera_finding(calibrate_camera(boards, 1600, 1200), boards)
+
+    assert finding.grade is grade
+    assert finding.value == pytest.approx(len(indices) / 15)
+    assert finding.advice.startswith(f"views {', '.join(f'v{index}' for index in indices)} look like another camera's")
+    assert re.search(r"focal length (1\.[89]|2\.[012]) % longer", finding.advice)
+
+
+def test_a_view_of_the_other_camera_that_was_used_is_told_with_those_left_out(views):
+    boards = mixed(views(15), (0, 4, 8))
+    found = calibrate_camera(boards, 1600, 1200)
+    kept = replace(found, views=tuple(replace(one, rejected="") if one.name == "v8" else one for one in found.views))
+
+    finding = other_camera_finding(kept, boards)
+
+    assert finding.advice.startswith("views v0, v4, v8 look")
+
+
+def test_views_of_one_camera_are_no_others(views):
+    boards = views(10)
+
+    assert other_camera_finding(calibrate_camera(boards, 1600, 1200), boards).grade is Grade.GOOD
+
+
+def test_images_turned_by_half_a_turn_are_no_other_cameras(views):
+    boards = [
+        changed(view, [1599.0, 1199.0] - view.points_px) if index in (2, 6) else view
+        for index, view in enumerate(views(12))
+    ]
+    found = calibrate_camera(boards, 1600, 1200)
+
+    assert len(found.used) == 10
+    assert other_camera_finding(found, boards).grade is Grade.GOOD
+
+
+def test_one_view_alone_is_no_other_cameras(views):
+    boards = mixed(views(12), (3,))
+
+    assert other_camera_finding(calibrate_camera(boards, 1600, 1200), boards).grade is Grade.GOOD
