@@ -162,7 +162,7 @@ class _Sequencer:
                 continue
             checked, found = self._checker.checked(shot)
             if found is None:
-                return self._completed(checked, failures, wrong, lost)
+                return self._completed(checked, wrong, lost, is_first=not failures and not lost)
             if isinstance(found, AmbientLightChanged):
                 lost += found.changes
                 problem = AmbientLightChanged(lost, self._checker.never_seen(shot, len(lost)))
@@ -172,12 +172,12 @@ class _Sequencer:
             self._checker.reject_stripe_in_dark(problem.lasers)
         raise problem
 
-    def _completed(self, shot: Shot, failures: int, wrong: int, lost: Sequence[AmbientChange]) -> Shot:
+    def _completed(self, shot: Shot, wrong: int, lost: Sequence[AmbientChange], *, is_first: bool) -> Shot:
         """The shot, with the changes of ambient light in its lost attempts; read by `lost_attempts_dn`.
 
         A longer settling time is kept if two shots in a row needed one; a single one may have been disturbed.
         """
-        if failures:  # a contact may have welded in an attempt that was cut off, before its laser was seen
+        if not is_first:  # a contact may have welded in an attempt that was lost, before its laser was seen
             self._checker.reject_stripe_in_dark(self._checker.unseen(shot))
         if wrong and self._was_slow:
             self._settle_s = self._settle_after_s(wrong)

@@ -114,7 +114,7 @@ class ShotChecker:
             image = self._dark_image(shot)
             _reject_lit(laser for laser, lit in suspects.items() if lit.stand_out_in(image))
         never_seen = int(np.bitwise_or.reduce(shot.lasers)) & ~sum(1 << laser for laser in self._pixels)
-        if never_seen and self._must_see and lost_attempts in (TRIES, MAX_LOST):
+        if never_seen and lost_attempts in (TRIES, MAX_LOST):
             # A stripe that is present in every frame, dark ones included, stays in the minimum over all of them.
             _reject_stripe(never_seen, np.minimum.reduce([*shot.images, self._dark_image(shot)]))
         return never_seen
