@@ -106,7 +106,7 @@ EDGE_NUMBERS = 8.0
 """Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
 
 MAX_EDGE_MEAN_SQUARE = 2.0
-"""Mean square of the whitened edge residuals from which visible edges contradict the rest. Their standard deviations are
+"""Mean square of the whitened edge residuals from which visible edges contradict the rest. The standard deviations are
 those of the fit to all measurements: 150 drawn shots without outliers have at most 1.05."""
 
 BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0, 100.0)
@@ -135,6 +135,20 @@ class Hypothesis(NamedTuple):
     """Whether both break points of the stripe were rejected."""
     cause_seen: bool = False
     """Whether the image shows what occludes the rejected break point, and nothing at the stripe's other end."""
+
+
+class Precision(NamedTuple):
+    """Lengths of the last steps of iterations, in standard deviations."""
+
+    of_all: float
+    """Of the estimate from all measurements, with inner and outer edges as they are named."""
+    of_others: float
+    """Of all other explanations."""
+
+
+DECISION = Precision(DECISION_SIGMAS, DECISION_SIGMAS)
+POSE = Precision(PRECISE_SIGMAS, DECISION_SIGMAS)
+PRECISE = Precision(PRECISE_SIGMAS, PRECISE_SIGMAS)
 
 
 class Solved(NamedTuple):
@@ -186,14 +200,14 @@ def explain(
     measured, guess = at_reference_time(measured, rig.lasers, prior)
     decided = partial(_decided, measured, rig, prior, labelled, edges_named, guess)
     if not precise:
-        return decided(DECISION_SIGMAS, DECISION_SIGMAS)
-    best = decided(PRECISE_SIGMAS, DECISION_SIGMAS)
+        return decided(DECISION)
+    best = decided(POSE)
     if best is None:
         return None
     estimate = precise_ring(best.estimate, best.measured, rig)
-    if estimate is not None and estimate.chi2 < best.estimate.chi2 + DECISION_CHI2:
+    if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         return best._replace(estimate=estimate)
-    return decided(PRECISE_SIGMAS, PRECISE_SIGMAS)  # the shorter iteration had ended near a saddle point
+    return decided(PRECISE)  # the shorter iteration had ended near a saddle point
 
 
 def _decided(
@@ -203,20 +217,16 @@ def _decided(
     labelled: bool,
     edges_named: bool,
     guess: RingArcs | None,
-    step_sigmas: float,
-    other_sigmas: float,
+    precision: Precision,
 ) -> Explanation | None:
-    """The best explanation with the radii of the prior or, if the shot contradicts them, without.
-
-    `step_sigmas`: length of the last step of the estimate from all measurements; `other_sigmas`: of the same with inner
-    and outer edge exchanged, or without radii.
-    """
-    best = _better_side(measured, rig, prior, labelled, edges_named, guess, step_sigmas, other_sigmas)
+    """The best explanation with the radii of the prior or, if the shot contradicts them, without."""
+    best = _better_side(measured, rig, prior, labelled, edges_named, guess, precision)
     if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
         return best
     # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
     free = prior._replace(radii=None)
-    alone = _better_side(measured, rig, free, labelled, edges_named, None, other_sigmas, other_sigmas)
+    others = precision._replace(of_all=precision.of_others)
+    alone = _better_side(measured, rig, free, labelled, edges_named, None, others)
     if alone is None or not _contradicts(alone.estimate, prior.radii):
         return best
     return alone._replace(
@@ -252,11 +262,10 @@ def _better_side(
     labelled: bool,
     edges_named: bool,
     guess: RingArcs | None,
-    step_sigmas: float,
-    other_sigmas: float,
+    precision: Precision,
 ) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
-    best = _explained(measured, rig, prior, labelled, step_sigmas, guess=guess)
+    best = _explained(measured, rig, prior, labelled, precision, guess=guess)
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
@@ -265,7 +274,8 @@ def _better_side(
             return best
     max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
     exchanged = measured.with_edges_exchanged()
-    other = _explained(exchanged, rig, prior, labelled, other_sigmas, max_score=max_score)
+    others = precision._replace(of_all=precision.of_others)
+    other = _explained(exchanged, rig, prior, labelled, others, max_score=max_score)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -289,23 +299,24 @@ def _explained(
     rig: Rig,
     prior: Prior,
     labelled: bool,
-    step_sigmas: float,
+    precision: Precision,
     *,
     guess: RingArcs | None = None,
     max_score: float = inf,
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     edges_seen = len(measured.edges.edge) > 0
-    first_sigmas = DECISION_SIGMAS if edges_seen else step_sigmas
+    first_sigmas = DECISION_SIGMAS if edges_seen else precision.of_all
     estimate = estimate_ring(measured, rig, prior, guess=guess, step_sigmas=first_sigmas)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=step_sigmas)
+        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=precision.of_all)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, everything, _single_stripes(everything, rig))
     hypotheses = sorted(outlier_hypotheses(measured, rig, prior, labelled), key=lambda each: each.penalty)
-    tried = _possibly_best(hypotheses, everything, rig, max_score)
+    solved = partial(_solved, everything=everything, rig=rig, step_sigmas=precision.of_others)
+    tried = _possibly_best(hypotheses, solved, inf if everything is None else min(everything.score, max_score))
     if everything is None and not tried:
         return None
 
@@ -313,34 +324,33 @@ def _explained(
         """The explanation that rejects both ends of a laser's stripe, also if it is not nearly the best one."""
         known = [each for each in tried if each.hypothesis.both and each.hypothesis.laser == laser]
         others = (each for each in hypotheses if each.both and each.laser == laser)
-        return known[0] if known else next((_solved(each, everything, rig) for each in others), None)
+        return known[0] if known else next((solved(each) for each in others), None)
 
     best, rivals = _select(everything, tried, both_ends)
     return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
 def _possibly_best(
-    hypotheses: Sequence[Hypothesis], everything: Solved | None, rig: Rig, max_score: float
+    hypotheses: Sequence[Hypothesis], solved: Callable[[Hypothesis], Solved | None], lowest: float
 ) -> list[Solved]:
     """The hypotheses that may be the best one or comparable to it: the penalty of the others alone exceeds its score.
 
-    `hypotheses`: in the order of their penalties. `max_score`: of the explanations that matter.
+    `hypotheses`: in the order of their penalties. `lowest`: score of the best explanation that is known.
     """
     tried: list[Solved] = []
-    lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
         if hypothesis.penalty > lowest + CLEARLY:
             break
-        found = _solved(hypothesis, everything, rig)
+        found = solved(hypothesis)
         if found is not None:
             tried.append(found)
             lowest = min(lowest, found.score)
     return tried
 
 
-def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig) -> Solved | None:
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, step_sigmas: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
-    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=DECISION_SIGMAS)
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=step_sigmas)
     if estimate is None or not (_is_ring(estimate) or hypothesis.both):
         return None
     wider = 0.0

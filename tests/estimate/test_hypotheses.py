@@ -186,7 +186,7 @@ def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(scene_of, face_p
 def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
     poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(600)]
 
-    assert sum(bool(pose.flags & ~HARMLESS_FLAGS) for pose in poses) <= 1
+    assert sum(bool(pose.flags & ~HARMLESS_FLAGS) for pose in poses) <= 3  # 0.8 of 600 by chance; 99 % by Poisson
 
 
 @EVERY_POINT
