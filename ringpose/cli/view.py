@@ -105,21 +105,20 @@ def _lines_by_shot(
     from ringpose.files.inputs import inputs as named
 
     lines: dict[str, PoseLine] = {}
-    is_empty = bool(files)
-    for item in batch.valid_inputs(named(list(map(str, files)), (RECORDS_SUFFIX,))):
-        is_empty = False
-        with batch.guarded():
-            if not isinstance(item, Record):
-                if not item.exists():
-                    raise NoInputError(str(item), "does not exist")
-                raise DataError(str(item), f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
-            line = line_of(item.values, item.location)
-            if line.shot in lines and kind == "pose":
-                raise DataError(item.location, f"is a second pose line of the shot {line.shot}", "give one run")
-            if line.shot:  # a track also has lines of instants without a shot
-                lines[line.shot] = line
-    if is_empty and batch.status == 0:
-        raise DataError(str(files[0]), f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
+    for file in map(str, files):
+        no_lines = DataError(file, f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
+        items = list(named([file], (RECORDS_SUFFIX,)))
+        if not items:
+            raise no_lines
+        for item in batch.valid_inputs(items):
+            with batch.guarded():
+                if not isinstance(item, Record):
+                    raise no_lines if item.exists() else NoInputError(str(item), "does not exist")
+                line = line_of(item.values, item.location)
+                if line.shot in lines and kind == "pose":
+                    raise DataError(item.location, f"is a second pose line of the shot {line.shot}", "give one run")
+                if line.shot:  # a track also has lines of instants without a shot
+                    lines[line.shot] = line
     return lines
 
 

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -52,11 +53,11 @@ SHOWN_MEASUREMENTS = 300
 COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
 """Of the target's materials; others are grey."""
 
-EARTH_M = 2.0
-"""Distance from the ring at which the Earth is drawn, as large as it appears there."""
+EARTH_MARGIN_M = 0.5
+"""Between the target and the Earth, which is drawn behind all its parts and as large as it appears from the ring."""
 
-EARTH = Earth(direction=np.array([0.9, -0.35, 0.25]))
-"""The Earth of scenes without one: beside the target."""
+EARTH = Earth(direction=np.array([0.9, -0.2, 0.15]))
+"""The Earth of scenes without one: beside the target, and in the first view of the page."""
 
 
 class ConsolePage:
@@ -366,10 +367,9 @@ class ConsolePage:
 
     def _add_target(self) -> None:
         """The parts of the target, in its frame."""
-        server, scene = self._server.scene, self._scene
+        server = self._server.scene
         self._target = server.add_frame("/target", show_axes=False)
-        parts = [*([] if scene.body is None else [body_part(scene.body)]), *scene.parts, ring_part(scene.ring)]
-        for number, part in enumerate(parts):
+        for number, part in enumerate(_parts(self._scene)):
             name, color, wxyz = f"/target/{number}", _color(part), viser.transforms.SO3.from_matrix(part.rotation).wxyz
             if isinstance(part.shape, Box):
                 size_m = tuple(float(each) for each in part.shape.high_m - part.shape.low_m)
@@ -400,7 +400,7 @@ class ConsolePage:
         self._view3d.show_stripes(points, state.mask)
 
     def _show_sky(self, state: ConsoleState) -> None:
-        """An arrow from the sun, and the Earth in its direction from the ring and as wide as it is seen."""
+        """An arrow from the sun, and the Earth in its direction from the ring, outside the target."""
         server, light = self._server.scene, state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         arrow = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
@@ -415,12 +415,13 @@ class ConsolePage:
         )
         server.add_label("/sun/name", "sun", position=sun_m, visible=light.sun_w_m2 > 0)
         earth = light.earth or EARTH
-        earth_m = state.center_m + EARTH_M * earth.direction / np.linalg.norm(earth.direction)
+        distance_m, radius_m = drawn_earth_m(self._scene, earth)
+        earth_m = state.center_m + distance_m * earth.direction / np.linalg.norm(earth.direction)
         server.add_icosphere(
-            "/earth", EARTH_M * float(np.sin(earth.angular_radius_rad)), (70, 110, 180), subdivisions=4,
-            position=earth_m, visible=light.earth is not None,
-        )  # fmt: skip
-        server.add_label("/earth name", "Earth", position=earth_m, visible=light.earth is not None)
+            "/earth", radius_m, (70, 110, 180), subdivisions=4, position=earth_m, visible=light.earth is not None
+        )
+        # its position is relative to the Earth
+        server.add_label("/earth/name", "Earth", visible=light.earth is not None)
 
     # Pictures
 
@@ -458,6 +459,27 @@ class ConsolePage:
         self._rows.append((float(self._measured), *plotted(line.pose, errors)))
         rows = list(self._rows)
         self._plots.show([row[0] for row in rows], [row[1:] for row in rows])
+
+
+def drawn_earth_m(scene: Scene, earth: Earth) -> tuple[float, float]:
+    """Distance from the ring, and radius, of a sphere that looks like the Earth from there and contains no part."""
+    center_m = np.array([0.0, 0.0, scene.ring.height_m])
+    reach_m = 0.0
+    for part in _parts(scene):
+        if isinstance(part.shape, Box):
+            corners_m = np.array(list(product(*zip(part.shape.low_m, part.shape.high_m, strict=True))))
+        else:
+            corners_m = surface(part.shape.profile_m)[0]
+        away_m = corners_m @ part.rotation.T + part.translation_m - center_m
+        reach_m = max(reach_m, float(np.linalg.norm(away_m, axis=1).max()))
+    sine = float(np.sin(earth.angular_radius_rad))
+    distance_m = (reach_m + EARTH_MARGIN_M) / (1 - sine)
+    return distance_m, distance_m * sine
+
+
+def _parts(scene: Scene) -> tuple[Part, ...]:
+    body = () if scene.body is None else (body_part(scene.body),)
+    return (*body, *scene.parts, ring_part(scene.ring))
 
 
 def _color(part: Part) -> tuple[int, int, int]:

@@ -6,6 +6,8 @@ import pytest
 from ringpose.bench.speed import median_times_s, one_core, rendered_shot
 from ringpose.detect.pipeline import detect
 from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.options import Method
+from ringpose.types.pose import RingPose
 
 
 class Clock:
@@ -57,8 +59,11 @@ def test_one_core_ends_with_the_block():
 def test_the_timed_shot_shows_a_ring_half_a_metre_away():
     shot, rig = rendered_shot()
 
-    pose = estimate_pose(detect(shot, rig, edges=False).break_points, rig)
+    points = detect(shot, rig, edges=False).break_points
+    poses = {method: estimate_pose(points, rig, method) for method in Method}
 
     assert shot.images.shape == (1, 1200, 1600)
+    assert [type(pose) for pose in poses.values()] == [RingPose] * len(Method)
+    pose = poses[Method.ML]
     assert pose.normal[2] == pytest.approx(-1, abs=1e-3)
     assert pose.grasp_m[2] == pytest.approx(0.5, abs=1e-3)

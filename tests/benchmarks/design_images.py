@@ -2,7 +2,7 @@
 
 At random places that a map does not hatch, shots are rendered and measured; the root mean square errors of centre and
 normal are divided by the map's, with the 99 % band of this ratio. `--image-scale` reduces the image to save time.
-Status 3 if a ratio of the centre is outside its band.
+Status 3 if a ratio of the centre is outside its band, or a shot has no pose.
 """
 
 import argparse
@@ -37,6 +37,7 @@ class PlaceErrors:
     band: tuple[float, float]
     """99 % of the ratios of the centre's lie in it if the map is right, along one direction, the widest band."""
     poses: int
+    """Shots with a finite pose; the others are in no statistic."""
     flagged: int
     """Poses whose status is not `ok`."""
 
@@ -52,7 +53,10 @@ class PlaceErrors:
 
 
 def place_errors(scene: Scene, place: Place, shots: int, deviations: Deviations | None = None) -> PlaceErrors:
-    """Errors of shots that are drawn with these deviations, or without any rendered and measured with noise only."""
+    """Errors of shots that are drawn with these deviations, or without any rendered and measured with noise only.
+
+    If none has a pose, they are infinite and the band is empty.
+    """
     at_place, found, flagged = scene_at(scene, place), [], 0
     for seed in range(shots):
         seeded = replace(at_place, seed=seed)
@@ -68,9 +72,9 @@ def place_errors(scene: Scene, place: Place, shots: int, deviations: Deviations 
             found.append((np.linalg.norm(line.pose.center_m - truth.center_m), angle_rad))
             flagged += line.status != "ok"
     sd = place_result(scene, place).sd
-    low, high = np.sqrt(chi2.ppf([0.005, 0.995], len(found)) / len(found))
+    low, high = np.sqrt(chi2.ppf([0.005, 0.995], len(found)) / len(found)) if found else (0.0, 0.0)
     return PlaceErrors(
-        rms=np.sqrt(np.mean(np.square(found), axis=0)),
+        rms=np.sqrt(np.mean(np.square(found), axis=0)) if found else np.full(2, np.inf),
         expected=np.array([sd["center_m"], sd["normal_rad"]]),
         band=(float(low), float(high)),
         poses=len(found),
@@ -118,7 +122,7 @@ def main() -> int:
     print(heading + "        poses  flagged")
     for place in random_places(scene, np.random.default_rng(given.seed), given.places):
         found = place_errors(scene, place, given.shots, Deviations() if given.features else None)
-        outside += not found.inside
+        outside += not found.inside or found.poses < given.shots
         print(
             f"{place.distance_m:8.3f} {place.offset_x:7.3f} {place.pitch_rad:6.3f} {place.yaw_rad:6.3f}"
             f"   {1e3 * found.rms[0]:10.3f} {1e3 * found.expected[0]:6.3f} {found.ratio[0]:6.2f}"

@@ -12,14 +12,16 @@ from served_scene import small_scene
 
 from ringpose.cli.simulate.console import trajectory_in
 from ringpose.console.engine import Engine
-from ringpose.console.state import first_state
+from ringpose.console.state import Trajectory, first_state
 from ringpose.errors import DataError
 from ringpose.files.scenes.copies import write_scene_copy
 from ringpose.files.scenes.scene import read_scene
+from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.rays import project
-from ringpose.simulate.placement import ring_views
+from ringpose.simulate.placement import ring_views, target_placement
 from ringpose.simulate.serve.preview import preview
 from ringpose.types.scene import Beacon, Earth, Light
+from ringpose.types.target import Box
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +146,32 @@ def test_an_image_that_is_small_already_is_its_own_preview(scene):
     assert preview(scene, 300) is scene
 
 
+@pytest.mark.parametrize("target", [{}, {"model": "sinosat2"}, {"model": "sinosat2", "state": "stowed"}], ids=str)
+@pytest.mark.parametrize("orbit_radius_m", [7.0e6, 4.2164e7])
+def test_the_earth_is_drawn_as_large_as_it_is_and_outside_all_parts(tmp_path, rng, target, orbit_radius_m):
+    pytest.importorskip("viser")
+    from ringpose.console.page import drawn_earth_m
+
+    small_scene(tmp_path)
+    values = dict(read_yaml(tmp_path / "scene.yaml").values)
+    if target:
+        values = {key: value for key, value in values.items() if key not in ("ring", "body")} | {"target": target}
+    with (tmp_path / "scene.yaml").open("wb") as stream:
+        write_yaml(stream, values)
+    scene = read_scene(tmp_path / "scene.yaml")
+    earth = Earth(direction=np.array([0.0, 0.0, 1.0]), orbit_radius_m=orbit_radius_m)
+
+    distance_m, radius_m = drawn_earth_m(scene, earth)
+
+    assert radius_m / distance_m == pytest.approx(6.378e6 / orbit_radius_m)
+    boxes = [part for part in scene.parts if isinstance(part.shape, Box)]
+    assert bool(boxes) == bool(target)
+    center_m = np.array([0.0, 0.0, scene.ring.height_m])
+    for part in boxes:
+        inside_m = rng.uniform(part.shape.low_m, part.shape.high_m, (1000, 3)) @ part.rotation.T + part.translation_m
+        assert np.linalg.norm(inside_m - center_m, axis=1).max() < distance_m - radius_m
+
+
 class Shown:
     """What an engine shows, and events for it."""
 
@@ -240,7 +268,7 @@ def test_the_running_measurement_tracks_a_moving_target():
 
 
 MOTION = """
-motion: {angular_velocity_rad_s: [0, 0, 0.01], inertia_kg_m2: [1, 1, 1], center_of_mass_m: [0, 0, 0]}
+motion: {angular_velocity_rad_s: [0, 0, 0.01], inertia_kg_m2: [1, 1, 1], center_of_mass_m: [0, 0, 0], shots: 3}
 """
 
 
@@ -270,7 +298,7 @@ def test_a_saved_state_is_a_scene_with_that_view_and_rig_and_the_other_keys_of_t
 
     saved = read_scene(path)
     view = ring_views(saved)[0]
-    np.testing.assert_allclose(saved.motion.angular_velocity_rad_s, [0.0, 0.0, 0.01])
+    assert saved.motion is None  # the state is still, unlike the original
     assert saved.lights["console"].beacon == changed.light.beacon
     np.testing.assert_allclose(view.center_m, changed.view(scene).center_m, atol=1e-12)
     np.testing.assert_allclose(view.normal, changed.view(scene).normal, atol=1e-12)
@@ -280,6 +308,58 @@ def test_a_saved_state_is_a_scene_with_that_view_and_rig_and_the_other_keys_of_t
     assert saved.lights["console"].ambient_w_m2 == 2.0
     np.testing.assert_allclose(saved.lights["console"].earth.direction, [1.0, 0.0, 0.0])
     assert saved.sensor.pixel_m == pytest.approx(1.5 * scene.sensor.pixel_m)
+
+
+def saved_copy(scene, state, folder):
+    """What `read_scene` finds in a saved state, whose original moves in another way."""
+    folder.mkdir(exist_ok=True)
+    small_scene(folder)
+    original = folder / "scene.yaml"
+    original.write_text(original.read_text() + MOTION)
+    shown = state.scene_of(scene)
+    view = state.view(scene)
+    return read_scene(write_scene_copy(folder / "saved", original, shown.rig, view, state.light, shown.sequence, None))
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"spin_rad_s": 0.05},
+        {"tumble_rad_s": -0.08},
+        {"drift_m_s": np.array([0.01, 0.0, -0.02])},
+        {"spin_rad_s": -0.03, "drift_m_s": np.array([0.0, 0.04, 0.0])},
+    ],
+    ids=["spin", "tumble", "drift", "spin and drift"],
+)
+def test_a_saved_state_moves_as_the_controls_say_from_its_time_on(scene, state, tmp_path, motion):
+    moving = replace(state, pitch_rad=0.1, yaw_rad=0.05, roll_rad=0.3, time_s=1.5, **motion)
+
+    views = ring_views(saved := saved_copy(scene, moving, tmp_path))
+
+    assert len(views) == 3
+    for number, view in enumerate(views):
+        expected = replace(moving, time_s=1.5 + number * saved.period_s).view(scene)
+        found, wanted = (target_placement(scene, each) for each in (view, expected))
+        np.testing.assert_allclose(found.translation_m, wanted.translation_m, atol=1e-6)
+        np.testing.assert_allclose(found.rotation, wanted.rotation, atol=1e-6)
+
+
+def test_a_saved_trajectory_continues_with_its_velocity_and_one_too_fast_is_not_saved(scene, state, tmp_path):
+    poses = {
+        "center_m": state.center_m + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]),
+        "normal": np.tile(state.view(scene).normal, (2, 1)),
+    }
+    slow, fast = (
+        replace(state, time_s=0.2, trajectory=Trajectory(time_s=np.array([0.0, end_s]), **poses))
+        for end_s in (1.0, 0.001)
+    )
+
+    saved = saved_copy(scene, slow, tmp_path)
+
+    np.testing.assert_allclose(saved.motion.velocity_m_s, [0.0, 0.0, 0.1], atol=1e-9)
+    assert saved_copy(scene, replace(slow, time_s=2.0), tmp_path / "ended").motion is None
+    with pytest.raises(DataError, match="m/s"):
+        saved_copy(scene, replace(fast, time_s=0.0), tmp_path / "fast")
 
 
 @pytest.mark.slow

@@ -5,13 +5,23 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.rigs import write_rig
+from ringpose.files.scenes.motions import MAX_RATE_RAD_S, MAX_SPEED_M_S
 from ringpose.files.yaml import read_yaml, write_yaml
+from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Light, RingView
 from ringpose.types.session import steps_of, written_sequence
+
+STEP_S = 1e-3
+"""In which velocities are taken from poses."""
+
+STILL = 1e-9
+"""Velocities below it, in m/s and rad/s, are rounding errors."""
 
 
 def write_scene_copy(
@@ -26,8 +36,8 @@ def write_scene_copy(
 ) -> Path:
     """Write scene.yaml, which has this single view, and rig.yaml into a new folder; returns its path.
 
-    All other keys are those of the original file, also its motion, unless that is a file with all poses. Without
-    `exposure_s` the exposure follows the original's rule.
+    The motion is that of the view at its beginning, continued at constant velocity and angular velocity; a still view
+    has none. All other keys are those of the original file. Without `exposure_s` the exposure follows its rule.
     """
     if view.normal[2] >= 0:
         raise DataError(view.name, "the ring faces away from the camera, which a scene file cannot describe")
@@ -53,8 +63,9 @@ def write_scene_copy(
             }
         ],
     }
-    if "file" in values.get("motion", {}):
-        del values["motion"]
+    shots = {key: value for key, value in values.pop("motion", {}).items() if key == "shots"}
+    if (motion := _motion(view)) is not None:
+        values["motion"] = motion | shots
     values.pop("earth", None)
     if (earth := light.earth) is not None:
         values["earth"] = {
@@ -73,3 +84,31 @@ def write_scene_copy(
     with atomic.replacing(path, force=False) as stream:
         write_yaml(stream, values)
     return path
+
+
+def _motion(view: RingView) -> dict[str, Any] | None:
+    """The motion at the beginning of a view; None of a target that stands still.
+
+    With equal moments of inertia about the ring's centre, the angular velocity remains constant.
+    """
+    if view.path is None:
+        return None
+    begin, end = (view.path.camera_from_target(view.begin_s + time_s) for time_s in (0.0, STEP_S))
+    turned = begin[0].T @ end[0]
+    center_target_m = begin[0].T @ (view.center_m - begin[1])
+    velocity_m_s = (end[0] @ center_target_m + end[1] - view.center_m) / STEP_S
+    angular_velocity_rad_s = rotation_vector(turned) / STEP_S
+    for speed, limit, unit in (
+        (np.linalg.norm(velocity_m_s), MAX_SPEED_M_S, "m/s"),
+        (np.linalg.norm(angular_velocity_rad_s), MAX_RATE_RAD_S, "rad/s"),
+    ):
+        if speed > limit:
+            raise DataError(view.name, f"moves at {speed:.3g} {unit}, and a scene file can have {limit:g}")
+    if max(np.abs(velocity_m_s).max(), np.abs(angular_velocity_rad_s).max()) < STILL:
+        return None
+    return {
+        "velocity_m_s": velocity_m_s,
+        "angular_velocity_rad_s": angular_velocity_rad_s,
+        "inertia_kg_m2": [1.0, 1.0, 1.0],
+        "center_of_mass_m": center_target_m,
+    }

@@ -34,8 +34,9 @@ def uncertain(scene):
 
 
 def test_drawn_shots_have_the_errors_of_the_map_at_a_place(uncertain):
-    found = place_errors(uncertain, Place(distance_m=0.5, pitch_rad=0.1), 8, Deviations(rig_errors=True))
+    found = place_errors(uncertain, Place(distance_m=0.5, pitch_rad=0.1), 25, Deviations(rig_errors=True))
 
+    assert found.poses == 25
     assert found.inside
 
 
@@ -45,6 +46,7 @@ def test_drawn_shots_have_the_errors_of_the_map_at_random_places(uncertain, rng)
         place_errors(uncertain, place, 50, Deviations(rig_errors=True)) for place in random_places(uncertain, rng, 20)
     ]
 
+    assert [place.poses for place in found] == 20 * [50]
     assert sum(place.inside for place in found) >= 18
 
 
@@ -52,6 +54,7 @@ def test_drawn_shots_have_the_errors_of_the_map_at_random_places(uncertain, rng)
 def test_rendered_shots_have_the_errors_of_the_map_where_it_is_not_hatched(scene, rng):
     found = [place_errors(scene, place, 25) for place in random_places(scene, rng, 2)]
 
+    assert [place.poses for place in found] == 2 * [25]
     assert all(place.inside for place in found)
 
 
@@ -90,14 +93,17 @@ def test_stripes_that_nearly_cross_are_ambiguous_in_a_single_frame(scene):
 
 
 def test_a_sweep_tries_all_combinations_beside_the_papers_angles(scene):
-    found = list(designs(scene, {"laser_angle_rad": [0.1], "baseline_m": [0.06]}, places([0.5], [0.0]), STILL))
+    found = list(designs(scene, {"laser_angle_rad": [0.1, 0.15], "baseline_m": [0.06]}, places([0.5], [0.0]), STILL))
 
-    assert [design.reference for design in found] == [False, False, True, True]
-    assert found[1].changes == {"laser_angle_rad": 0.1, "baseline_m": 0.06}
-    narrow, wide = found[2:]
+    assert [design.reference for design in found] == [False, False, False, True, True]
+    assert [design.changes for design in found[1:3]] == [
+        {"laser_angle_rad": 0.1, "baseline_m": 0.06},
+        {"laser_angle_rad": 0.15, "baseline_m": 0.06},
+    ]
+    narrow, wide = found[3:]
     assert narrow.median("center_m") > 3 * wide.median("center_m")
     chosen = best(found, "center_m", 0.5)
-    assert chosen.median("center_m") == min(each.median("center_m") for each in found[:2])
+    assert chosen.median("center_m") == min(each.median("center_m") for each in found[:3])
 
 
 def test_no_rig_is_chosen_that_does_not_cover_the_places(scene):
