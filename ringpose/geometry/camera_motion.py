@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,9 @@ from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
 MAX_GAP_S = 0.25
 """Longest time between two poses of the robot within which its motion is interpolated."""
+
+MAX_AHEAD_S = 10.0
+"""Longest time after its last pose for which a robot is taken to go on at its last twist."""
 
 MAX_SPEED_M_S, MAX_RATE_RAD_S = 10.0, 20.0
 """Highest speeds of a tool that a robot can have; what is faster is an error in the poses or in their stamps."""
@@ -67,12 +71,18 @@ class CameraMotion:
         )
 
     def going_on_until(self, stamp_s: float) -> "CameraMotion":
-        """The motion with further poses up to a stamp, for a robot that goes on at its last twist."""
-        poses, missing_s = self.poses, stamp_s + self.mount.delay_s - self.poses.stamp_s[-1:]
-        if len(poses.stamp_s) < 2 or missing_s <= 0.0:
+        """The motion with further poses up to a stamp, for a robot that goes on at its last twist.
+
+        Unchanged where the stamp is covered, not finite, or more than `MAX_AHEAD_S` after the last pose.
+        """
+        poses = self.poses
+        if len(poses.stamp_s) < 2:
+            return self
+        missing_s = stamp_s + self.mount.delay_s - float(poses.stamp_s[-1])
+        if not 0.0 < missing_s <= MAX_AHEAD_S:
             return self
         turn_rad, shift_m = self._twist(len(poses.stamp_s) - 1)
-        share = (np.arange(int(missing_s[0] / MAX_GAP_S) + 1) + 1.0) * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
+        share = (np.arange(int(missing_s / MAX_GAP_S) + 1) + 1.0) * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
         last, position_m = poses.rotation[-1], poses.position_m[-1]
         moved = np.array([_left_jacobian(each * turn_rad) @ (each * shift_m) for each in share])
         further = RobotPoses(
@@ -84,6 +94,8 @@ class CameraMotion:
 
     def why_not_at(self, stamp_s: float) -> str:
         """Why `at` has no camera for this stamp; empty if it has one."""
+        if not isfinite(stamp_s):
+            return "its time is unknown"
         stamps_s = self.poses.stamp_s
         if len(stamps_s) < 2:
             return "there are no poses of the robot yet"

@@ -183,15 +183,15 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
 def test_ratio(bank: Bank, found: Innovation) -> float:
     """Chi-squared of an innovation over the limit of the gate; above 1 it is rejected.
 
-    The probability of a larger one is the mean over the motion models with their weights, and the ratio that of the
-    chi-squared which has this probability. Improbable models do not take part: those with much process noise would
-    open the gate for outliers.
+    The probability of a larger one is the weighted mean over the motion models that take part, and the ratio that of
+    the chi-squared which has this probability. Improbable models do not: those with much process noise would open the
+    gate for outliers.
     """
     from scipy.special import chdtrc, chdtri
 
     dof, weights = max(found.degrees_of_freedom, 1), bank.weights
     tested = weights >= MIN_TESTED_SHARE * weights.max()
-    probability = float(weights[tested] @ chdtrc(dof, found.chi2[tested]))
+    probability = float(weights[tested] @ chdtrc(dof, found.chi2[tested]) / weights[tested].sum())
     if probability < MIN_PROBABILITY:
         return float(found.chi2[tested].min()) / gate(dof)
     return float(chdtri(dof, min(probability, 1.0))) / gate(dof)

@@ -70,6 +70,17 @@ class _Entry(NamedTuple):
         return self.observed.stamp_s, self.observed.shot
 
 
+class _Unused(NamedTuple):
+    """Successive records outside the buffer, of one clock."""
+
+    is_old: bool
+    """Whether they are older than the buffer, rather than ahead of this computer's clock."""
+    stamp_s: float
+    """Of the last one."""
+    elapsed_s: float
+    """From the first to the last, with bounded gaps."""
+
+
 class Tracker:
     """A track that pose records are added to as they arrive."""
 
@@ -92,8 +103,8 @@ class Tracker:
         self._base_flags = PoseFlag(0)
         self._entries: list[_Entry] = []
         self._attempts: list[Attempt] = []
-        self._unused: list[float] = []
-        """First and last stamp of the records outside the buffer that alone have arrived since the last one in it."""
+        self._unused: _Unused | None = None
+        """The records outside the buffer, if only such have arrived since the last one in it."""
 
     @property
     def track(self) -> Track:
@@ -127,8 +138,9 @@ class Tracker:
 
         Stamps outside the buffer cannot be right, but their differences show for how long the track has been predicted.
         """
-        if attempt.fusion_status in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD) and self.track.banks:
-            return self.line_at(self.track.stamp_s + self._unused[-1] - self._unused[0])
+        outside = attempt.fusion_status in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD)
+        if outside and self.track.banks and self._unused is not None:
+            return self.line_at(self.track.stamp_s + self._unused.elapsed_s)
         return self.line_at(attempt.stamp_s)
 
     def _flags(self) -> PoseFlag:
@@ -152,7 +164,7 @@ class Tracker:
         if stamp_s < self._base_stamp_s:
             self._leave_out(stamp_s)
             return FusionStatus.TOO_OLD, nan, f"it is older than the buffer of {BUFFER_S:g} s"
-        self._unused.clear()
+        self._unused = None
         if line.flags & PoseFlag.INCONSISTENT:
             inflation *= max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
@@ -193,15 +205,19 @@ class Tracker:
             self._base_stamp_s = max(self._base_stamp_s, oldest_s)
 
     def _leave_out(self, stamp_s: float) -> None:
-        """Note the stamp of a record outside the buffer; one that is not later than the last is of another clock.
+        """Note the stamp of a record outside the buffer.
 
-        If only older ones have come for long enough, the clock was set back, and the track starts anew.
+        One that is not later than the last, or on the other side of the buffer, is of another clock. If only older ones
+        have come for long enough, the clock was set back, and the track starts anew. Two records, whose stamps may both
+        be wrong, count for no more than half of the time after which a track is lost.
         """
-        continues = self._unused and stamp_s > self._unused[-1]
-        self._unused = [self._unused[0], stamp_s] if continues else [stamp_s]
-        if stamp_s < self._base_stamp_s and self._unused[-1] - self._unused[0] > self.options.lost_after_s:
+        last, is_old, elapsed_s = self._unused, stamp_s < self._base_stamp_s, 0.0
+        if last is not None and last.is_old == is_old and stamp_s > last.stamp_s:
+            elapsed_s = last.elapsed_s + min(stamp_s - last.stamp_s, self.options.lost_after_s / 2)
+        self._unused = _Unused(is_old, stamp_s, elapsed_s)
+        if is_old and elapsed_s > self.options.lost_after_s:
             self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), stamp_s
-            self._entries, self._unused = [], []
+            self._entries, self._unused = [], None
 
     def _check_rig(self, line: PoseLine) -> None:
         self._hash = self._hash or line.rig

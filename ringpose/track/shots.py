@@ -28,12 +28,14 @@ FOLLOWED = (Validity.VALID, Validity.PREDICTED)
 """States of a track whose prediction is used."""
 
 
-SHARED_BACKGROUND = 1.0 + 8 * 0.3
-"""Factor on the variances of a shot that shares its background with eight others.
+BACKGROUND_SHARE = 0.3
+"""Share of a shot's variances that its background's noise causes, which shots with one background have in common.
 
-Of a target at rest, 12 to 36 % of the variance of a stripe's centre come from the background's noise (from a dark
-scene to one with half of the stripe's light), which the mean of such shots retains.
+Of a stripe's centre, on a target at rest, it is 12 to 36 % (from a dark scene to one with half of the stripe's light).
 """
+
+MAX_SHARING = 10
+"""Number of shots with one background from which the variances grow no further: a track forgets the earlier ones."""
 
 AHEAD = 2.0
 """Intervals between shots after the last measurement at which the next frame is expected at the latest ..."""
@@ -52,8 +54,10 @@ class ShotTracker:
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None
         """Break points that the last shot with a pose showed."""
-        self._shares_background = False
-        """Whether the background of an earlier shot was subtracted from the last one."""
+        self._sharing = 0
+        """Number of shots with the newest background so far, if it was subtracted from the last one, else 0."""
+        self._used = 0
+        """Number of shots from which the newest background was subtracted so far."""
         self._is_followed = False
         """Whether the last measurement continued the track."""
         self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
@@ -69,9 +73,11 @@ class ShotTracker:
         if isinstance(points, BreakPoints):
             self._seen = points.seen
         dark = np.flatnonzero(shot.lasers == 0)
-        self._shares_background = background is not None and not len(dark)
         if len(dark):
-            self._background = list(shot.frames)[int(dark[-1])]
+            self._background, self._used = list(shot.frames)[int(dark[-1])], 0
+        is_subtracted = bool(len(dark)) or background is not None
+        self._used += is_subtracted
+        self._sharing = self._used if is_subtracted else 0
         return found
 
     def added(self, line: PoseLine, now_s: float = float("inf")) -> TrackLine:
@@ -80,7 +86,7 @@ class ShotTracker:
         if line.stamp_s > self._stamp_s:
             self._interval_s = line.stamp_s - self._stamp_s
         self._stamp_s = line.stamp_s
-        attempt = self._tracker.add(line, now_s, SHARED_BACKGROUND if self._shares_background else 1.0)
+        attempt = self._tracker.add(line, now_s, shared_inflation(self._sharing))
         self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
         return self._tracker.line_of(attempt)
 
@@ -99,10 +105,12 @@ class ShotTracker:
 
     def assigns_lasers(self, rig: Rig) -> bool:
         """Whether the track will assign the stripes of the next frame with all lasers on to their lasers."""
+        if not self._is_followed:
+            return False
         stamp_s, camera = self._tracker.track.stamp_s + AHEAD * self._interval_s, self._tracker.camera
         if camera is not None:
             camera = camera.going_on_until(stamp_s)  # poses of a robot that arrive meanwhile are not known ahead
-        ring = self._ring_at(stamp_s, camera) if self._is_followed else None
+        ring = self._ring_at(stamp_s, camera)
         predicted = None if ring is None else predicted_stripes([ring] * len(rig.lasers.names), rig)
         return predicted is not None and predicted.labelled
 
@@ -122,3 +130,15 @@ class ShotTracker:
             taken_s = dark.stamp_s + dark.exposure_s / 2
             moved_px = motion_px(track, taken_s, stamp_s, rig, self._tracker.camera)
         return dark if moved_px <= MOVED_PX and dark.image.shape == shot.images.shape[1:] else None
+
+
+def shared_inflation(number: int) -> float:
+    """Factor on the variances of the shot of this number, from 1, with one background; 1 for 0.
+
+    n such shots of a target at rest determine it with the variance (1 + (n - 1) share) / n of a single one. The n-th
+    contributes the difference of the information of n shots to that of n - 1.
+    """
+    before = min(number, MAX_SHARING) - 1
+    if before < 1:
+        return 1.0
+    return (1.0 + before * BACKGROUND_SHARE) * (1.0 + (before - 1) * BACKGROUND_SHARE) / (1.0 - BACKGROUND_SHARE)

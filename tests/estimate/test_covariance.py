@@ -166,10 +166,10 @@ def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, face_point
         wrong = moved_rig(scene.rig, names, step)
         points = through_another_camera(face_points(scene, 0.03, 0.003, rng), scene.rig.camera, wrong.camera)
         pose = most_likely_pose(points, replace(wrong, covariance=known)).pose
-        if not pose.flags & ~HARMLESS_FLAGS:  # one in some thousands looks contradictory by chance
+        if not pose.flags & ~HARMLESS_FLAGS:  # one in 750 looks contradictory by chance: 5 of 1000 is the 99.9 % limit
             poses.append(pose)
 
-    assert len(poses) >= samples - 2
+    assert len(poses) >= samples - 5
     centers, grasps = (np.array([getattr(pose, name) for pose in poses]) for name in ("center_m", "grasp_m"))
     assert largest_deviation(centers, predicted.covariance_center_m2) < tolerance(samples)
     assert largest_deviation(grasps, predicted.covariance_grasp_m2) < tolerance(samples)

@@ -279,6 +279,29 @@ def test_a_piece_outside_the_pixels_is_a_value_error(piece):
         _kernels.fits(MAGNITUDE, PIXELS, np.array([piece], np.int32), 0)
 
 
+FOUND, COUNT, INNER_COLUMNS = 0, 8, 9
+"""Places of these numbers of 32 bits in what `end_columns` returns for an end."""
+
+
+def test_bytes_that_are_not_columns_of_ends_are_a_value_error():
+    columns, params = _kernels.end_columns(*CALLS["end_columns"]), (1.0,) * 16
+    assert len(_kernels.ends(columns, params)) == 4 * 10 * 8
+
+    for some in (columns[:-1], columns + b"0", b"0"):
+        with pytest.raises(ValueError, match="columns"):
+            _kernels.ends(some, params)
+    assert _kernels.ends(b"", params) == b""
+
+
+@pytest.mark.parametrize(("count", "inner"), [(65, 20), (-1, 20), (1, 1), (30, 31), (30, -5), (2**31 - 1, 20)])
+def test_numbers_of_columns_outside_their_arrays_are_a_value_error(count, inner):
+    columns = np.frombuffer(_kernels.end_columns(*CALLS["end_columns"]), np.int32).copy()
+    columns[[FOUND, COUNT, INNER_COLUMNS]] = 1, count, inner
+
+    with pytest.raises(ValueError, match="columns"):
+        _kernels.ends(columns.tobytes(), (1.0,) * 16)
+
+
 LINES = np.zeros((1, 4))
 MOMENTS = np.zeros((1, 6))
 

@@ -132,6 +132,20 @@ def test_sixteen_bits_are_read():
     assert found[:, 0] == pytest.approx([100.0, 200.0], abs=0.03)
 
 
+def test_ends_are_the_same_whether_one_frame_shows_both_stripes_or_each_of_two_frames_has_one(rng):
+    lower = np.add(LINE, [0.0, 30.0, 0.0, 0.0, 0.0])
+    blurred = np.roll(drawn(110.2, 190.7, blur=1.4, ambient=0.0), 30, axis=0)
+    lit = image(drawn(100.3, 199.6) + blurred, rng, 3.0)
+
+    both = stripe_ends([LitLines(lit, None, np.concatenate([LINE, lower]))], STRAIGHT, RULES)
+    split = stripe_ends([LitLines(lit, None, LINE), LitLines(lit, None, lower)], STRAIGHT, RULES)
+    alone = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)
+
+    assert np.isfinite(both).all()
+    np.testing.assert_array_equal(split, both)
+    assert (split[0, :, SIGMA] != alone[0, :, SIGMA]).all()  # noise and blur are those of both stripes
+
+
 def test_a_line_outside_the_image_has_no_end():
     far = np.array([[5000.0, 60.0, 0.0, 4950.0, 5050.0]])
 

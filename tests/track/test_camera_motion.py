@@ -83,6 +83,18 @@ def test_a_time_that_the_poses_do_not_cover_has_no_camera(time_s):
     assert robot(2.0).at(START_S + time_s) is None
 
 
+def test_an_unknown_time_has_no_camera():
+    assert robot(2.0).at(np.nan) is None
+    assert robot(2.0).why_not_at(np.nan) == "its time is unknown"
+
+
+@pytest.mark.parametrize("stamp_s", [np.nan, np.inf, START_S, START_S + 60.0, START_S + 1e9])
+def test_a_robot_is_not_taken_to_go_on_for_long(stamp_s):
+    steady = robot(2.0)
+
+    assert steady.going_on_until(stamp_s) is steady
+
+
 @pytest.mark.parametrize("jump", ["position", "rotation"])
 def test_poses_that_jump_as_no_robot_can_have_no_camera_beside_the_jump(jump):
     steady = robot(2.0)
@@ -115,6 +127,17 @@ def test_lasers_are_assigned_with_robot_poses_up_to_the_last_shot(in_base, rng):
         shots.added(line)
 
     assert tracker.camera.at(lines[-1].pose_stamp_s + 1 / 6) is None
+    assert shots.assigns_lasers(RIGS["B"])
+
+
+def test_a_first_shot_without_a_measurement_assigns_no_lasers(in_base, rng):
+    shots, lines = ShotTracker(Tracker(None, camera=robot(2.0))), stream(SeenByRobot(in_base), 1.5, Shots(), rng)
+
+    shots.added(replace(lines[0], measurement=None))
+    assert not shots.assigns_lasers(RIGS["B"])
+
+    for line in lines[1:]:
+        shots.added(line)
     assert shots.assigns_lasers(RIGS["B"])
 
 

@@ -9,7 +9,9 @@ from moving_rings import START_S, Shots, drawn_motion, record, stream
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.track import explanations
 from ringpose.track.explanations import TrackOptions
+from ringpose.track.filters import Innovation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import RigStability
 from ringpose.types.pose import PoseFlag, Priors
@@ -147,6 +149,39 @@ def test_a_track_ages_while_all_newer_records_have_impossible_stamps(records, of
     assert (found[4], found[11], found[15]) == (Validity.PREDICTED, Validity.STALE, Validity.LOST)
 
 
+def test_a_first_record_from_the_future_is_reported_at_its_own_time(records):
+    tracker, future_s = Tracker(None), NOW_S + 60.0
+
+    line = tracker.line_of(tracker.add(at(records[0], future_s), NOW_S))
+
+    assert (line.validity, line.stamp_s) == (Validity.LOST, future_s)
+
+
+def after_strays(records, offsets_s):
+    """The tracker after six records and some at these times after the last one, and its last line."""
+    tracker = Tracker(None)
+    statuses(tracker, records[:6])
+    for offset_s in offsets_s:
+        attempt = tracker.add(at(records[5], records[5].pose_stamp_s + offset_s), NOW_S)
+        line = tracker.line_of(attempt)
+    return tracker, line
+
+
+def test_strays_of_two_clocks_do_not_age_a_track(records):
+    tracker, line = after_strays(records, [-100.0, 5000.0])
+
+    assert (line.validity, line.stamp_s) == (Validity.VALID, tracker.track.stamp_s)
+
+
+@pytest.mark.parametrize("offsets_s", [[-100.0, -50.0], [5000.0, 9000.0]])
+def test_two_strays_do_not_end_a_track(records, offsets_s):
+    tracker, line = after_strays(records, offsets_s)
+
+    assert line.validity is Validity.PREDICTED
+    assert tracker.track.resets == 0
+    assert statuses(tracker, records[6:8]) == [FusionStatus.FUSED] * 2
+
+
 def test_a_clock_that_was_set_back_starts_the_track_anew(records, rng):
     motion = drawn_motion(rng)
     earlier = [at(each, each.pose_stamp_s - 1e6) for each in stream(motion, 5.0, Shots(), rng, 2.0)]
@@ -176,6 +211,23 @@ def test_the_test_ratio_of_a_rejected_record_is_above_one(records):
 
     assert tracker.add(displaced(records[8], 5.0), NOW_S).test_ratio > 1.0
     assert tracker.add(records[9], NOW_S).test_ratio < 1.0
+
+
+def test_improbable_models_do_not_change_the_test_of_an_innovation(records):
+    tracker = Tracker(None)
+    statuses(tracker, records[:6])
+    bank = tracker.track.likeliest
+    count = len(bank.weights)
+    weights = np.where(np.arange(count) == 0, 0.6, 0.4 / (count - 1))
+    bank = replace(bank, log_evidence=bank.log_evidence + np.log(weights / bank.weights))
+    tested = weights >= explanations.MIN_TESTED_SHARE * weights.max()
+    assert tested.sum() == 1
+    limit, unused = explanations.gate(7), np.zeros((count, 1, 1))
+    chi2 = np.where(tested, limit, 0.0)
+
+    found = Innovation(unused[:, 0], np.zeros((count, 1, 14)), unused, unused, unused, chi2, 7)
+
+    assert explanations.test_ratio(bank, found) == pytest.approx(1.0)
 
 
 class Pushed:

@@ -9,7 +9,7 @@ from ring_scenes import RIGS, pixels_of
 
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
-from ringpose.track.shots import ShotTracker
+from ringpose.track.shots import BACKGROUND_SHARE, ShotTracker, shared_inflation
 from ringpose.types.assumptions import USUAL
 from ringpose.types.image import Shot
 
@@ -127,3 +127,30 @@ def test_shots_that_share_a_background_count_less(rng):
         variances.append(np.trace(tracker.line_at(0.0).grasp.covariance[:3, :3]))
 
     assert variances[1] > 1.05 * variances[0]
+
+
+@pytest.mark.parametrize("count", range(1, 11))
+def test_shots_with_one_background_contribute_the_information_of_their_mean(count):
+    covariance = np.full((count, count), BACKGROUND_SHARE) + (1.0 - BACKGROUND_SHARE) * np.eye(count)
+
+    information = sum(1.0 / shared_inflation(number) for number in range(1, count + 1))
+
+    assert information == pytest.approx(np.linalg.inv(covariance).sum())
+
+
+def test_shots_are_counted_from_their_background_on(rng, monkeypatch):
+    still = drawn_motion(rng, speed_m_s=0.0, rate_deg_s=0.0)
+    tracker, inflations = Tracker(None), []
+    shots, add = ShotTracker(tracker), tracker.add
+    monkeypatch.setattr(
+        tracker, "add", lambda line, now_s, factor: inflations.append(factor) or add(line, now_s, factor)
+    )
+    lines = stream(still, 3.0, Shots(), rng)
+    for line in lines[:10]:
+        shots.added(line)
+    inflations.clear()
+    for line, masks in zip(lines[10:16], ([7], [0, 7], [7], [7], [0, 7], [7]), strict=True):
+        shots.detected(shot(masks, line.pose_stamp_s), RIG, USUAL.about_shot(RIG.stability, still=False))
+        shots.added(line)
+
+    assert inflations == [shared_inflation(number) for number in (0, 1, 2, 3, 1, 2)]

@@ -140,6 +140,20 @@ static int draft_ends(const Images *images, const StripeLine *line, const Lens *
     return read >= 0;
 }
 
+/* Whether bytes are drafts of ends, of `end_columns`, as far as reading them stays inside their arrays. */
+static int check_drafts(const Draft *draft, size_t bytes) {
+    size_t ends = bytes / sizeof *draft;
+    int valid = bytes % sizeof *draft == 0;
+    for (size_t k = 0; valid && k < ends; k++) {
+        const Columns *columns = &draft[k].columns;
+        if (!draft[k].found) continue;
+        valid = columns->count >= 2 && columns->count <= MAX_COLUMNS && columns->inner >= 2 &&
+                columns->inner <= columns->count;
+    }
+    if (!valid) PyErr_SetString(PyExc_ValueError, "columns: must be the bytes that end_columns returns");
+    return valid;
+}
+
 /* Fits an edge at every end. Each edge of a ring is machined alike all around: its ends are blunt together or not. */
 static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, StripeEnd *end) {
     Columns **columns = malloc((ends + 1) * sizeof *columns);
@@ -272,7 +286,12 @@ PyObject *call_ends(PyObject *module, PyObject *tuple) {
     List found = {NULL, 0, 0, sizeof(StripeEnd)};
     Draft *draft = malloc(bytes + 1); /* the buffer is not writable, nor aligned */
     int done = draft && reserve(&found, ends + 1);
-    if (done) memcpy(draft, a.view[0].buf, ends * sizeof(Draft));
+    if (done) memcpy(draft, a.view[0].buf, bytes);
+    if (done && !check_drafts(draft, bytes)) {
+        free(draft);
+        free(found.data);
+        return close_arguments(&a, NULL);
+    }
     Py_BEGIN_ALLOW_THREADS
     done = done && stripe_ends(draft, ends, (const EndParams *)a.number[1], found.data);
     Py_END_ALLOW_THREADS
