@@ -252,8 +252,9 @@ def combined(measurements, rig, known, common):
         information[12:, 12:] = np.linalg.inv(rig.covariance.data)
         if not common:
             moved = [without_rig(each, information[12:, 12:]) for each in moved]
-        information[[5, 6], [5, 6]] = known.sd_m**-2.0
-        vector[5:7] = (known.radius_m - [point.radius_inner_m, point.radius_outer_m]) / known.sd_m**2
+        if known is not None:
+            information[[5, 6], [5, 6]] = known.sd_m**-2.0
+            vector[5:7] = (known.radius_m - [point.radius_inner_m, point.radius_outer_m]) / known.sd_m**2
         step, covariance = solve_measurement(moved, information, vector)
         point = displaced(point, step[:12])
     return point, covariance[POSE, POSE]
@@ -281,7 +282,7 @@ def nees_of(point, covariance, ring):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("known", [True], ids=["radii drawn from their prior"])
+@pytest.mark.parametrize("known", [True, False], ids=["radii drawn from their prior", "radii unknown"])
 def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(rng, known):
     rig = replace(RIGS["B"], covariance=ParameterCovariance(parameters=PLANES, data=np.diag(PLANES_SD**2)))
     nees = {common: [] for common in (True, False)}
@@ -294,7 +295,9 @@ def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(
         radii = KnownRadii(radius_m=assumed_m, sd_m=np.full(2, RADIUS_SD_M)) if known else None
         shots = [most_likely_pose(face_points_of(scene, 0.3, 0.02, rng), rig, known=radii) for _ in range(30)]
         for common, values in nees.items():
-            values.append(nees_of(*combined([each.measurement for each in shots], rig, radii, common), scene.ring))
+            measured = [each.measurement for each in shots if each.measurement is not None]
+            assert len(measured) >= 28  # one shot in 750 looks contradictory by chance, and has none
+            values.append(nees_of(*combined(measured, rig, radii, common), scene.ring))
 
     for name, (_, lower, upper) in BANDS.items():
         once, anew = (np.mean([each[name] for each in nees[common]]) for common in (True, False))

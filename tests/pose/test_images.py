@@ -11,10 +11,10 @@ from ringpose.types.pose import KnownRadii
 
 KNOWN = KnownRadii(radius_m=np.array(RADII_M), sd_m=np.array([1e-4, 1e-4]))
 SHOTS = 40
-BANDS = {0.1: ((0.5, 1.47), (0.5, 1.6)), 0.25: ((0.63, 1.47), (0.55, 1.6)), 0.0: ((0.0, 1.47), (0.0, 1.6))}
+BANDS = {0.1: ((0.5, 1.47), (0.5, 1.6)), 0.25: ((0.5, 1.47), (0.5, 1.6)), 0.0: ((0.0, 1.47), (0.0, 1.6))}
 """Of chi-squared with 120 and 80 degrees of freedom, divided by these, 99.9 %; without speckle, as no laser is, the
-detector's floors make the errors smaller than told. So does weak speckle a little: its grains are drawn three pixels
-wide, while the detector takes most for finer than the blur, as a laser's are."""
+detector's floors make the errors smaller than told. So does speckle a little: its grains are drawn three pixels wide,
+behind the lens, while the detector takes them for finer than the blur, as a laser's are."""
 
 
 def squares(scene, pose):
