@@ -258,7 +258,7 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
     ("distance_m", "end_sigma_px"),
     [
         (0.5, 2.0),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.25, 0.3), (0.25, 8.0), (0.5, 0.3))),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.25, 0.3), (0.25, 8.0), (0.5, 0.3), (0.5, 8.0))),
     ],
 )
 def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(
