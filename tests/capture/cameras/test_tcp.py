@@ -213,7 +213,7 @@ def test_a_server_that_breaks_the_protocol_is_a_device_error(answer):
 
 def test_a_server_that_says_nothing_is_a_device_error(scene):
     with server_of(scene, clock="lockstep") as server:
-        holding, waiting = camera_at(server.port), camera_at(server.port, "?timeout=0.2")
+        holding, waiting = camera_at(server.port), camera_at(server.port, "?timeout=2")
         with holding, waiting:
             holding.arm(None)
             waiting.arm(None)
