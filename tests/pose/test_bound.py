@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import KnownRadii, PoseFlag
+from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag
 
 POINT_PX, LINE_PX = 0.3, 0.01
 """Of a break point, and of the middle of a stripe's line: 0.1 px a column, a hundred independent columns."""
@@ -112,6 +112,9 @@ def squares_of(pose, ring):
     )
 
 
+WEAK = PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN
+
+
 def errors_and_bound(scene, known, face_points, rng, samples):
     """Errors of noisy shots' poses, the bound, and of poses that warn of nothing squares in the told covariance."""
     bound = np.linalg.inv(information(scene, known))
@@ -124,11 +127,14 @@ def errors_and_bound(scene, known, face_points, rng, samples):
     for _ in range(samples):
         said = None if radii is None else replace(radii, radius_m=radii.radius_m + RADIUS_SD_M * rng.normal(size=2))
         pose = estimate_pose(face_points(scene, POINT_PX, LINE_PX, rng), scene.rig, known=said)
+        if pose.flags & ~(HARMLESS_FLAGS | WEAK):  # by chance, one in 750 looks contradictory
+            continue
         true = replace(pose, normal=scene.ring.normal, center_m=scene.ring.center_m)
         true = replace(true, radius_inner_m=scene.ring.radius_m[0], radius_outer_m=scene.ring.radius_m[1])
         errors.append(values_of(pose, scene.ring.normal) - values_of(true, scene.ring.normal))
         if PoseFlag.CENTER_WEAK not in pose.flags:
             squares.append(squares_of(pose, scene.ring))
+    assert len(errors) >= samples - 6
     return np.array(errors), np.array(squares).reshape(-1, 2), sd
 
 
