@@ -113,7 +113,7 @@ class ShotChecker:
         for _ in range(DARK_CHECKS if suspects else 0):
             image = self._dark_image(shot)
             _reject_lit(laser for laser, lit in suspects.items() if lit.stand_out_in(image))
-        never_seen = int(np.bitwise_or.reduce(shot.lasers)) & ~sum(1 << laser for laser in self._pixels)
+        never_seen = self._not_remembered(int(np.bitwise_or.reduce(shot.lasers)))
         if never_seen and lost_attempts in (TRIES, MAX_LOST):
             # A stripe that is present in every frame, dark ones included, stays in the minimum over all of them.
             _reject_stripe(never_seen, np.minimum.reduce([*shot.images, self._dark_image(shot)]))
@@ -123,13 +123,16 @@ class ShotChecker:
         """The mask of the lasers that a checked shot commanded and that were seen neither in it nor before."""
         if shot.seen_lasers is None:
             return 0
-        missing = int(np.bitwise_or.reduce(shot.lasers & ~shot.seen_lasers))
-        return missing & ~sum(1 << laser for laser in self._pixels)
+        return self._not_remembered(int(np.bitwise_or.reduce(shot.lasers & ~shot.seen_lasers)))
 
     def reject_stripe_in_dark(self, missing: int) -> None:
         """Raise a safety fault if a stripe shows with all lasers off while the lasers of the mask are missing."""
         if missing:
             _reject_stripe(missing, self._dark_frame().image)
+
+    def _not_remembered(self, mask: int) -> int:
+        """The lasers of a mask of which no pixels are known, as no shot has shown them."""
+        return mask & ~sum(1 << laser for laser in self._pixels)
 
     def _check_reported_off(self) -> None:
         """Raise a safety fault if the board still reports a laser on after all have been off for long enough."""

@@ -137,18 +137,20 @@ class Hypothesis(NamedTuple):
     """Whether the image shows what occludes the rejected break point, and nothing at the stripe's other end."""
 
 
-class Precision(NamedTuple):
-    """Lengths of the last steps of iterations, in standard deviations."""
+class Search(NamedTuple):
+    """What all explanations of a shot are estimated with."""
 
-    of_all: float
-    """Of the estimate from all measurements, with inner and outer edges as they are named."""
-    of_others: float
-    """Of all other explanations."""
+    rig: Rig
+    labelled: bool
+    edges_named: bool
+    step_sigmas: float
+    """Length of the last step of the estimate from all measurements, in standard deviations."""
+    other_sigmas: float
+    """The same of all other explanations."""
 
-
-DECISION = Precision(DECISION_SIGMAS, DECISION_SIGMAS)
-POSE = Precision(PRECISE_SIGMAS, DECISION_SIGMAS)
-PRECISE = Precision(PRECISE_SIGMAS, PRECISE_SIGMAS)
+    def for_others(self) -> "Search":
+        """The search of an explanation with other edges or radii."""
+        return self._replace(step_sigmas=self.other_sigmas)
 
 
 class Solved(NamedTuple):
@@ -198,35 +200,24 @@ def explain(
     whether the ring is needed to the precision of a pose, and not only the decision.
     """
     measured, guess = at_reference_time(measured, rig.lasers, prior)
-    decided = partial(_decided, measured, rig, prior, labelled, edges_named, guess)
-    if not precise:
-        return decided(DECISION)
-    best = decided(POSE)
-    if best is None:
-        return None
+    search = Search(rig, labelled, edges_named, PRECISE_SIGMAS if precise else DECISION_SIGMAS, DECISION_SIGMAS)
+    best = _decided(measured, prior, guess, search)
+    if best is None or not precise:
+        return best
     estimate = precise_ring(best.estimate, best.measured, rig)
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         return best._replace(estimate=estimate)
-    return decided(PRECISE)  # the shorter iteration had ended near a saddle point
+    # the shorter iteration had ended near a saddle point
+    return _decided(measured, prior, guess, search._replace(other_sigmas=PRECISE_SIGMAS))
 
 
-def _decided(
-    measured: Measurements,
-    rig: Rig,
-    prior: Prior,
-    labelled: bool,
-    edges_named: bool,
-    guess: RingArcs | None,
-    precision: Precision,
-) -> Explanation | None:
+def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
     """The best explanation with the radii of the prior or, if the shot contradicts them, without."""
-    best = _better_side(measured, rig, prior, labelled, edges_named, guess, precision)
+    best = _better_side(measured, prior, guess, search)
     if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
         return best
     # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
-    free = prior._replace(radii=None)
-    others = precision._replace(of_all=precision.of_others)
-    alone = _better_side(measured, rig, free, labelled, edges_named, None, others)
+    alone = _better_side(measured, prior._replace(radii=None), None, search.for_others())
     if alone is None or not _contradicts(alone.estimate, prior.radii):
         return best
     return alone._replace(
@@ -255,17 +246,9 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
     return False
 
 
-def _better_side(
-    measured: Measurements,
-    rig: Rig,
-    prior: Prior,
-    labelled: bool,
-    edges_named: bool,
-    guess: RingArcs | None,
-    precision: Precision,
-) -> Explanation | None:
+def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
-    best = _explained(measured, rig, prior, labelled, precision, guess=guess)
+    best, edges_named = _explained(measured, prior, search, guess=guess), search.edges_named
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
@@ -273,9 +256,7 @@ def _better_side(
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
     max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
-    exchanged = measured.with_edges_exchanged()
-    others = precision._replace(of_all=precision.of_others)
-    other = _explained(exchanged, rig, prior, labelled, others, max_score=max_score)
+    other = _explained(measured.with_edges_exchanged(), prior, search.for_others(), max_score=max_score)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
@@ -295,27 +276,20 @@ def _side_score(explanation: Explanation) -> float:
 
 
 def _explained(
-    measured: Measurements,
-    rig: Rig,
-    prior: Prior,
-    labelled: bool,
-    precision: Precision,
-    *,
-    guess: RingArcs | None = None,
-    max_score: float = inf,
+    measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
-    edges_seen = len(measured.edges.edge) > 0
-    first_sigmas = DECISION_SIGMAS if edges_seen else precision.of_all
+    rig, edges_seen = search.rig, len(measured.edges.edge) > 0
+    first_sigmas = DECISION_SIGMAS if edges_seen else search.step_sigmas
     estimate = estimate_ring(measured, rig, prior, guess=guess, step_sigmas=first_sigmas)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=precision.of_all)
+        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=search.step_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, everything, _single_stripes(everything, rig))
-    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, step_sigmas=precision.of_others)
+    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
+    solved = partial(_solved, everything=everything, rig=rig, step_sigmas=search.other_sigmas)
     tried = _possibly_best(hypotheses, solved, inf if everything is None else min(everything.score, max_score))
     if everything is None and not tried:
         return None

@@ -107,9 +107,9 @@ class CameraMotion:
         gap_s = stamps_s[after] - stamps_s[after - 1]
         if gap_s > MAX_GAP_S:
             return f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated"
-        position_m, rotation = self.poses.position_m, self.poses.rotation
-        speed_m_s = float(np.linalg.norm(position_m[after] - position_m[after - 1])) / gap_s
-        rate_rad_s = float(np.linalg.norm(rotation_vector(rotation[after - 1].T @ rotation[after]))) / gap_s
+        turn_rad, _ = self._twist(after)
+        speed_m_s = float(np.linalg.norm(np.diff(self.poses.position_m[after - 1 : after + 1], axis=0))) / gap_s
+        rate_rad_s = float(np.linalg.norm(turn_rad)) / gap_s
         if rate_rad_s > MAX_RATE_RAD_S or speed_m_s > MAX_SPEED_M_S:
             return f"the robot's poses next to it jump: {speed_m_s:.3g} m/s and {rate_rad_s:.3g} rad/s"
         return ""
