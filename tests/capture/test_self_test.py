@@ -1,25 +1,27 @@
-"""The self-test, with a simulated camera and lasers with injected faults."""
-
-import time
+"""The self-test and the settling time, with a simulated camera and lasers with injected faults, in virtual time."""
 
 import pytest
 from drawn_camera import DrawnCamera
+from virtual_time import VirtualTime
 
 from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.pipeline import SETTLE_MARGIN, measured_settle_s
 from ringpose.capture.self_test import run_self_test
 from ringpose.errors import LaserSafetyError
 from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
+
+EXPOSURE_S = 0.005
 
 
 class ContactLasers(LaserDriver):
     count = 3
 
-    def __init__(self, contacts: RelayContacts) -> None:
-        self.contacts = contacts
+    def __init__(self, contacts: RelayContacts, clock: VirtualTime) -> None:
+        self.contacts, self.clock = contacts, clock
 
     def set_mask(self, lasers: int) -> None:
         for laser in range(self.count):
-            self.contacts.command(laser, bool(lasers >> laser & 1), time.monotonic())
+            self.contacts.command(laser, bool(lasers >> laser & 1), self.clock.monotonic())
 
     def read_mask(self) -> int | None:
         return None
@@ -29,21 +31,33 @@ class ContactLasers(LaserDriver):
 
 
 @pytest.fixture
-def walked(rng, monkeypatch):
+def devices(rng, monkeypatch):
+    """A camera, and lasers with the given faults."""
+    clock = VirtualTime()
+    for module in ("drawn_camera", "ringpose.capture.pipeline", "ringpose.capture.self_test", LaserDriver.__module__):
+        monkeypatch.setattr(f"{module}.time", clock)
+
+    def created(**faults):
+        contacts = RelayContacts(3, RelayFaults(**faults))
+        return DrawnCamera(contacts, rng, brightness_dn=100.0), ContactLasers(contacts, clock)
+
+    return created
+
+
+@pytest.fixture
+def walked(devices):
     """The checks of a self-test of lasers with these faults, by name."""
-    monkeypatch.setattr("ringpose.capture.self_test.MAX_SETTLE_S", 0.05)
 
     def findings(**faults):
-        contacts = RelayContacts(3, RelayFaults(**faults))
-        camera, lasers = DrawnCamera(contacts, rng, brightness_dn=100.0), ContactLasers(contacts)
+        camera, lasers = devices(**faults)
         with camera, lasers:
-            return {finding.check: finding for finding in run_self_test(camera, lasers, 0.005)}
+            return {finding.check: finding for finding in run_self_test(camera, lasers, EXPOSURE_S)}
 
     return findings
 
 
 def test_every_laser_is_walked_through(walked):
-    found = walked()
+    found = walked(operate_s=0.002, release_s=0.002)
 
     assert {"laser 1", "laser 2", "laser 3", "exposure, laser 3", "settle"} <= set(found)
     assert {finding.verdict for finding in found.values()} == {"ok"}
@@ -65,3 +79,12 @@ def test_a_dark_laser_is_a_fault_and_the_rest_is_walked_through(walked):
 def test_a_laser_that_stays_on_is_a_safety_fault(walked, faults, words):
     with pytest.raises(LaserSafetyError, match=words):
         walked(**faults)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.001, 0.03, 0.08])
+def test_the_settling_time_is_the_slowest_delay_to_within_one_exposure(devices, delay_s):
+    camera, lasers = devices(operate_s=delay_s / 2, release_s=delay_s)
+    with camera, lasers:
+        settle_s = measured_settle_s(camera, lasers, EXPOSURE_S)
+
+    assert delay_s - 1e-9 < settle_s / SETTLE_MARGIN < delay_s + EXPOSURE_S + 1e-9
