@@ -147,7 +147,7 @@ def _codec_reports() -> Iterator[list[bytes]]:
     """Lines that libpng and libjpeg write to stderr while the block runs; the list is filled when the block ends.
 
     Both write to the file descriptor directly, and OpenCV cannot redirect them. Text that other threads write
-    meanwhile, such as progress, is passed on afterwards.
+    meanwhile, such as progress, is passed on afterwards, except a write that is in progress when the block ends.
     """
     reports: list[bytes] = []
     with _stderr_lock, os.fdopen(os.memfd_create("stderr"), "w+b") as caught:
