@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
+from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
 
@@ -35,11 +36,12 @@ NUMBERS: Mapping[str, Bounds] = {
     "offset": Bounds(least=0.0, most=0.5),
     "radius_outer_m": Bounds(least=0.05, most=5.0),
     "laser_angle_rad": Bounds(least=0.001, most=0.7),
-    "stripe_dn": Bounds(least=5.0, most=250.0),
+    "stripe_dn": Bounds(least=5.0, most=10000.0),
     "blur_px": Bounds(least=0.0, most=5.0),
     "speckle_contrast": Bounds(least=0.0, most=1.0),
     "dark_noise_e": Bounds(least=0.0, most=1000.0),
-    "ring_tolerance_m": Bounds(least=0.0, most=0.05, only_features=True),
+    "ring_tolerance_m": Bounds(least=0.0, most=0.05),
+    "plane_tilt_rad": Bounds(least=0.0, most=0.1),
     "speed_sd_m_s": Bounds(least=0.0, most=1.0),
     "rate_sd_rad_s": Bounds(least=0.0, most=1.0),
     "displaced_share": Bounds(least=0.0, most=1.0, only_features=True),
@@ -48,8 +50,11 @@ NUMBERS: Mapping[str, Bounds] = {
 }
 """The factors that are numbers."""
 
-TEXTS = ("light", "sequence")
-"""The factors that are texts: a light of the scene, and the laser steps of a shot."""
+CASE = "case"
+"""The factor whose values are names of cases."""
+
+TEXTS = ("light", "sequence", "target")
+"""The factors that are texts: a light of the scene, the laser steps of a shot, and `ring` or `body`."""
 
 SWITCHES = ("rig_errors",)
 """The factors that are true or false: whether the true rig is drawn from the covariance of the rig file."""
@@ -111,6 +116,10 @@ class Study:
     methods: tuple[StudyMethod, ...]
     table: str
     """The factor in the columns of the first table."""
+    cases: Mapping[str, tuple[Factor, ...]] = field(default_factory=dict)
+    """By their names, the factors that replace those of the same name; the factor `case` names the one of a shot."""
+    assumed: AssumptionOptions | None = None
+    """What the estimator assumes about motion, ring and rig; the distributions of the factors if None."""
     calibrate: bool = False
     """Whether the rig that measures is calibrated from simulated board views first."""
     rig: Rig | None = None

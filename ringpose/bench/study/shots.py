@@ -14,16 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.bench.design.bounds import Bound, cramer_rao
-from ringpose.bench.design.rig_changes import with_laser_angle
+from ringpose.bench.design.rig_changes import through_projectors, with_laser_angle
 from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.bench.study.runs import tracked, with_run
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
+from ringpose.geometry.rotations import tilted
 from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
-from ringpose.simulate.common_errors import drawn_rig
-from ringpose.simulate.features import Deviations, drawn_features
+from ringpose.simulate.features import Deviations, common_errors, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.simulate.placement import ring_views
 from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrior
@@ -34,7 +34,7 @@ from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene, Truth
 from ringpose.types.session import parsed_sequence
-from ringpose.types.study import Row, Study, StudyMethod, Value, columns
+from ringpose.types.study import CASE, Row, Study, StudyMethod, Value, columns
 from ringpose.types.target import RingShape
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION = 10, 11, 12, 13, 14
@@ -88,16 +88,20 @@ def failed_rows(study: Study, index: int, reason: str) -> list[Row]:
 
 def setting_of(study: Study, index: int) -> dict[str, Value]:
     """The values of the factors of a shot; shots go through the cells of the grid in turn, the last factor fastest."""
-    cell, values = index % study.cells, {}
+    cell = index % study.cells
+    values: dict[str, Value] = {}
     for factor in reversed(study.grid):
         cell, place = divmod(cell, len(factor.values))
         values[factor.name] = factor.values[place]
+    own = {factor.name: factor for factor in study.cases.get(str(values.get(CASE)), ())}
     rng = np.random.default_rng([_FACTORS, study.seed, index])
-    for factor in study.factors:
+    for factor in (own.get(factor.name, factor) for factor in study.factors):
         if factor.uniform is not None:
             values[factor.name] = float(rng.uniform(*factor.uniform))
         elif factor.drawn:
             values[factor.name] = factor.values[int(rng.integers(len(factor.values)))]
+        elif factor.name in own:
+            values[factor.name] = factor.values[0]
     return {factor.name: values[factor.name] for factor in study.factors}
 
 
@@ -106,13 +110,14 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     start_s = perf_counter()
     scene = scene_of(study, index, setting)
     deviations = _deviations(setting)
+    rng = np.random.default_rng([_RIG, study.seed, index])
+    taken_by = replace(scene, rig=_with_turned_plane(scene.rig, setting, rng))
     run: list[tuple[Shot | Detection, Truth]]
     if study.level == "features":
-        run = [(drawn.detection, drawn.truth) for drawn in drawn_features(scene, deviations)]
+        run = [(drawn.detection, drawn.truth) for drawn in drawn_features(taken_by, deviations)]
     else:
-        taken_by = scene
-        if deviations.rig_errors:
-            taken_by = replace(scene, rig=drawn_rig(scene.rig, np.random.default_rng([_RIG, study.seed, index])))
+        rig, form = common_errors(taken_by, rng, deviations)
+        taken_by = replace(taken_by, rig=rig, ring=replace(scene.ring, form=form if form.any() else None))
         run = [simulated_shot(taken_by, taken_by.views, number) for number in range(len(taken_by.views))]
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
     source, truth = run[-1]
@@ -147,12 +152,24 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
         lights=(str(setting.get("light", next(iter(scene.lights)))),),
         seed=0,
         name=f"s{index:06d}_z",
+        target="body" if setting.get("target") == "body" else "ring",
         **{name: numbers[name] for name in ("tilt_rad", "clock_rad", "offset") if name in setting},
     )
     scene = replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
     # as a view of its own, whose appearance is then computed once for the shot and its bound
     rng = np.random.default_rng([_MOTION, study.seed, index])
     return with_run(replace(scene, views=ring_views(scene), approaches=()), study.run, _motion(setting), rng)
+
+
+def _with_turned_plane(rig: Rig, setting: Mapping[str, Value], rng: np.random.Generator) -> Rig:
+    """The rig with one light plane, drawn, turned by the setting's `plane_tilt_rad` about a drawn axis in it."""
+    tilt_rad = float(setting.get("plane_tilt_rad", 0.0))
+    if not tilt_rad:
+        return rig
+    laser, direction_rad = int(rng.integers(len(rig.lasers.names))), rng.uniform(0.0, 2.0 * math.pi)
+    normal = rig.lasers.normal.copy()
+    normal[laser] = tilted(normal[laser], tilt_rad * np.array([math.cos(direction_rad), math.sin(direction_rad)]))
+    return replace(rig, lasers=through_projectors(replace(rig.lasers, normal=normal)))
 
 
 def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
@@ -181,8 +198,10 @@ def _deviations(setting: Mapping[str, Value]) -> Deviations:
     )
 
 
-def options_of(setting: Mapping[str, Value]) -> AssumptionOptions:
-    """What the estimator assumes about a shot of this setting: the distributions that it was drawn from."""
+def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
+    """What the estimator assumes about a shot of this setting: by default the distributions that it was drawn from."""
+    if study.assumed is not None:
+        return study.assumed
     numbers: Mapping[str, Any] = setting
     motion = _motion(setting)
     return AssumptionOptions(
@@ -195,7 +214,7 @@ def options_of(setting: Mapping[str, Value]) -> AssumptionOptions:
 
 
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
-    rig, truth, options = shot.scene.rig, shot.truth, options_of(shot.setting)
+    rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
     start_s = perf_counter()
     *before, detection = (_detection(source, rig, options) for source in (*shot.before, shot.source))
     detect_s = perf_counter() - start_s

@@ -3,6 +3,9 @@
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
+from math import degrees
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -13,9 +16,10 @@ from ringpose.files.io import read_bytes
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.schema import Fields, hint
 from ringpose.files.yaml import read_yaml
+from ringpose.types.assumptions import MAX_TOLERANCE_M, AssumptionOptions
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
-from ringpose.types.study import LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, ShotRun, Study, StudyMethod, Value
+from ringpose.types.study import CASE, LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, ShotRun, Study, StudyMethod, Value
 
 SCHEMA = "study/1"
 
@@ -24,7 +28,8 @@ PRESETS = Path(__file__).parent / "presets"
 MAX_SHOTS = 100_000_000
 
 _KEYS = (
-    "ringpose", "title", "scene", "level", "count", "seed", "vary", "methods", "table", "calibrate", "track", "limits",
+    "ringpose", "title", "scene", "level", "count", "seed", "vary", "cases", "assume", "methods", "table", "calibrate",
+    "track", "limits",
 )  # fmt: skip
 
 _FACTORS = (*TEXTS, *NUMBERS, *SWITCHES)
@@ -64,6 +69,9 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     scene_file = path.parent / fields.text("scene")
     scene = read_scene(scene_file)
     factors = _factors(fields.fields("vary", _FACTORS), scene)
+    cases = _cases(fields, factors, scene) if fields.has("cases") else {}
+    if cases:
+        factors = (Factor(name=CASE, values=tuple(cases)), *factors)
     grid = [factor.name for factor in factors if not factor.drawn]
     table = fields.text("table") if fields.has("table") else next(iter(grid), "")
     if table and table not in grid:
@@ -79,6 +87,8 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         factors=factors,
         methods=methods,
         table=table,
+        cases=cases,
+        assumed=_assumed(fields) if fields.has("assume") else None,
         calibrate=fields.boolean("calibrate") if fields.has("calibrate") else False,
         run=_run(fields, methods),
         limits=_limits(fields),
@@ -127,6 +137,35 @@ def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
     return factors
 
 
+def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[str, tuple[Factor, ...]]:
+    """By the name of each case, the factors that it replaces; they have one value, or are drawn."""
+    single = [factor.name for factor in factors if factor.drawn or len(factor.values) == 1]
+    entries = fields.fields("cases")
+    cases = {}
+    for name in map(str, entries.values):
+        entry = entries.fields(name, tuple(single))
+        cases[name] = tuple(_factor(entry, str(key), scene) for key in entry.values if not str(key).startswith("x_"))
+        for factor in cases[name]:
+            if not factor.drawn and len(factor.values) > 1:
+                raise entry.problem(factor.name, "has several values", "give one, or {choice: [...]}")
+    if not cases:
+        raise fields.problem("cases", "names no case")
+    return cases
+
+
+def _assumed(fields: Fields) -> AssumptionOptions:
+    """What the estimator assumes; keys that are not given have the defaults of `ringpose pose`."""
+    entry = fields.fields("assume", ("still", "max_speed_m_s", "max_rate_rad_s", "ring_tolerance_m", "rig_stability"))
+    rate_rad_s = entry.optional("max_rate_rad_s", partial(entry.number, least=0.0, most=10.0))
+    return AssumptionOptions(
+        still=entry.boolean("still") if entry.has("still") else False,
+        max_speed_m_s=entry.optional("max_speed_m_s", partial(entry.number, least=0.0, most=10.0)),
+        max_rate_deg_s=None if rate_rad_s is None else degrees(rate_rad_s),
+        ring_tolerance_m=entry.optional("ring_tolerance_m", partial(entry.number, least=0.0, most=MAX_TOLERANCE_M)),
+        rig_stability=entry.number("rig_stability", least=0.0, most=1000.0) if entry.has("rig_stability") else 1.0,
+    )
+
+
 def _factor(vary: Fields, name: str, scene: Scene) -> Factor:
     """A value, a list of values to combine, or `{uniform: [a, b]}` or `{choice: [...]}`, of which each shot draws."""
     given = vary.raw(name)
@@ -168,19 +207,23 @@ def _value(fields: Fields, key: str, name: str, value: Any, scene: Scene) -> Val
             raise fields.problem(key, f"has {value!r}, must be true or false")
         return value
     if name in TEXTS:
-        if not isinstance(value, str):
-            raise fields.problem(key, f"has {value!r}, must be a text")
-        if name == "light" and value not in scene.lights:
-            raise fields.problem(
-                key, f"has {value!r}, the scene has {', '.join(scene.lights)}", hint(value, scene.lights)
-            )
-        if name == "sequence":
-            _check_sequence(fields, key, value, scene)
-        return value
+        return _text(fields, key, name, value, scene)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise fields.problem(key, f"has {value!r}, must be a number")
     _check_number(fields, key, name, float(value))
     return float(value)
+
+
+def _text(fields: Fields, key: str, name: str, value: Any, scene: Scene) -> str:
+    if not isinstance(value, str):
+        raise fields.problem(key, f"has {value!r}, must be a text")
+    if name == "sequence":
+        _check_sequence(fields, key, value, scene)
+        return value
+    known = tuple(scene.lights) if name == "light" else ("ring", "body")
+    if value not in known:
+        raise fields.problem(key, f"has {value!r}, must be of {', '.join(known)}", hint(value, known))
+    return value
 
 
 def _check_sequence(fields: Fields, key: str, text: str, scene: Scene) -> None:
@@ -205,7 +248,7 @@ def _check(fields: Fields, study: Study) -> None:
         raise fields.problem(
             "", f"has {study.shots} shots, must have at most {MAX_SHOTS}", "give a smaller grid or count"
         )
-    for factor in study.factors:
+    for factor in (*study.factors, *chain.from_iterable(study.cases.values())):
         if factor.name in NUMBERS and NUMBERS[factor.name].only_features and study.level == "images":
             raise fields.problem(f"vary.{factor.name}", "is not rendered in images", "give level: features")
         if factor.name == "rig_errors" and True in factor.values and study.scene.rig.covariance is None:

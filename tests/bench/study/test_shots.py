@@ -10,7 +10,7 @@ from ringpose.bench.study.shots import scene_of, setting_of, study_rows
 from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import read_study, study_path
-from ringpose.types.assumptions import RigStability
+from ringpose.types.assumptions import AssumptionOptions, RigStability
 from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
@@ -158,6 +158,46 @@ def test_the_laser_angle_turns_the_outer_planes_about_their_projectors(study):
     assert (lasers.normal * lasers.projector_m).sum(axis=1) == pytest.approx(lasers.distance_m)
 
 
+def test_a_case_replaces_single_factors(study):
+    cases = {"none": (), "turned": (Factor(name="plane_tilt_rad", uniform=(0.01, 0.02), drawn=True),)}
+    factors = (Factor(name="case", values=tuple(cases)), *study.factors, Factor(name="plane_tilt_rad", values=(0.0,)))
+    settings = [setting_of(replace(study, factors=factors, cases=cases), index) for index in range(8)]
+
+    assert [each["case"] for each in settings] == ["none"] * 4 + ["turned"] * 4
+    assert [each["plane_tilt_rad"] for each in settings[:4]] == [0.0] * 4
+    assert all(0.01 < each["plane_tilt_rad"] < 0.02 for each in settings[4:])
+
+
+def test_a_turned_plane_contradicts_the_rig_that_measures(study):
+    status = {}
+    for tilt_rad in (0.0, 0.01):
+        factors = (*study.factors[:2], Factor(name="plane_tilt_rad", values=(tilt_rad,)))
+        turned = replace(study, factors=factors, methods=(StudyMethod.ML,))
+        status[tilt_rad] = [row["status"] for index in range(4) for row in study_rows(turned, index)]
+
+    assert status[0.0] == ["ok"] * 4
+    assert "ok" not in status[0.01]
+
+
+def test_the_estimator_assumes_what_the_study_states(study):
+    drawn, stated = (
+        study_rows(replace(study, methods=(StudyMethod.ML,), assumed=assumed), 0)[0]
+        for assumed in (None, AssumptionOptions(still=True, ring_tolerance_m=0.002))
+    )
+
+    assert stated["sigma_normal_rad"] > 2 * drawn["sigma_normal_rad"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "flag"), [("not round or flat", "ring_form"), ("too fast", "motion")])
+def test_a_rendered_shot_that_violates_an_assumption_is_flagged(case, flag):
+    study = read_study(study_path("violations")).study
+    row = study_rows(study, list(study.cases).index(case))[0]
+
+    assert flag in str(row["flags"]).split()
+    assert not row["wrong"]
+
+
 @pytest.mark.slow
 def test_an_image_of_a_study_is_detected_and_scored(study):
     images = replace(study, level="images", factors=(Factor(name="distance_m", values=(0.5,)),))
@@ -172,7 +212,7 @@ def test_an_image_of_a_study_is_detected_and_scored(study):
 @pytest.mark.parametrize("index", [412, 710, 966, 1084])
 def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_without_a_flag(index):
     """A stripe on a surface behind the ring beside a missing or a wrong one: two stripes that agree on another ring."""
-    row = study_rows(read_study(study_path("violations")).study, index)[0]
+    row = study_rows(read_study(study_path("outliers")).study, index)[0]
 
     assert row["method"] == "ml"
     assert row["edge_points"] > 30
