@@ -81,7 +81,9 @@ def test_a_laser_that_stays_on_is_a_safety_fault(walked, faults, words):
         walked(**faults)
 
 
-@pytest.mark.parametrize(("fault", "words"), [("stuck", "seen after it was switched off"), ("welded", "a stripe shows")])
+@pytest.mark.parametrize(
+    ("fault", "words"), [("stuck", "seen after it was switched off"), ("welded", "a stripe shows")]
+)
 def test_the_settling_time_is_not_measured_beyond_a_laser_that_stays_on(devices, fault, words):
     camera, lasers = devices(**{fault: frozenset({0})})
     with camera, lasers:
