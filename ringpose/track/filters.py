@@ -244,27 +244,43 @@ def tempered(bank: Bank, temperature: float) -> Bank:
 
 
 class Ahead(NamedTuple):
-    """A bank at the time of a measurement and in its chart, with the rates at which the coordinates change there."""
+    """A bank at the time of a measurement and in its chart, and the rates of the coordinates, linearised there."""
 
     bank: Bank
+    transition: Float64[Array, "filter error=14 error=14"]
+    """Derivatives of the coordinates by those before."""
+    step: Float64[Array, "filter error=14"]
+    """From the bank's coordinates to those about which motion and rates are linear."""
     rates: Float64[Array, "filter 5"]
+    """After that step."""
     rates_wrt: Float64[Array, "filter 5 error=14"]
     """Derivatives by the coordinates."""
 
 
-def ahead(bank: Bank, observed: Observation) -> Ahead:
-    """The bank at the time of a measurement, described about the place where it has seen the ring."""
-    transported = _transported(_with_common_errors_of(bank, observed), observed.stamp_s, observed.chart)
-    rates = step_rates(observed.chart, transported.found)
-    transition = transported.transition
-    rates_wrt = jacobians(rates[len(bank.coordinates) :])
-    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    return Ahead(transported.bank, rates[: len(bank.coordinates)], rates_wrt[transported.leader_of])
+def ahead(bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None = None) -> Ahead:
+    """The bank at the time of a measurement, described about the place where it has seen the ring.
+
+    Motion is linear about the coordinates `about` of the bank before, which are its own if not given.
+    """
+    bank = _with_common_errors_of(bank, observed)
+    transported = _transported(bank, observed.stamp_s, observed.chart, about)
+    count, found = len(bank.coordinates), transported.found
+    rates = step_rates(observed.chart, found)
+    rates_wrt = jacobians(rates[count:])
+    rates_wrt = np.linalg.solve(transported.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
+    leader_of = transported.leader_of
+    return Ahead(
+        bank=transported.bank,
+        transition=transported.transition[leader_of],
+        step=found.coordinates[:count] - transported.bank.coordinates,
+        rates=rates[:count],
+        rates_wrt=rates_wrt[leader_of],
+    )
 
 
 def predicted(bank: Bank, stamp_s: float) -> Bank:
     """The bank at another time, described about its best filter's state."""
-    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None).bank
+    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None, None).bank
 
 
 def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
@@ -287,10 +303,13 @@ class _Transported(NamedTuple):
     leader_of: Int64[Array, "filter"]
 
 
-def _transported(bank: Bank, stamp_s: float, chart: RingStates | None) -> _Transported:
+def _transported(
+    bank: Bank, stamp_s: float, chart: RingStates | None, about: Float64[Array, "filter error=14"] | None
+) -> _Transported:
     time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
     leaders, leader_of = _leaders(bank)
-    around = np.concatenate([bank.coordinates, perturbed(bank.coordinates[leaders])])
+    linear_at = bank.coordinates if about is None else about
+    around = np.concatenate([linear_at, perturbed(linear_at[leaders])])
     states = after(moved(bank.chart, around), time_s)
     if chart is None:
         best = slice(bank.best, bank.best + 1)
@@ -298,6 +317,8 @@ def _transported(bank: Bank, stamp_s: float, chart: RingStates | None) -> _Trans
     found = charted(chart, states)
     by_leader = jacobians(found.coordinates[count:])
     transition, coordinates = by_leader[leader_of], found.coordinates[:count]
+    if about is not None:
+        coordinates = coordinates + (transition @ (bank.coordinates - about)[..., None])[..., 0]
     noise = process_noise(bank.models, chart, coordinates, transition, time_s)
     moved_bank = replace(
         bank,
@@ -403,15 +424,38 @@ def innovation_covariance(
     return covariance
 
 
-def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
-    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation.
+def innovation_ahead(at: Ahead, observed: Observation) -> Innovation:
+    """The innovation of a measurement by a bank ahead."""
+    return innovation(at.bank, observed, at.rates, at.rates_wrt, at.step)
 
-    The first measurements move a state far; they are linearised again where they have moved it to (iterated filter).
+
+def linearized_again(bank: Bank, observed: Observation, at: Ahead) -> Ahead:
+    """The bank ahead with the motion linear about the states before to which the measurement moves them.
+
+    The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
+    turn of an edge is curvature times velocity. (Iterated smoothing over one interval, Jazwinski 1970, section 8.3.)
     """
+    bank = _with_common_errors_of(bank, observed)
+    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
+        found = _iterated(at.bank, observed, innovation_ahead(at, observed))
+        wrt_before = found.jacobian @ at.transition
+        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=wrt_before))
+        at = ahead(bank, observed, bank.coordinates + (gain @ found.remaining[..., None])[..., 0])
+    return at
+
+
+def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
+    """The innovation linearised where the measurement moves the states to (iterated filter), for the first ones."""
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
         gain = schmidt_gain(bank.own, bank.common, found)
         step = (gain @ found.remaining[..., None])[..., 0]
         found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
+    return found
+
+
+def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
+    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation."""
+    found = _iterated(bank, observed, found)
     gain = schmidt_gain(bank.own, bank.common, found)
     own, common = covariances_after(bank.own, bank.common, gain, found)
     _, log_determinant = np.linalg.slogdet(found.covariance)
