@@ -51,6 +51,10 @@ LEVER_M, LEVER_SD_M = 1.0, 1.0
 CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
 """Curvature of an unknown ring in 1/m: radii from 0.36 m to any length lie within two standard deviations."""
 
+LEFT_OUT_S = 1.0
+"""Time over which the process noise of the constant-velocity models has the effect of the precession that they leave
+out: angular accelerations of the order of the rate squared, and as much of the centre, a lever away from the mass."""
+
 HALF_BAND_SD_M = 0.05
 
 ITERATIONS, ITERATED_UNTIL = 2, 6
@@ -362,7 +366,11 @@ def process_noise(
     gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
     gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
     density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
-    density[~models.precession, 5] = 0.0
+    steady = ~models.precession
+    centripetal = (coordinates[steady, RATE_INWARD] ** 2 + coordinates[steady, RATE_ALONG] ** 2)[:, None]
+    density[steady, :3] += LEFT_OUT_S * (LEVER_M * centripetal) ** 2
+    density[steady, 3:5] += LEFT_OUT_S * centripetal**2
+    density[steady, 5] = 0.0
     gain *= np.sqrt(density * time_s)[:, None]
     later = (transition @ gain) - gain
     both = later @ gain.swapaxes(1, 2)
