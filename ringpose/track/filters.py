@@ -41,9 +41,10 @@ PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
 TORQUE_FREE_SHARE = 0.1
 """Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
 
-LEAST_RATE_NOISE_LOG_PRIOR = -2.0
-"""Log prior weight of the models with the least angular acceleration: within seconds single shots hardly show that of
-the next value, so that half of its tracks would be predicted with too small errors."""
+LEAST_NOISE_LOG_PRIOR = -2.0
+"""Log prior weight of the models with the least acceleration, and of those with the least angular acceleration: within
+seconds single shots hardly show that of the next value, so that half of its tracks would be predicted with too small
+errors."""
 
 LEVER_M, LEVER_SD_M = 1.0, 1.0
 """Prior of the distance of the centre of mass behind the ring."""
@@ -59,6 +60,13 @@ HALF_BAND_SD_M = 0.05
 
 ITERATIONS, ITERATED_UNTIL = 2, 6
 """How often, and until which number of measurements, an update is linearised again."""
+
+MAX_LOG_ODDS = 9.0
+"""Largest log evidence of a motion model against another one: a target that looked steady for long may begin to move.
+
+Within this bound the evidence for the models that describe it then takes over within a few shots; the weights that it
+leaves to the others are below `NEGLIGIBLE_WEIGHT`.
+"""
 
 NEGLIGIBLE_WEIGHT = 1e-3
 """Weight below which a model does not contribute to the reported state."""
@@ -90,7 +98,7 @@ def motion_models() -> MotionModels:
         velocity_noise=np.array([q_v for q_v, _ in pairs]),
         rate_noise=np.array([q_w for _, q_w in pairs]),
         precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
-        log_prior=np.where(np.array([q_w for _, q_w in pairs]) <= PROCESS_NOISE[0], LEAST_RATE_NOISE_LOG_PRIOR, 0.0),
+        log_prior=LEAST_NOISE_LOG_PRIOR * (np.array(pairs) <= PROCESS_NOISE[0]).sum(axis=1),
     )
 
 
@@ -469,12 +477,13 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     _, log_determinant = np.linalg.slogdet(found.covariance)
     chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
+    log_evidence = bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST)
     return replace(
         bank,
         coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
         own=own,
         common=common,
-        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
+        log_evidence=np.maximum(log_evidence, log_evidence.max() - MAX_LOG_ODDS),
         measurements=bank.measurements + 1,
     )
 
