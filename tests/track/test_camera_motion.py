@@ -9,8 +9,10 @@ import pytest
 from moving_cameras import RATE, TOOL_FROM_CAMERA, SeenByRobot, base_from_tool, robot
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
 from ring_scenes import RIGS, pixels_of
+from scipy.stats import chi2
 
 from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import predicted_ring, predicted_stripes
 from ringpose.track.shots import ShotTracker
@@ -139,6 +141,30 @@ def test_errors_of_mount_and_clock_widen_the_covariance_and_do_not_average_out(i
     assert grasp_sd_m(mount_sd=(0.0, 0.002)) > 0.0025  # of two of three axes: the third lies along the face
     assert grasp_sd_m(mount_sd=(0.004, 0.0)) > 0.0018
     assert grasp_sd_m(delay_sd_s=0.1) > 0.001
+
+
+@pytest.mark.slow
+def test_errors_are_as_stated_if_mount_and_clock_have_errors_as_stated(rng):
+    """NEES of the grasp point and of the normal in the base frame, 24 runs with drawn errors."""
+    squares, mount_sd, delay_sd_s = [], (0.002, 0.001), 0.01
+    for _ in range(24):
+        motion = moving_cameras.in_base(drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3))
+        errors = mount_sd[0] * rng.normal(size=3), mount_sd[1] * rng.normal(size=3), delay_sd_s * rng.normal()
+        tracker = Tracker(None, camera=robot(2.5, mount_sd, delay_sd_s))
+        for line in stream(SeenByRobot(motion, *errors), 2.0, Shots(), rng):
+            tracker.add(line)
+        line = tracker.line_at(tracker.track.stamp_s)
+        ring, basis = motion.at(line.stamp_s - START_S), tilt_basis(line.pose.normal)
+        inward = ring.center_m - line.grasp.point_m
+        inward -= (inward @ ring.normal) * ring.normal
+        radius_m, across = np.linalg.norm(inward), np.stack([inward / np.linalg.norm(inward), ring.normal])
+        off_m = np.array([ring.radius_m.mean() - radius_m, (line.grasp.point_m - ring.center_m) @ ring.normal])
+        tilts = basis @ (ring.normal - line.pose.normal)
+        squares.append(off_m @ np.linalg.solve(across @ line.grasp.covariance[:3, :3] @ across.T, off_m))
+        squares.append(tilts @ np.linalg.solve(line.pose.covariance[:2, :2], tilts))
+
+    least, most = chi2.ppf([5e-5, 1 - 5e-5], 2 * len(squares)) / 2
+    assert least < np.sum(squares) / 2 < most
 
 
 def test_a_displaced_mount_displaces_the_track_as_its_covariance_states(in_base, rng):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def test_a_track_is_that_of_a_smoother_with_the_same_model(rng):
             values.insert(number, charted(chart, state).coordinates[0, FREE])
             graph.add(factor([number], partial(shown, chart, each)))
         graph.add(factor([0], prior_of(chart, observed[0])))
-        for number, (first, second) in enumerate(zip(observed, observed[1:], strict=False)):
+        for number, (first, second) in enumerate(pairwise(observed)):
             time_s = second.stamp_s - first.stamp_s
             graph.add(factor([number, number + 1], motion_of(chart, values.atVector(number), time_s)))
         options = gtsam.LevenbergMarquardtParams()
