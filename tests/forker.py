@@ -16,6 +16,7 @@ import scipy.optimize
 import ringpose.capture.lasers.watchdog
 import ringpose.cli.acquisition
 import ringpose.cli.capture
+import ringpose.cli.live_input
 import ringpose.cli.pose
 import ringpose.cli.simulate.serve
 import ringpose.files.images.sessions

@@ -17,7 +17,7 @@ from ringpose.capture.exposure import ExposureControl
 from ringpose.capture.hdr import merged_brackets
 from ringpose.capture.laser_check import LitPixels, lit_pixels
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
-from ringpose.capture.shot_check import MAX_LOST, TRIES, AmbientLightChanged, MissingLasers, ShotChecker
+from ringpose.capture.shot_check import MAX_LOST, TRIES, AmbientLightChanged, MissingLasers, ShotChecker, require_off
 from ringpose.errors import DeviceError, UsageError
 from ringpose.types.image import Frame, Shot
 from ringpose.types.rig import Rig
@@ -310,7 +310,8 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
 def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> float:
     """Time from a command until frames no longer change, the longest of all lasers, with a margin.
 
-    Every visible laser is switched off and on again while frames are triggered; all lasers are off at the end.
+    Every visible laser is switched off and on again while frames are triggered; all lasers are off at the end. Raises
+    `LaserSafetyError` before the next laser is switched on if one does not go off.
     """
     saturation_dn = camera.describe().saturation_dn
     lasers.set_mask(0)
@@ -323,7 +324,7 @@ def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: flo
         pixels = lit_pixels(camera.trigger(1 << laser, exposure_s).image, [dark], saturation_dn)
         if pixels is not None:
             times_s += [_steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (0, 1 << laser)]
-        lasers.set_mask(0)
+        require_off(camera, lasers, laser, pixels, MAX_SETTLE_S, exposure_s)
     if not times_s:
         raise DeviceError("--settle auto", "no laser shows in the image", "give a time, such as --settle 0.05")
     return SETTLE_MARGIN * max(times_s)

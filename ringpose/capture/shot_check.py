@@ -128,7 +128,7 @@ class ShotChecker:
     def reject_stripe_in_dark(self, missing: int) -> None:
         """Raise a safety fault if a stripe shows with all lasers off while the lasers of the mask are missing."""
         if missing:
-            _reject_stripe(missing, self._dark_frame().image)
+            _reject_stripe(missing, _dark_frame(self._camera, self._lasers).image)
 
     def _not_remembered(self, mask: int) -> int:
         """The lasers of a mask of which no pixels are known, as no shot has shown them."""
@@ -144,17 +144,42 @@ class ShotChecker:
 
     def _dark_image(self, shot: Shot) -> UInt[Array, "row column"]:
         """An image with all lasers off, on the grey-value scale of a shot."""
-        frame = self._dark_frame()
+        frame = _dark_frame(self._camera, self._lasers)
         return scaled_like(frame.image, frame.exposure_s, shot)
 
-    def _dark_frame(self) -> Frame:
-        self._lasers.set_mask(0)
-        self._lasers.wait(DARK_CHECK_S)
-        try:
-            return self._camera.trigger(0, None)
-        except DeviceError as error:
-            found = f"may be on, and the camera that was to check them failed: {error}"
-            raise LaserSafetyError("lasers", found, "cut the power") from error
+
+def require_off(
+    camera: CameraDriver,
+    lasers: LaserDriver,
+    laser: int,
+    pixels: LitPixels | None,
+    wait_s: float,
+    exposure_s: float | None = None,
+) -> None:
+    """Switch all off, and check that a laser which was on alone goes off within `wait_s`.
+
+    `pixels` are those that it lit; None if it was not seen. Raises `LaserSafetyError` if it stays on, or may be on all
+    the time.
+    """
+    image = _dark_frame(camera, lasers, wait_s, exposure_s).image
+    if pixels is None and shows_stripe(image):
+        found = "is not seen to go on or off, and a stripe shows while all are off"
+        raise LaserSafetyError(f"laser {laser + 1}", found, STRIPE_REMEDY)
+    if pixels is not None and pixels.are_lit_in(image):
+        raise LaserSafetyError(f"laser {laser + 1}", "is seen after it was switched off", "cut the power")
+
+
+def _dark_frame(
+    camera: CameraDriver, lasers: LaserDriver, wait_s: float = DARK_CHECK_S, exposure_s: float | None = None
+) -> Frame:
+    """A frame after all lasers have been off for a while, to check that they are."""
+    lasers.set_mask(0)
+    lasers.wait(wait_s)
+    try:
+        return camera.trigger(0, exposure_s)
+    except DeviceError as error:
+        found = f"may be on, and the camera that was to check them failed: {error}"
+        raise LaserSafetyError("lasers", found, "cut the power") from error
 
 
 def laser_list(mask: int) -> str:

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal
 
 from ringpose.capture.cameras.driver import CameraDriver
+from ringpose.capture.cameras.simulated import SimulatedLasers
 from ringpose.capture.lasers.driver import LaserContext, LaserDriver
-from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_switching
 from ringpose.capture.latest_frame import paced
 from ringpose.capture.uri import CAMERAS, LASERS, device_uri, driver

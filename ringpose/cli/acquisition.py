@@ -1,16 +1,13 @@
-"""Camera and laser URIs -> a source of shots; reads the files of recordings and simulated scenes. Live pose lines."""
+"""Camera and laser URIs -> a source of shots; reads the files of recordings and simulated scenes."""
 
-from collections.abc import Callable, Container, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING
 
 from ringpose.capture.cameras.recorded import Recording
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
-from ringpose.capture.latest_frame import LiveShot, NewestShots, paced
+from ringpose.capture.latest_frame import paced
 from ringpose.capture.source import (
     CaptureRequest,
     OnRead,
@@ -26,16 +23,11 @@ from ringpose.capture.uri import CAMERAS, LASERS, device_uri, scheme_and_rest, s
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
-from ringpose.files.images.shots import SHOT_SUFFIXES, checked_shot, read_shot
+from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.inputs import Input, Problem, inputs, path_of_input
 from ringpose.types.image import Shot
 from ringpose.types.options import STDIN
 from ringpose.types.session import Step, steps_of
-
-if TYPE_CHECKING:
-    from ringpose.types.detection import Detection
-    from ringpose.types.pose import PoseLine
-    from ringpose.types.rig import Rig
 
 
 def source_of(request: CaptureRequest, batch: Batch) -> Source:
@@ -164,28 +156,3 @@ def _served(request: CaptureRequest) -> Source:
             yield replace(shot, name=camera.shot_name, meta={**shot.meta, "simulated": True})
 
     return replace(source, shots=shots, waits_for_consumer=greeting.clock == "lockstep")
-
-
-@contextmanager
-def live_lines(
-    request: CaptureRequest, rig: "Rig", batch: Batch, measure: "Callable[[Shot | Detection], PoseLine]"
-) -> "Iterator[Iterator[PoseLine]]":
-    """Pose lines of a camera, each of the latest shot when the one before has been measured.
-
-    A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block the lasers
-    are off and the devices closed.
-    """
-
-    def line_of(live: LiveShot) -> "PoseLine":
-        line = measure(checked_shot(live.shot, rig, request.camera))
-        return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
-
-    source = source_of(request, batch)
-    with ExitStack() as stack:
-        for device in source.devices:
-            stack.enter_context(device)
-        shots = source.shots(lambda _: None, ())  # live shots are not read from files
-        newest = stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
-        import ringpose.detect.pipeline  # noqa: F401  # imported while the first shot is taken
-
-        yield map(line_of, newest)

@@ -52,7 +52,6 @@ from ringpose.cli.options.track import (
     RobotPosesFile,
     TrackSettings,
     camera_motion,
-    live_camera_motion,
     record_writer,
     track_writer,
 )
@@ -153,6 +152,8 @@ def pose(
     tracker = settings.tracker(rig_of_shots, assumed, motion) if track else None
     stream = _Stream(rig_of_shots, method, frame, known, assumed, tracker, motion)
     if is_live_robot:
+        from ringpose.cli.live_input import live_camera_motion
+
         stream.motion_until = live_camera_motion(rig)
     lines: AbstractContextManager[Iterator[PoseLine]]
     if jobs > 1:
@@ -164,7 +165,7 @@ def pose(
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
     else:
         from ringpose.capture.source import CaptureRequest
-        from ringpose.cli.acquisition import live_lines
+        from ringpose.cli.live_input import live_lines
 
         request = CaptureRequest(
             camera=camera,

@@ -1,11 +1,9 @@
 """`ringpose track`: pose records -> track records, one a measurement or at a fixed rate."""
 
-import queue
-import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from time import monotonic, sleep, time
+from time import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -138,54 +136,11 @@ def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", quiet: 
 
 def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", rate_hz: float) -> "Iterator[TrackLine]":
     """Lines at a fixed rate of this computer's clock; a thread reads the records meanwhile."""
+    from ringpose.cli.live_input import at_ticks
+
     records = _Records(tracker, batch)
-    for arrived in _Ticks(items, 1.0 / rate_hz):
+    for arrived in at_ticks(items, 1.0 / rate_hz):
         for item in arrived:
             records.added(item, at_rate=True)
         now_s = time()
         yield tracker.line_at(now_s, now_s + 1.0 / rate_hz)
-
-
-class _Ticks:
-    """Yields at each tick the records that have arrived; ends with the tick after the last one.
-
-    A thread reads the records, so that a silent source does not delay a tick. A tick that is late by more than a period
-    is left out rather than made up for.
-    """
-
-    def __init__(self, items: "Iterable[Input]", period_s: float) -> None:
-        self._period_s = period_s
-        self._arrived: queue.SimpleQueue[Input] = queue.SimpleQueue()
-        self._ended = threading.Event()
-        self._failure: BaseException | None = None
-        threading.Thread(target=self._read, args=(items,), daemon=True).start()
-
-    def _read(self, items: "Iterable[Input]") -> None:
-        try:
-            for item in items:
-                self._arrived.put(item)
-        except BaseException as failure:  # raised again by the main thread
-            self._failure = failure
-        finally:
-            self._ended.set()
-
-    def __iter__(self) -> "Iterator[list[Input]]":
-        tick_s = monotonic()
-        while True:
-            tick_s += self._period_s
-            sleep(max(tick_s - monotonic(), 0.0))
-            tick_s = max(tick_s, monotonic() - self._period_s)
-            last = self._ended.is_set()
-            yield self._taken()
-            if last:
-                if self._failure is not None:
-                    raise self._failure
-                return
-
-    def _taken(self) -> "list[Input]":
-        items: list[Input] = []
-        while True:
-            try:
-                items.append(self._arrived.get_nowait())
-            except queue.Empty:
-                return items

@@ -10,7 +10,16 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE, STEP, TILT_ALONG, TILT_INWARD
-from ringpose.track.filters import Bank, Innovation, ahead, innovation, started, tempered, updated
+from ringpose.track.filters import (
+    Bank,
+    Innovation,
+    ahead,
+    innovation_ahead,
+    linearized_again,
+    started,
+    tempered,
+    updated,
+)
 from ringpose.track.observation import Observation
 from ringpose.track.states import charted, moved, step_rates
 from ringpose.types.arrays import Array, Float64
@@ -172,10 +181,11 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        at, rates, rates_wrt = ahead(bank, seen)
-        found = innovation(at, seen, rates, rates_wrt)
-        ratios.append(test_ratio(at, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
-        banks.append(updated(at, seen, found))
+        at = ahead(bank, seen)
+        ratio = test_ratio(at.bank, innovation_ahead(at, seen))
+        ratios.append(ratio if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
+        at = linearized_again(bank, seen, at)
+        banks.append(updated(at.bank, seen, innovation_ahead(at, seen)))
     interval_s = observed.stamp_s - track.stamp_s
     return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)), min(ratios)
 

@@ -41,9 +41,10 @@ PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
 TORQUE_FREE_SHARE = 0.1
 """Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
 
-LEAST_RATE_NOISE_LOG_PRIOR = -2.0
-"""Log prior weight of the models with the least angular acceleration: within seconds single shots hardly show that of
-the next value, so that half of its tracks would be predicted with too small errors."""
+LEAST_NOISE_LOG_PRIOR = -2.0
+"""Log prior weight of the models with the least acceleration, and of those with the least angular acceleration: within
+seconds single shots hardly show that of the next value, so that half of its tracks would be predicted with too small
+errors."""
 
 LEVER_M, LEVER_SD_M = 1.0, 1.0
 """Prior of the distance of the centre of mass behind the ring."""
@@ -51,10 +52,21 @@ LEVER_M, LEVER_SD_M = 1.0, 1.0
 CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
 """Curvature of an unknown ring in 1/m: radii from 0.36 m to any length lie within two standard deviations."""
 
+LEFT_OUT_S = 1.0
+"""Time over which the process noise of the constant-velocity models has the effect of the precession that they leave
+out: angular accelerations of the order of the rate squared, and as much of the centre, a lever away from the mass."""
+
 HALF_BAND_SD_M = 0.05
 
 ITERATIONS, ITERATED_UNTIL = 2, 6
 """How often, and until which number of measurements, an update is linearised again."""
+
+MAX_LOG_ODDS = 9.0
+"""Largest log evidence of a motion model against another one: a target that looked steady for long may begin to move.
+
+Within this bound the evidence for the models that describe it then takes over within a few shots; the weights that it
+leaves to the others are below `NEGLIGIBLE_WEIGHT`.
+"""
 
 NEGLIGIBLE_WEIGHT = 1e-3
 """Weight below which a model does not contribute to the reported state."""
@@ -86,7 +98,7 @@ def motion_models() -> MotionModels:
         velocity_noise=np.array([q_v for q_v, _ in pairs]),
         rate_noise=np.array([q_w for _, q_w in pairs]),
         precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
-        log_prior=np.where(np.array([q_w for _, q_w in pairs]) <= PROCESS_NOISE[0], LEAST_RATE_NOISE_LOG_PRIOR, 0.0),
+        log_prior=LEAST_NOISE_LOG_PRIOR * (np.array(pairs) <= PROCESS_NOISE[0]).sum(axis=1),
     )
 
 
@@ -244,27 +256,43 @@ def tempered(bank: Bank, temperature: float) -> Bank:
 
 
 class Ahead(NamedTuple):
-    """A bank at the time of a measurement and in its chart, with the rates at which the coordinates change there."""
+    """A bank at the time of a measurement and in its chart, and the rates of the coordinates, linearised there."""
 
     bank: Bank
+    transition: Float64[Array, "filter error=14 error=14"]
+    """Derivatives of the coordinates by those before."""
+    step: Float64[Array, "filter error=14"]
+    """From the bank's coordinates to those about which motion and rates are linear."""
     rates: Float64[Array, "filter 5"]
+    """After that step."""
     rates_wrt: Float64[Array, "filter 5 error=14"]
     """Derivatives by the coordinates."""
 
 
-def ahead(bank: Bank, observed: Observation) -> Ahead:
-    """The bank at the time of a measurement, described about the place where it has seen the ring."""
-    transported = _transported(_with_common_errors_of(bank, observed), observed.stamp_s, observed.chart)
-    rates = step_rates(observed.chart, transported.found)
-    transition = transported.transition
-    rates_wrt = jacobians(rates[len(bank.coordinates) :])
-    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    return Ahead(transported.bank, rates[: len(bank.coordinates)], rates_wrt[transported.leader_of])
+def ahead(bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None = None) -> Ahead:
+    """The bank at the time of a measurement, described about the place where it has seen the ring.
+
+    Motion is linear about the coordinates `about` of the bank before, which are its own if not given.
+    """
+    bank = _with_common_errors_of(bank, observed)
+    transported = _transported(bank, observed.stamp_s, observed.chart, about)
+    count, found = len(bank.coordinates), transported.found
+    rates = step_rates(observed.chart, found)
+    rates_wrt = jacobians(rates[count:])
+    rates_wrt = np.linalg.solve(transported.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
+    leader_of = transported.leader_of
+    return Ahead(
+        bank=transported.bank,
+        transition=transported.transition[leader_of],
+        step=found.coordinates[:count] - transported.bank.coordinates,
+        rates=rates[:count],
+        rates_wrt=rates_wrt[leader_of],
+    )
 
 
 def predicted(bank: Bank, stamp_s: float) -> Bank:
     """The bank at another time, described about its best filter's state."""
-    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None).bank
+    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None, None).bank
 
 
 def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
@@ -287,10 +315,13 @@ class _Transported(NamedTuple):
     leader_of: Int64[Array, "filter"]
 
 
-def _transported(bank: Bank, stamp_s: float, chart: RingStates | None) -> _Transported:
+def _transported(
+    bank: Bank, stamp_s: float, chart: RingStates | None, about: Float64[Array, "filter error=14"] | None
+) -> _Transported:
     time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
     leaders, leader_of = _leaders(bank)
-    around = np.concatenate([bank.coordinates, perturbed(bank.coordinates[leaders])])
+    linear_at = bank.coordinates if about is None else about
+    around = np.concatenate([linear_at, perturbed(linear_at[leaders])])
     states = after(moved(bank.chart, around), time_s)
     if chart is None:
         best = slice(bank.best, bank.best + 1)
@@ -298,6 +329,8 @@ def _transported(bank: Bank, stamp_s: float, chart: RingStates | None) -> _Trans
     found = charted(chart, states)
     by_leader = jacobians(found.coordinates[count:])
     transition, coordinates = by_leader[leader_of], found.coordinates[:count]
+    if about is not None:
+        coordinates = coordinates + (transition @ (bank.coordinates - about)[..., None])[..., 0]
     noise = process_noise(bank.models, chart, coordinates, transition, time_s)
     moved_bank = replace(
         bank,
@@ -341,7 +374,11 @@ def process_noise(
     gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
     gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
     density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
-    density[~models.precession, 5] = 0.0
+    steady = ~models.precession
+    centripetal = (coordinates[steady, RATE_INWARD] ** 2 + coordinates[steady, RATE_ALONG] ** 2)[:, None]
+    density[steady, :3] += LEFT_OUT_S * (LEVER_M * centripetal) ** 2
+    density[steady, 3:5] += LEFT_OUT_S * centripetal**2
+    density[steady, 5] = 0.0
     gain *= np.sqrt(density * time_s)[:, None]
     later = (transition @ gain) - gain
     both = later @ gain.swapaxes(1, 2)
@@ -403,26 +440,50 @@ def innovation_covariance(
     return covariance
 
 
-def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
-    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation.
+def innovation_ahead(at: Ahead, observed: Observation) -> Innovation:
+    """The innovation of a measurement by a bank ahead."""
+    return innovation(at.bank, observed, at.rates, at.rates_wrt, at.step)
 
-    The first measurements move a state far; they are linearised again where they have moved it to (iterated filter).
+
+def linearized_again(bank: Bank, observed: Observation, at: Ahead) -> Ahead:
+    """The bank ahead with the motion linear about the states before to which the measurement moves them.
+
+    The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
+    turn of an edge is curvature times velocity. (Iterated smoothing over one interval, Jazwinski 1970, section 8.3.)
     """
+    bank = _with_common_errors_of(bank, observed)
+    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
+        found = _iterated(at.bank, observed, innovation_ahead(at, observed))
+        wrt_before = found.jacobian @ at.transition
+        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=wrt_before))
+        at = ahead(bank, observed, bank.coordinates + (gain @ found.remaining[..., None])[..., 0])
+    return at
+
+
+def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
+    """The innovation linearised where the measurement moves the states to (iterated filter), for the first ones."""
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
         gain = schmidt_gain(bank.own, bank.common, found)
         step = (gain @ found.remaining[..., None])[..., 0]
         found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
+    return found
+
+
+def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
+    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation."""
+    found = _iterated(bank, observed, found)
     gain = schmidt_gain(bank.own, bank.common, found)
     own, common = covariances_after(bank.own, bank.common, gain, found)
     _, log_determinant = np.linalg.slogdet(found.covariance)
     chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
+    log_evidence = bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST)
     return replace(
         bank,
         coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
         own=own,
         common=common,
-        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
+        log_evidence=np.maximum(log_evidence, log_evidence.max() - MAX_LOG_ODDS),
         measurements=bank.measurements + 1,
     )
 

@@ -13,7 +13,7 @@ import re
 import struct
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -302,20 +302,7 @@ _REQUESTS: Mapping[str, Any] = {
 
 def greeting_header(greeting: Greeting) -> dict[str, Any]:
     """The header of the greeting."""
-    return {
-        "type": "greeting",
-        "protocol": PROTOCOL,
-        "clock": greeting.clock,
-        "rate_hz": greeting.rate_hz,
-        "camera_name": greeting.camera_name,
-        "image_width": greeting.image_width,
-        "image_height": greeting.image_height,
-        "saturation_dn": greeting.saturation_dn,
-        "lasers": list(greeting.lasers),
-        "sequence": list(greeting.sequence),
-        "min_exposure_s": greeting.min_exposure_s,
-        "max_exposure_s": greeting.max_exposure_s,
-    }
+    return {"type": "greeting", "protocol": PROTOCOL, **asdict(greeting)}
 
 
 def greeting_in(header: Fields) -> Greeting:
@@ -348,21 +335,8 @@ def greeting_in(header: Fields) -> Greeting:
 def frame_header(frame: ServedFrame) -> dict[str, Any]:
     """The header of a frame."""
     height, width = frame.image.shape
-    return {
-        "type": "frame",
-        "frame_id": frame.frame_id,
-        "shot": frame.shot,
-        "step": frame.step,
-        "lasers": frame.lasers,
-        "stamp_s": frame.stamp_s,
-        "exposure_s": frame.exposure_s,
-        "width": width,
-        "height": height,
-        "pixel_bytes": frame.image.dtype.itemsize,
-        "dropped": frame.dropped,
-        "missed": frame.missed,
-        "truth": frame.truth,
-    }
+    values = {each.name: getattr(frame, each.name) for each in fields(frame) if each.name != "image"}
+    return {"type": "frame", "width": width, "height": height, "pixel_bytes": frame.image.dtype.itemsize, **values}
 
 
 def pixels(image: UInt[Array, "row column"]) -> memoryview:

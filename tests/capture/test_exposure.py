@@ -8,8 +8,8 @@ import pytest
 from small_rig import SERVED_RIG, SMALL_RIG
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.capture.cameras.simulated import SimulatedLasers
 from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
-from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.cli.main import main
 from ringpose.files.images.shots import read_shot

@@ -81,6 +81,21 @@ def test_a_laser_that_stays_on_is_a_safety_fault(walked, faults, words):
         walked(**faults)
 
 
+@pytest.mark.parametrize(
+    ("fault", "words"), [("stuck", "seen after it was switched off"), ("welded", "a stripe shows")]
+)
+def test_the_settling_time_is_not_measured_beyond_a_laser_that_stays_on(devices, fault, words):
+    camera, lasers = devices(**{fault: frozenset({0})})
+    with camera, lasers:
+        began_s = lasers.clock.monotonic()
+        with pytest.raises(LaserSafetyError, match=f"laser 1: .*{words}"):
+            measured_settle_s(camera, lasers, EXPOSURE_S)
+        shares_on = lasers.contacts.shares(began_s, lasers.clock.monotonic())
+
+    assert shares_on[0] > 0
+    assert shares_on[1:] == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("delay_s", [0.0, 0.001, 0.03, 0.08])
 def test_the_settling_time_is_the_slowest_delay_to_within_one_exposure(devices, delay_s):
     camera, lasers = devices(operate_s=delay_s / 2, release_s=delay_s)

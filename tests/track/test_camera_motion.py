@@ -3,67 +3,27 @@
 from dataclasses import replace
 
 import cv2
+import moving_cameras
 import numpy as np
 import pytest
+from moving_cameras import RATE, TOOL_FROM_CAMERA, SeenByRobot, base_from_tool, robot
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
-from ring_scenes import RIGS, Ring, pixels_of
+from ring_scenes import RIGS, pixels_of
+from scipy.stats import chi2
 
 from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import predicted_ring, predicted_stripes
 from ringpose.track.shots import ShotTracker
-from ringpose.types.rig import Mount, RobotPoses
+from ringpose.types.rig import Mount
 from ringpose.types.track import FusionStatus
-
-TOOL_FROM_CAMERA = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.05], [0, 0, 1, -0.1], [0, 0, 0, 1]])
-RATE = np.array([0.02, -0.03, 0.04])
-VELOCITY_M_S = np.array([0.01, 0.02, -0.01])
-
-
-def base_from_tool(time_s: float) -> np.ndarray:
-    """A tool that turns and moves steadily."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = cv2.Rodrigues(RATE * time_s)[0] @ cv2.Rodrigues(np.array([0.3, 0.2, -0.4]))[0]
-    matrix[:3, 3] = [1.0, 0.5, 0.8] + VELOCITY_M_S * time_s
-    return matrix
-
-
-def robot(duration_s: float, mount_sd=(0.0, 0.0), delay_sd_s: float = 0.0, offset_s: float = 0.0) -> CameraMotion:
-    times_s = np.arange(-0.5, duration_s, 0.1)
-    matrices = np.array([base_from_tool(t) for t in times_s])
-    poses = RobotPoses(stamp_s=START_S + times_s, position_m=matrices[:, :3, 3], rotation=matrices[:, :3, :3])
-    root = np.diag([mount_sd[0]] * 3 + [mount_sd[1]] * 3)
-    mount = Mount(tool_from_camera=TOOL_FROM_CAMERA, root=root, delay_s=offset_s, delay_sd_s=delay_sd_s)
-    return CameraMotion(poses=poses, mount=mount)
-
-
-class SeenByRobot:
-    """A motion in the base frame, as the moving camera sees it."""
-
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
-
-    def at(self, time_s: float) -> Ring:
-        camera_from_base = np.linalg.inv(base_from_tool(time_s) @ TOOL_FROM_CAMERA)
-        ring = self.motion.at(time_s)
-        return Ring(
-            center_m=camera_from_base[:3, :3] @ ring.center_m + camera_from_base[:3, 3],
-            normal=camera_from_base[:3, :3] @ ring.normal,
-            radius_m=ring.radius_m,
-        )
 
 
 @pytest.fixture
 def in_base(rng) -> Motion:
     """A ring in slow motion in the base frame, in view of the camera at the start."""
-    seen, matrix = drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3), base_from_tool(0.0) @ TOOL_FROM_CAMERA
-    turned = matrix[:3, :3]
-    ring = Ring(
-        center_m=turned @ seen.ring.center_m + matrix[:3, 3],
-        normal=turned @ seen.ring.normal,
-        radius_m=seen.ring.radius_m,
-    )
-    return Motion(ring=ring, velocity_m_s=turned @ seen.velocity_m_s, rate_rad_s=turned @ seen.rate_rad_s)
+    return moving_cameras.in_base(drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3))
 
 
 def test_the_pose_of_the_camera_is_interpolated_between_those_of_the_robot():
@@ -181,6 +141,30 @@ def test_errors_of_mount_and_clock_widen_the_covariance_and_do_not_average_out(i
     assert grasp_sd_m(mount_sd=(0.0, 0.002)) > 0.0025  # of two of three axes: the third lies along the face
     assert grasp_sd_m(mount_sd=(0.004, 0.0)) > 0.0018
     assert grasp_sd_m(delay_sd_s=0.1) > 0.001
+
+
+@pytest.mark.slow
+def test_errors_are_as_stated_if_mount_and_clock_have_errors_as_stated(rng):
+    """NEES of the grasp point and of the normal in the base frame, 24 runs with drawn errors."""
+    squares, mount_sd, delay_sd_s = [], (0.002, 0.001), 0.01
+    for _ in range(24):
+        motion = moving_cameras.in_base(drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3))
+        errors = mount_sd[0] * rng.normal(size=3), mount_sd[1] * rng.normal(size=3), delay_sd_s * rng.normal()
+        tracker = Tracker(None, camera=robot(2.5, mount_sd, delay_sd_s))
+        for line in stream(SeenByRobot(motion, *errors), 2.0, Shots(), rng):
+            tracker.add(line)
+        line = tracker.line_at(tracker.track.stamp_s)
+        ring, basis = motion.at(line.stamp_s - START_S), tilt_basis(line.pose.normal)
+        inward = ring.center_m - line.grasp.point_m
+        inward -= (inward @ ring.normal) * ring.normal
+        radius_m, across = np.linalg.norm(inward), np.stack([inward / np.linalg.norm(inward), ring.normal])
+        off_m = np.array([ring.radius_m.mean() - radius_m, (line.grasp.point_m - ring.center_m) @ ring.normal])
+        tilts = basis @ (ring.normal - line.pose.normal)
+        squares.append(off_m @ np.linalg.solve(across @ line.grasp.covariance[:3, :3] @ across.T, off_m))
+        squares.append(tilts @ np.linalg.solve(line.pose.covariance[:2, :2], tilts))
+
+    least, most = chi2.ppf([5e-5, 1 - 5e-5], 2 * len(squares)) / 2
+    assert least < np.sum(squares) / 2 < most
 
 
 def test_a_displaced_mount_displaces_the_track_as_its_covariance_states(in_base, rng):

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from ringpose.capture.cameras.aravis_library import PACKAGE, Aravis, AravisError, library
-from ringpose.capture.cameras.genapi import TRIGGERED
-from ringpose.capture.cameras.triggered import FrameGrab, SoftwareTriggeredCamera, mid_stamp_s, spellings
+from ringpose.capture.cameras.genapi import GenApiCamera
+from ringpose.capture.cameras.triggered import FrameGrab, SoftwareTriggeredCamera, mid_stamp_s
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.arrays import Array, UInt
@@ -45,7 +45,7 @@ _INCOMPLETE = (2, 3, 4)
 """Timeout, missing packets, wrong packet (`ArvBufferStatus`): only part of the frame arrived."""
 
 
-class AravisCamera(SoftwareTriggeredCamera):
+class AravisCamera(GenApiCamera):
     """A camera driven by libaravis; its URI has the additional parameter `packet` (bytes)."""
 
     PARAMETERS = (*SoftwareTriggeredCamera.PARAMETERS, "packet")
@@ -56,7 +56,6 @@ class AravisCamera(SoftwareTriggeredCamera):
         self._camera = self._device = self._stream = 0
         self._acquiring = self._is_lost = False
         self._closing: threading.Thread | None = None
-        self._names: dict[str, str] = {}
 
     @property
     def _aravis(self) -> Aravis:
@@ -84,46 +83,6 @@ class AravisCamera(SoftwareTriggeredCamera):
         for instance in instances:
             self._aravis.g_object_unref(instance)
 
-    def bounds(self, feature: str) -> tuple[float, float] | None:
-        """See `CameraDriver`."""
-        name = self._name(feature)
-        if name is None:
-            return None
-        kind = self._aravis.kind(self._device, name)
-        minimum, maximum = (c_double(), c_double()) if kind == "float" else (c_int64(), c_int64())
-        if kind == "boolean":
-            return 0.0, 1.0
-        self._call(f"arv_device_get_{kind}_feature_bounds", name.encode(), byref(minimum), byref(maximum))
-        return float(minimum.value), float(maximum.value)
-
-    def set(self, feature: str, value: int | float | str) -> None:
-        """See `CameraDriver`."""
-        name = self._name(feature)
-        if name is None:
-            raise DeviceError(self.uri.text, f"has no feature {feature}")
-        kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, name)
-        converted = value.encode() if isinstance(value, str) else float(value) if kind == "float" else round(value)
-        try:
-            self._aravis.call(f"arv_device_set_{kind}_feature_value", self._device, name.encode(), converted)
-        except AravisError as error:
-            remedy = self._valid_values(name, value)
-            if not remedy:
-                raise self._error(error) from error
-            found = f"{feature} cannot be {value if isinstance(value, str) else f'{value:g}'}"
-            raise DeviceError(self.uri.text, found, remedy) from error
-        if feature == "Gain":
-            self._gain_db = self._number("Gain")
-
-    def _valid_values(self, name: str, value: int | float | str) -> str:
-        """The valid values of a feature, for the user; empty if `value` is one of them."""
-        if isinstance(value, str):
-            choices = self._aravis.choices(self._device, name)
-            return "" if not choices or value in choices else f"it takes {', '.join(choices)}"
-        limits = self.bounds(name)
-        if limits is None or limits[0] <= float(value) <= limits[1]:
-            return ""
-        return f"it takes {limits[0]:g} to {limits[1]:g}"
-
     def warnings(self) -> tuple[str, ...]:
         """Warns if the socket buffer is smaller than a frame."""
         granted = granted_bytes()
@@ -148,16 +107,13 @@ class AravisCamera(SoftwareTriggeredCamera):
         if not self._camera:
             raise DeviceError(self.uri.text, "no camera was found", _NOT_FOUND)
         self._device = self._aravis.arv_camera_get_device(self._camera)
-        self._names = {}
         is_network_camera = self._aravis.arv_camera_is_gv_device(self._camera)
         if is_network_camera and not self._aravis.arv_gv_device_is_controller(self._device):
             raise self._controlled_elsewhere()
         self._aravis.arv_device_set_range_check_policy(self._device, 1)
         if is_network_camera and self._packet_bytes:
             self.set("GevSCPSPacketSize", self._packet_bytes)
-        for feature, value in TRIGGERED:
-            if self._name(feature) is not None:
-                self.set(feature, value)
+        self._set_up()
 
     def _start(self) -> None:
         aravis = self._aravis
@@ -238,31 +194,38 @@ class AravisCamera(SoftwareTriggeredCamera):
             return MORE_BUFFER
         return super()._loss_remedy()
 
-    def _number(self, feature: str) -> float | None:
-        name = self._name(feature)
-        if name is None:
-            return None
-        kind = self._aravis.kind(self._device, name)
-        return float(self._call(f"arv_device_get_{kind}_feature_value", name.encode()))
+    def _node(self, name: str) -> str | None:
+        return name if self._aravis.arv_device_get_feature(self._device, name.encode()) else None
 
-    def _format(self) -> str:
-        return str(self._call("arv_device_get_string_feature_value", b"PixelFormat").decode())
+    def _limits(self, node: str | None) -> tuple[float | None, float | None]:
+        if node is None:
+            return None, None
+        kind = self._aravis.kind(self._device, node)
+        if kind == "boolean":
+            return 0.0, 1.0
+        minimum, maximum = (c_double(), c_double()) if kind == "float" else (c_int64(), c_int64())
+        self._call(f"arv_device_get_{kind}_feature_bounds", node.encode(), byref(minimum), byref(maximum))
+        return float(minimum.value), float(maximum.value)
 
-    def _identity(self) -> tuple[str, int, int]:
-        get = "arv_device_get_string_feature_value"
-        names = ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber")
-        words = [(self._call(get, name.encode()) or b"").decode() for name in names if self._name(name) is not None]
-        width, height = (int(self._number(name) or 0) for name in ("Width", "Height"))
-        return "-".join(word for word in words if word), width, height
+    def _value(self, node: str) -> Any:
+        return self._call(f"arv_device_get_{self._aravis.kind(self._device, node)}_feature_value", node.encode())
 
-    def _name(self, feature: str) -> str | None:
-        """The camera's name of a feature; None if it does not have it."""
-        if feature not in self._names:
-            found = [
-                name for name in spellings(feature) if self._aravis.arv_device_get_feature(self._device, name.encode())
-            ]
-            self._names[feature] = found[0] if found else ""
-        return self._names[feature] or None
+    def _text(self, feature: str) -> str:
+        node = self._node(feature)
+        return (
+            "" if node is None else (self._call("arv_device_get_string_feature_value", node.encode()) or b"").decode()
+        )
+
+    def _set_value(self, node: str, value: int | float | str) -> None:
+        kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, node)
+        converted = value.encode() if isinstance(value, str) else float(value) if kind == "float" else round(value)
+        try:
+            self._aravis.call(f"arv_device_set_{kind}_feature_value", self._device, node.encode(), converted)
+        except AravisError as error:
+            choices = self._aravis.choices(self._device, node) if isinstance(value, str) else ()
+            if not choices or value in choices:
+                raise self._error(error) from error
+            raise DeviceError(self.uri.text, f"{node} cannot be {value}", f"it takes {', '.join(choices)}") from error
 
     def _call(self, name: str, *arguments: object) -> Any:
         try:

@@ -35,6 +35,8 @@ class GenApiCamera(SoftwareTriggeredCamera):
             raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}")
         try:
             self._set_value(node, value)
+        except DeviceError:
+            raise
         except Exception as error:  # each wrapper of GenApi has its own error classes
             raise DeviceError(self.uri.text, f"{feature} cannot be set to {value}: {first_line(error)}") from error
         if feature == "Gain":

@@ -119,10 +119,6 @@ class TrackSettings(NamedTuple):
         return Tracker(rig, replace(options, motion=motion), LineOptions(gripper=self.gripper), camera)
 
 
-PATIENCE_S = 0.2
-"""Time for which a live shot waits for the pose of the robot that follows it."""
-
-
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
     """The motion of the camera, all of whose poses are read first; `inputs`: the arguments that may also be `-`."""
     if robot_poses is None:
@@ -137,18 +133,6 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
         raise UsageError("--robot-poses", "and the input are both standard input", "give one of them as a file")
     mount = read_mount(rig)
     return CameraMotion(poses=read_robot_poses(robot_poses), mount=mount)
-
-
-def live_camera_motion(rig: Path) -> "Callable[[float], CameraMotion]":
-    """The motion of the camera up to a stamp, by the poses of the robot that arrive on standard input meanwhile."""
-    from ringpose.cli import messages
-    from ringpose.files.records.robot_poses import RobotPoseStream
-    from ringpose.files.rigs import read_mount
-    from ringpose.geometry.camera_motion import CameraMotion
-
-    mount, stream = read_mount(rig), RobotPoseStream(messages.error)
-    later_s = mount.delay_s + mount.delay_sd_s  # errors of the delay are taken by differences of one standard deviation
-    return lambda stamp_s: CameraMotion(poses=stream.until(stamp_s + later_s, PATIENCE_S), mount=mount)
 
 
 def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from ringpose.capture.cameras.driver import CameraDescription
-from ringpose.capture.cameras.simulated import SimulatedCamera
+from ringpose.capture.cameras.simulated import SimulatedCamera, SimulatedLasers
 from ringpose.capture.lasers.driver import LasersWentOff
-from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_switching
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import UsageError

@@ -11,8 +11,8 @@ import pytest
 from quick_views import quick_view
 from served_scene import small_scene
 
+from ringpose.capture.cameras.simulated import SimulatedLasers
 from ringpose.capture.cameras.tcp import TcpCamera
-from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import CAMERAS, device_uri
 from ringpose.errors import DeviceError, UsageError

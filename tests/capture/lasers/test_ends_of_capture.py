@@ -23,7 +23,7 @@ HANDLED = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
 """Signals that the command converts to exceptions, all in the same way."""
 
 
-def off_time(relays, process, number, time_until, limit_s=5.0):
+def off_time(relays, process, number, time_until, limit_s=30.0):
     """Time from a signal to a capture with lasers on until they are off, and stay off."""
     assert time_until(lambda: on_mask(relays), 30.0) < 30.0
     process.send_signal(number)

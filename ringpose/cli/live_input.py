@@ -1,0 +1,98 @@
+"""Input that arrives meanwhile: shots of a live camera, poses of the robot that carries it, records at fixed ticks."""
+
+import queue
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic, perf_counter, sleep
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from ringpose.capture.latest_frame import LiveShot
+    from ringpose.capture.source import CaptureRequest
+    from ringpose.cli.batch import Batch
+    from ringpose.geometry.camera_motion import CameraMotion
+    from ringpose.types.detection import Detection
+    from ringpose.types.image import Shot
+    from ringpose.types.pose import PoseLine
+    from ringpose.types.rig import Rig
+
+Item = TypeVar("Item")
+
+PATIENCE_S = 0.2
+"""Time for which a live shot waits for the pose of the robot that follows it."""
+
+
+@contextmanager
+def live_lines(
+    request: "CaptureRequest", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
+) -> "Iterator[Iterator[PoseLine]]":
+    """Pose lines of a camera, each of the latest shot when the one before has been measured.
+
+    A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block the lasers
+    are off and the devices closed.
+    """
+    from ringpose.capture.latest_frame import NewestShots
+    from ringpose.cli.acquisition import source_of
+    from ringpose.files.images.shots import checked_shot
+
+    def line_of(live: "LiveShot") -> "PoseLine":
+        line = measure(checked_shot(live.shot, rig, request.camera))
+        return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+
+    source = source_of(request, batch)
+    with ExitStack() as stack:
+        for device in source.devices:
+            stack.enter_context(device)
+        shots = source.shots(lambda _: None, ())  # live shots are not read from files
+        newest = stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
+        import ringpose.detect.pipeline  # noqa: F401  # imported while the first shot is taken
+
+        yield map(line_of, newest)
+
+
+def live_camera_motion(rig: Path) -> "Callable[[float], CameraMotion]":
+    """The motion of the camera up to a stamp, by the poses of the robot that arrive on standard input meanwhile."""
+    from ringpose.cli import messages
+    from ringpose.files.records.robot_poses import RobotPoseStream
+    from ringpose.files.rigs import read_mount
+    from ringpose.geometry.camera_motion import CameraMotion
+
+    mount, stream = read_mount(rig), RobotPoseStream(messages.error)
+    later_s = mount.delay_s + mount.delay_sd_s  # errors of the delay are taken by differences of one standard deviation
+    return lambda stamp_s: CameraMotion(poses=stream.until(stamp_s + later_s, PATIENCE_S), mount=mount)
+
+
+def at_ticks(items: Iterable[Item], period_s: float) -> Iterator[list[Item]]:
+    """Yields at each tick the items that have arrived; ends with the tick after the last one.
+
+    A thread reads the items, so that a silent source does not delay a tick; its failure is raised at the end. A tick
+    that is late by more than a period is left out rather than made up for.
+    """
+    arrived: queue.SimpleQueue[Item] = queue.SimpleQueue()
+    ended = threading.Event()
+    failures: list[BaseException] = []
+
+    def read() -> None:
+        try:
+            for item in items:
+                arrived.put(item)
+        except BaseException as failure:  # raised again by the main thread
+            failures.append(failure)
+        finally:
+            ended.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    tick_s = monotonic()
+    while True:
+        tick_s += period_s
+        sleep(max(tick_s - monotonic(), 0.0))
+        tick_s = max(tick_s, monotonic() - period_s)
+        is_last = ended.is_set()
+        yield [arrived.get() for _ in range(arrived.qsize())]
+        if is_last:
+            if failures:
+                raise failures[0]
+            return

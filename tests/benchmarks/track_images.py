@@ -1,0 +1,327 @@
+"""Tracks of images against truth: rendered tumbling targets, rendered sequences of another program, live play-back.
+
+`rendered` and `live` render their own images; `sequences` reads those of `--data FOLDER` (rig.yaml, truth.jsonl,
+shots/seq_*). `live` plays rendered frames by the virtual GigE camera into `ringpose pose --camera --track`, by this
+computer's clock. One line a figure.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import Pipe, Process
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from moving_rings import START_S
+from ring_scenes import Ring
+from track_targets import WRONG_SIGMAS, Figure, band, errors_at, nees
+
+from ringpose.cli.main import main as ringpose
+from ringpose.files.images.shots import read_shot
+from ringpose.files.rigs import read_rig
+from ringpose.files.scenes.scene import read_scene
+from ringpose.pose.pipeline import pose_line
+from ringpose.simulate.motion import velocities
+from ringpose.simulate.pipeline import render_ring_view, simulated_shot
+from ringpose.simulate.placement import ring_views
+from ringpose.simulate.sensor import digitised
+from ringpose.simulate.serve.device import ServedCamera
+from ringpose.simulate.serve.genicam import Identity
+from ringpose.simulate.serve.relays import RelayContacts
+from ringpose.track.explanations import TrackOptions
+from ringpose.track.pipeline import Tracker
+from ringpose.types.assumptions import AssumptionOptions, motion_prior
+from ringpose.types.scene import Scene
+
+RIG = Path(__file__).parents[2] / "examples" / "scene-rig.yaml"
+
+SCENE = {
+    "ringpose": "scene/1",
+    "start_s": START_S,
+    "stripe_dn": 170,
+    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
+    "body": {"size_m": [1.6, 1.6, 1.0]},
+}
+
+SHOTS_HZ = 6.0
+
+GRASP_WRONG_M = 0.005
+
+
+@dataclass(frozen=True)
+class Path3D:
+    """The motion of a scene's ring."""
+
+    scene: Scene
+
+    def at(self, time_s: float) -> Ring:
+        rotation, translation_m = ring_views(self.scene)[0].path.camera_from_target(time_s)
+        ring = self.scene.ring
+        return Ring(
+            center_m=rotation @ [0.0, 0.0, ring.height_m] + translation_m,
+            normal=rotation[:, 2],
+            radius_m=np.array([ring.radius_inner_m, ring.radius_outer_m]),
+        )
+
+    def velocity_at(self, time_s: float) -> np.ndarray:
+        face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
+        return velocities(ring_views(self.scene)[0].path, time_s, face_m)[0]
+
+
+def scene_of(folder: Path, width: int, **keys) -> Scene:
+    """A scene with these keys, read as a scene file, with the example's rig scaled to images of this width."""
+    rig = yaml.safe_load(RIG.read_text())
+    camera, matrix = rig["camera"], np.array(rig["camera"]["camera_matrix"]["data"]).reshape(3, 3)
+    factor = width / camera["image_width"]
+    matrix[:2] *= factor
+    matrix[:2, 2] += (factor - 1.0) / 2.0
+    camera["image_width"], camera["image_height"] = width, round(factor * camera["image_height"])
+    camera["camera_matrix"]["data"] = matrix.ravel().tolist()
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig, sort_keys=False))
+    sensor = {"pixel_m": 9.0e-6 / factor}
+    (folder / "scene.yaml").write_text(yaml.safe_dump({**SCENE, "rig": "rig.yaml", "sensor": sensor, **keys}))
+    return read_scene(folder / "scene.yaml")
+
+
+def tumbling_scene(folder: Path, rate_deg_s: float, light_w_m2: float, rng) -> Scene:
+    """A body that precesses about an axis 20 degrees from the ring's, whose centre of mass is 1 m behind the ring."""
+    direction = rng.uniform(0.0, 2.0 * np.pi)
+    axis = np.array([np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))])
+    turned = [axis[0] * np.cos(direction), axis[0] * np.sin(direction), axis[2] / 1.6]
+    pose = {"name": "run", "center_m": [-0.582, 0.0, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0, "light": "lit"}
+    motion = {
+        "angular_velocity_rad_s": (np.radians(rate_deg_s) * rng.choice([-1, 1]) * np.array(turned)).tolist(),
+        "velocity_m_s": (0.01 * rng.normal(size=3)).tolist(),
+        "center_of_mass_m": [0.0, 0.0, -1.0],
+        "inertia_kg_m2": [1.0, 1.0, 1.6],
+        "shots": int(3 * SHOTS_HZ),
+    }
+    return scene_of(
+        folder,
+        1600,
+        sequence="off,1,2,3,off",
+        exposure_s=0.004,
+        seed=int(rng.integers(1 << 30)),
+        period_s=1.0 / SHOTS_HZ,
+        lights={"lit": {"ambient_w_m2": light_w_m2}},
+        trajectory=[pose],
+        motion=motion,
+    )
+
+
+def rendered(rng, folder: Path) -> Iterator[Figure]:
+    """Five rendered runs of 3 s, 1 to 8 degrees a second, with --max-speed 0.2 --max-rate 8."""
+    assumed = AssumptionOptions(max_speed_m_s=0.2, max_rate_deg_s=8.0)
+    squares: dict[str, list[float]] = {}
+    grasps_m, used, shots = [], 0, 0
+    for rate_deg_s, light_w_m2 in zip((1.0, 2.0, 4.0, 6.0, 8.0), (0.0, 0.3, 0.0, 0.3, 0.0), strict=True):
+        scene = tumbling_scene(folder, rate_deg_s, light_w_m2, rng)
+        tracker, truth, views = (
+            Tracker(scene.rig, TrackOptions(motion=motion_prior(0.2, 8.0))),
+            Path3D(scene),
+            ring_views(scene),
+        )
+        for number in range(len(views)):
+            shot, _ = simulated_shot(scene, views, number)
+            line = pose_line(shot, scene.rig, options=assumed)
+            used += tracker.add(line).fusion_status == "fused"
+            shots += 1
+            at = tracker.line_at(tracker.track.stamp_s)
+            if number < 2 or at.pose is None or not np.isfinite(at.pose.center_m).all():
+                continue
+            for name, (error, covariance) in errors_at(truth, at).items():
+                squares.setdefault(name, []).append(nees(error, covariance) * len(error))
+                if name == "grasp":
+                    grasps_m.append(float(np.linalg.norm(error)))
+    yield from scores(squares, grasps_m, 5, "five rendered runs, 1 to 8 deg/s")
+    yield Figure(name="share of shots used, five rendered runs", value=used / shots, least=0.9, most=1.0)
+
+
+def scores(squares: dict[str, list[float]], grasps_m: list[float], runs: int, where: str) -> Iterator[Figure]:
+    """NEES of each quantity and the number of wrong ones; lines of one run are correlated, bands are those of runs."""
+    dof = {"centre": 3, "normal": 2, "grasp": 2, "velocity": 3}
+    every = [value for values in squares.values() for value in values]
+    wrong = sum(value > WRONG_SIGMAS**2 for value in every) + sum(each > GRASP_WRONG_M for each in grasps_m)
+    yield Figure(name=f"wrong of {len(every)} quantities, {where}", value=wrong, most=0)
+    for name, values in squares.items():
+        value = float(np.mean(values)) / dof[name]
+        yield Figure(name=f"NEES of {name}, {where}", value=value, most=band(runs, dof[name])[1])
+    yield Figure(
+        name=f"grasp point, rms in mm, {where}", value=1e3 * float(np.sqrt(np.mean(np.square(grasps_m)))), most=1.0
+    )
+
+
+def sequences(rng, folder: Path, data: Path | None = None) -> Iterator[Figure]:
+    """The sequences of another renderer through `pose` and `track` with their defaults."""
+    if data is None:
+        return
+    rig = read_rig(data / "rig.yaml")
+    truths = {each["shot"]: each for each in map(json.loads, (data / "truth.jsonl").read_text().splitlines())}
+    for number in (0, 1):
+        files, tracker = sorted((data / "shots").glob(f"seq_{number}_*.npz")), Tracker(rig)
+        squares: dict[str, list[float]] = {}
+        grasps_m, statuses = [], []
+        for count, file in enumerate(files):
+            line = pose_line(read_shot(file), rig)
+            statuses.append(tracker.add(line).fusion_status)
+            at = tracker.line_at(tracker.track.stamp_s)
+            if count < 2 or at.pose is None or not np.isfinite(at.pose.center_m).all():
+                continue
+            for name, (error, covariance) in errors_at(Recorded(truths[line.shot]), at).items():
+                squares.setdefault(name, []).append(nees(error, covariance) * len(error))
+                if name == "grasp":
+                    grasps_m.append(float(np.linalg.norm(error)))
+        yield from scores(squares, grasps_m, 1, f"rendered sequence {number}")
+        share = statuses.count("fused") / len(statuses)
+        yield Figure(name=f"share of shots used, rendered sequence {number}", value=share, least=0.9, most=1.0)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The motion near the time of a line of truth."""
+
+    truth: dict
+
+    def at(self, time_s: float) -> Ring:
+        elapsed_s = time_s + START_S - self.truth["stamp_s"]
+        turn = cv2.Rodrigues(np.array(self.truth["angular_velocity_rad_s"]) * elapsed_s)[0]
+        return Ring(
+            center_m=np.array(self.truth["center_m"]) + np.array(self.truth["velocity_m_s"]) * elapsed_s,
+            normal=turn @ np.array(self.truth["normal"]),
+            radius_m=np.array([self.truth["radius_inner_m"], self.truth["radius_outer_m"]]),
+        )
+
+    def velocity_at(self, time_s: float) -> np.ndarray:
+        return np.array(self.truth["velocity_m_s"])
+
+
+class Playback:
+    """Plays rendered views by this computer's clock from the first exposure; between two views they are mixed."""
+
+    def __init__(self, views, rate_hz: float, contacts: RelayContacts) -> None:
+        self.views, self.rate_hz, self.contacts, self.began_s = views, rate_hz, contacts, None
+        self.exposed: list[tuple[float, tuple[float, ...]]] = []
+        self._generator = np.random.default_rng(1)
+
+    def image(self, began_s, exposure_s, gain_db, bits):
+        """See `Exposures`."""
+        self.began_s = began_s if self.began_s is None else self.began_s
+        number = (began_s + exposure_s / 2 - self.began_s) * self.rate_hz
+        first = min(int(number), len(self.views) - 2)
+        shares, mixed = self.contacts.shares(began_s, began_s + exposure_s), min(number - first, 1.0)
+        self.exposed.append((began_s, shares))
+        electrons = [view.electrons_with(shares, exposure_s, 0.0) for view in self.views[first : first + 2]]
+        light = cv2.addWeighted(electrons[0], 1.0 - mixed, electrons[1], mixed, 0.0)
+        return digitised(light, self.views[0].sensor, self._generator), {}
+
+
+PLAYED_HZ, PLAYED_S = 30.0, 4.0
+
+
+ADDRESS = "127.0.0.31"
+
+
+def played_scene(folder: Path, width: int) -> Scene:
+    """A slow motion, one view for each thirtieth of a second."""
+    pose = {"name": "run", "center_m": [-0.582, -0.02, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0, "light": "dim"}
+    motion = {"angular_velocity_rad_s": [0.01, 0.008, 0.0], "velocity_m_s": [0.01, 0.0, 0.01]}
+    motion |= {"center_of_mass_m": [0, 0, -0.5], "inertia_kg_m2": [1, 1, 1], "shots": int(PLAYED_HZ * PLAYED_S)}
+    timing = {"sequence": "all", "exposure_s": 0.004, "period_s": 1.0 / PLAYED_HZ}
+    return scene_of(folder, width, **timing, lights={"dim": {"ambient_w_m2": 0.3}}, trajectory=[pose], motion=motion)
+
+
+def play(scene: Scene, control: Connection) -> None:
+    """Render the views and serve them, as another process; reports the exposures at the end."""
+    lasers = range(len(scene.rig.lasers.names))
+    views = [render_ring_view(scene, view, k) for k, view in enumerate(ring_views(scene))]
+    contacts = RelayContacts(len(lasers))
+    playback = Playback(views, PLAYED_HZ, contacts)
+
+    def lines_changed(high: int, now_s: float) -> None:
+        for laser in lasers:
+            contacts.command(laser, bool(high >> laser & 1), now_s)
+
+    size = {"width": scene.rig.camera.image_width, "height": scene.rig.camera.image_height}
+    identity = Identity(address=ADDRESS, **size, bits=8, exposure_s=0.004, serial="PLAY")
+    with ServedCamera(identity, playback, None, lines_changed):
+        control.send("ready")
+        control.recv()
+    control.send((playback.began_s, playback.exposed))
+
+
+def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
+    """`pose --camera aravis: --track` of a virtual GigE camera, in another process, that plays rendered frames."""
+    scene = played_scene(folder, width)
+    here, there = Pipe()
+    camera = Process(target=play, args=(scene, there), daemon=True)
+    camera.start()
+    here.recv()
+    words = ["pose", "--track", "--rig", str(folder / "rig.yaml"), "--camera", f"aravis://{ADDRESS}"]
+    words += ["--lasers", "line:Line1,Line2,Line3", "--duration", str(PLAYED_S - 0.5), "--quiet"]
+    busy_s = -time.process_time()
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        status = ringpose(words)
+    busy_s += time.process_time()
+    here.send("end")
+    began_s, exposed = here.recv()
+    camera.join()
+    began_s += time.time() - time.monotonic()  # of the host's clock
+    truth, records = Path3D(scene), [json.loads(line) for line in out.getvalue().splitlines()]
+    squares = []
+    for record in records[3:]:
+        error_m = np.array(record["pose"]["center_m"]) - truth.at(record["stamp_s"] - began_s).center_m
+        squares.append(float(error_m @ np.linalg.solve(record["pose"]["covariance"]["center"], error_m)))
+    followed = [record["stamp_s"] for record in records][len(records) // 3 :]
+    gaps = np.diff(followed)
+    fused = sum(record["fusion_status"] == "fused" for record in records)
+    lit = [sum(share > 0.5 for share in shares) for _, shares in exposed]
+    where = f"live, {width} px wide"
+    yield Figure(name=f"exit status, {where}", value=status, most=0)
+    frames = f"{len(lit)} frames ({lit.count(0)} off, {lit.count(1)} with one laser)"
+    yield Figure(name=f"frames with all lasers of {frames}, {where}", value=lit.count(3), least=1)
+    yield Figure(name=f"records fused of {len(records)}, {where}", value=fused, least=len(records) - 1)
+    yield Figure(name=f"largest chi-squared of the centre, {where}", value=max(squares), most=WRONG_SIGMAS**2)
+    yield Figure(name=f"poses a second (median interval), {where}", value=1.0 / float(np.median(gaps)), least=30.0)
+    yield Figure(
+        name=f"processor time of a pose in ms, {where}", value=1e3 * busy_s / len(records), most=1e3 / PLAYED_HZ
+    )
+    missed = int(np.round(gaps * PLAYED_HZ - 1.0).clip(0).sum())
+    periods = round((followed[-1] - followed[0]) * PLAYED_HZ)
+    yield Figure(name=f"periods of 1/30 s without a pose of {periods}, {where}", value=missed, most=0.1 * periods)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, help="rendered sequences of another program")
+    parser.add_argument("--width", type=int, default=800, help="of the images that are played live")
+    parser.add_argument("targets", nargs="*", default=["rendered", "sequences", "live"])
+    chosen = parser.parse_args()
+    targets: dict[str, Callable[..., Iterator[Figure]]] = {
+        "rendered": rendered,
+        "sequences": partial(sequences, data=chosen.data),
+        "live": partial(live, width=chosen.width),
+    }
+    missed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for name in chosen.targets:
+            for figure in targets[name](np.random.default_rng(18), Path(folder)):
+                print(figure, flush=True)
+                missed += not figure.reached
+    return 3 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

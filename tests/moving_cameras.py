@@ -1,0 +1,65 @@
+"""A camera that a robot carries in a steady motion, and rings as it sees them; mount and clock may have errors."""
+
+import cv2
+import numpy as np
+from moving_rings import START_S, Motion
+from ring_scenes import Ring
+
+from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.types.rig import Mount, RobotPoses
+
+TOOL_FROM_CAMERA = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.05], [0, 0, 1, -0.1], [0, 0, 0, 1]])
+RATE = np.array([0.02, -0.03, 0.04])
+VELOCITY_M_S = np.array([0.01, 0.02, -0.01])
+
+
+def base_from_tool(time_s: float) -> np.ndarray:
+    """A tool that turns and moves steadily."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(RATE * time_s)[0] @ cv2.Rodrigues(np.array([0.3, 0.2, -0.4]))[0]
+    matrix[:3, 3] = [1.0, 0.5, 0.8] + VELOCITY_M_S * time_s
+    return matrix
+
+
+def robot(duration_s: float, mount_sd=(0.0, 0.0), delay_sd_s: float = 0.0, offset_s: float = 0.0) -> CameraMotion:
+    """What is known of the camera: the robot's poses, ten a second, and the mount with its standard deviations."""
+    times_s = np.arange(-0.5, duration_s, 0.1)
+    matrices = np.array([base_from_tool(t) for t in times_s])
+    poses = RobotPoses(stamp_s=START_S + times_s, position_m=matrices[:, :3, 3], rotation=matrices[:, :3, :3])
+    root = np.diag([mount_sd[0]] * 3 + [mount_sd[1]] * 3)
+    mount = Mount(tool_from_camera=TOOL_FROM_CAMERA, root=root, delay_s=offset_s, delay_sd_s=delay_sd_s)
+    return CameraMotion(poses=poses, mount=mount)
+
+
+class SeenByRobot:
+    """A motion in the base frame, as the moving camera sees it.
+
+    `turn_rad` and `shift_m` are errors of the mount in the tool frame, `delay_s` is how far the robot's clock is ahead.
+    """
+
+    def __init__(self, motion: Motion, turn_rad=(0.0, 0.0, 0.0), shift_m=(0.0, 0.0, 0.0), delay_s: float = 0.0) -> None:
+        self.motion, self.delay_s = motion, delay_s
+        self.tool_from_camera = TOOL_FROM_CAMERA.copy()
+        self.tool_from_camera[:3, :3] = cv2.Rodrigues(np.array(turn_rad, float))[0] @ TOOL_FROM_CAMERA[:3, :3]
+        self.tool_from_camera[:3, 3] += shift_m
+
+    def at(self, time_s: float) -> Ring:
+        camera_from_base = np.linalg.inv(base_from_tool(time_s + self.delay_s) @ self.tool_from_camera)
+        ring = self.motion.at(time_s)
+        return Ring(
+            center_m=camera_from_base[:3, :3] @ ring.center_m + camera_from_base[:3, 3],
+            normal=camera_from_base[:3, :3] @ ring.normal,
+            radius_m=ring.radius_m,
+        )
+
+
+def in_base(seen: Motion) -> Motion:
+    """A motion that the camera sees at the start, in the base frame."""
+    matrix = base_from_tool(0.0) @ TOOL_FROM_CAMERA
+    turned = matrix[:3, :3]
+    ring = Ring(
+        center_m=turned @ seen.ring.center_m + matrix[:3, 3],
+        normal=turned @ seen.ring.normal,
+        radius_m=seen.ring.radius_m,
+    )
+    return Motion(ring=ring, velocity_m_s=turned @ seen.velocity_m_s, rate_rad_s=turned @ seen.rate_rad_s)
