@@ -50,16 +50,9 @@ def truth_of(on_ring: Callable[[float, float], Any]) -> Callable[..., Truth]:
             [1000 * point[:2] / point[2] + [800, 600] for point in (on_ring(angle, 0.4), on_ring(angle, 0.5))]
             for angle in ANGLES_RAD
         ]
-        values: dict[str, Any] = {
-            "shot": "a",
-            "expect": "pose",
-            "center_m": CENTER_M,
-            "normal": NORMAL,
-            "radius_inner_m": 0.4,
-            "radius_outer_m": 0.5,
-            "break_points_px": np.array(pixels),
-        }
-        return Truth(**{**values, **changes})
+        radii = {"radius_inner_m": 0.4, "radius_outer_m": 0.5}
+        values: dict[str, Any] = {"center_m": CENTER_M, "normal": NORMAL, "break_points_px": np.array(pixels)}
+        return Truth(**({"shot": "a", "expect": "pose"} | radii | values | changes))
 
     return truth
 
@@ -69,17 +62,10 @@ def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
     """The true pose, but for the changes."""
 
     def pose(**changes: Any) -> RingPose:
-        values: dict[str, Any] = {
-            "method": "paper",
-            "center_m": CENTER_M,
-            "normal": NORMAL,
-            "radius_inner_m": 0.4,
-            "radius_outer_m": 0.5,
-            "grasp_m": on_ring(0.0, 0.45),
-            "condition_number": 1.0,
-            "residual_rms_px": 0.0,
-        }
-        return RingPose(**{**values, **changes})
+        radii = {"radius_inner_m": 0.4, "radius_outer_m": 0.5}
+        values: dict[str, Any] = {"center_m": CENTER_M, "normal": NORMAL, "grasp_m": on_ring(0.0, 0.45)}
+        fit = {"method": "paper", "condition_number": 1.0, "residual_rms_px": 0.0}
+        return RingPose(**(fit | radii | values | changes))
 
     return pose
 
