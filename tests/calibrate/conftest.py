@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from ringpose.calibrate.boards.layout import corner_points
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.image import Shot
@@ -104,8 +105,6 @@ def board_view() -> Callable[..., BoardView]:
 @pytest.fixture(scope="session")
 def stripe_views(board_view, plane_board) -> Callable[..., list[StripeView]]:
     """Makes views of the four-marker board with three stripes, with noise of corners and stripes in pixels."""
-    from ringpose.calibrate.boards.layout import corner_points
-
     points_m = corner_points(plane_board)
 
     def views(
@@ -192,3 +191,20 @@ def true_poses() -> Callable[[np.random.Generator, int], list[tuple[np.ndarray, 
 def true_planes() -> tuple[np.ndarray, np.ndarray]:
     """Normals and distances of the light planes."""
     return NORMALS, DISTANCES_M
+
+
+CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
+
+
+@pytest.fixture
+def chessboard_views(rng, board_view) -> Callable[..., list[BoardView]]:
+    """Makes views of a chessboard of 11 x 9 corners with noise."""
+
+    def made(number: int, noise_px: float = 0.05) -> list[BoardView]:
+        points = corner_points(CHESSBOARD)
+        return [
+            board_view(points, pose, f"v{index}", noise_px * rng.standard_normal((len(points), 2)))
+            for index, pose in enumerate(poses(rng, number))
+        ]
+
+    return made

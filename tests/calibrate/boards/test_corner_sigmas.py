@@ -27,7 +27,7 @@ def views(rng, stripe_views, true_poses) -> list[StripeView]:
     return stripe_views(true_poses(rng, EXACT_VIEWS + POOR_VIEWS), rng)
 
 
-def test_views_that_err_more_are_said_to(rng, views, true_camera):
+def test_views_with_larger_errors_have_larger_standard_deviations(rng, views, true_camera):
     sizes = SIGMA_PX * np.repeat([1.0, 4.0], [EXACT_VIEWS, POOR_VIEWS])
     seen = [with_errors(view, size * rng.standard_normal((16, 2))) for view, size in zip(views, sizes, strict=True)]
 
@@ -37,7 +37,7 @@ def test_views_that_err_more_are_said_to(rng, views, true_camera):
     assert sigmas[EXACT_VIEWS:].mean() == pytest.approx(4 * SIGMA_PX, rel=0.2)
 
 
-def test_views_that_err_alike_are_given_one_standard_deviation(rng, views, true_camera):
+def test_views_with_equal_errors_have_one_standard_deviation(rng, views, true_camera):
     seen = [with_errors(view, SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
 
     sigmas = corner_sigmas_px(seen, poses_of(seen, true_camera), true_camera)
@@ -47,7 +47,7 @@ def test_views_that_err_alike_are_given_one_standard_deviation(rng, views, true_
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 1.0, 1.4), (1.0, 1.9, 2.6)])
-def test_errors_that_all_views_share_do_not_grow_fewer_with_their_number(share, least, most, rng, views, true_camera):
+def test_errors_that_all_views_share_are_not_averaged_out(share, least, most, rng, views, true_camera):
     """Common and independent errors have half of the variance each: means over nine views have 5 times the variance of
     independent errors."""
     common = share * SIGMA_PX * rng.standard_normal((16, 2))

@@ -30,14 +30,8 @@ NOISE_PX = 0.05
 
 
 @pytest.fixture
-def views(rng, board_view, true_poses):
-    def made(number: int, noise_px: float = NOISE_PX) -> list[BoardView]:
-        return [
-            board_view(POINTS, pose, f"v{index}", noise_px * rng.standard_normal((len(POINTS), 2)))
-            for index, pose in enumerate(true_poses(rng, number))
-        ]
-
-    return made
+def views(chessboard_views):
+    return chessboard_views
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +118,7 @@ def test_good_views_are_good(views):
     assert verdict.advice == ()
 
 
-def test_frontal_views_of_one_distance_are_not_good_and_the_reader_is_told_why(frontal_views):
+def test_frontal_views_of_one_distance_are_not_good_and_the_advice_names_the_reasons(frontal_views):
     boards = frontal_views(12)
 
     verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards)
@@ -136,7 +130,7 @@ def test_frontal_views_of_one_distance_are_not_good_and_the_reader_is_told_why(f
     assert "hardly any corners in the upper left," in said
 
 
-def test_one_board_that_stands_still_is_one_view(rng, board_view, true_poses):
+def test_ten_images_of_a_board_at_rest_count_as_one_view(rng, board_view, true_poses):
     (pose,) = true_poses(rng, 1)
     noise = [NOISE_PX * rng.standard_normal((len(POINTS), 2)) for _ in range(10)]
     boards = [board_view(POINTS, pose, f"v{index}", error) for index, error in enumerate(noise)]
@@ -157,7 +151,7 @@ def test_images_without_a_board_lower_the_verdict(ten):
     assert verdict.grade is Grade.REDO
 
 
-def test_a_view_that_stands_alone_is_named(ten):
+def test_a_view_on_which_the_result_depends_is_named(ten):
     boards, found, assessed = ten
     left_out = tuple(
         replace(view, shift_px=4.0) if view.name == "v2" else view for view in assessed.validation.left_out
@@ -170,31 +164,22 @@ def test_a_view_that_stands_alone_is_named(ten):
     assert any("the result hangs on v2" in sentence for sentence in verdict.advice)
 
 
-def test_three_views_can_be_judged_but_not_left_out(views):
+def test_three_views_can_be_assessed_but_not_left_out(views):
     boards = views(3)
     found = calibrate_camera(boards, 1600, 1200)
 
-    assessed = camera_assessment(found, boards, PLUMB_BOB)
+    assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
 
     assert assessed.validation.left_out == ()
     assert np.isnan(assessed.disagreement)
     verdict = camera_verdict(found, assessed, 3)
     assert verdict.grade is Grade.REDO
     assert not any("disagree" in sentence or "hangs on" in sentence for sentence in verdict.advice)
-
-
-def test_a_comparison_of_three_views_says_nothing_of_views_left_out(views):
-    boards = views(3)
-    found = calibrate_camera(boards, 1600, 1200)
-    assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
-
-    lines = camera_summary(found, assessed, camera_verdict(found, assessed, 3))
-
-    assert not any("nan" in line or "left out fit" in line for line in lines)
+    assert not any("nan" in line or "left out fit" in line for line in camera_summary(found, assessed, verdict))
 
 
 @pytest.mark.slow
-def test_held_out_views_see_no_use_of_coefficients_that_the_lens_has_not(views):
+def test_held_out_views_are_not_fitted_better_by_coefficients_that_the_lens_does_not_have(views):
     boards = views(10)
     found = calibrate_camera(boards, 1600, 1200)
 
@@ -214,7 +199,7 @@ def test_millimetres_grow_with_distance(ten):
     assert near == pytest.approx(np.median(assessed.sigma_px) / 1781 * 0.5, rel=1e-3)
 
 
-def test_file_and_summary_say_the_same(ten):
+def test_file_and_summary_have_the_same_values(ten):
     _, found, assessed = ten
     verdict = camera_verdict(found, assessed, 10)
 
