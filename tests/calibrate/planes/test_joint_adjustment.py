@@ -36,7 +36,7 @@ def independent_view(stripe_views, wide_camera, rng):
     return replace(view, stripes_px=tuple(seen))
 
 
-def test_what_the_lens_bends_is_not_taken_for_likeness_of_neighbours(independent_view, wide_camera):
+def test_distortion_is_not_taken_for_correlated_errors(independent_view, wide_camera):
     data = joint_data([independent_view], wide_camera, corner_px=np.array([0.02]))
 
     assert data.center_px[0] == pytest.approx(NOISE_PX, rel=0.15)

@@ -60,7 +60,7 @@ def test_a_plane_that_turned_about_the_middle_of_its_stripe_is_seen_at_the_ends(
     assert 0.8e-4 < abs(check.lasers[1].offset_m) < 2.5e-4
 
 
-def test_a_stripe_that_is_not_seen_confirms_nothing(view, true_rig):
+def test_a_stripe_that_is_not_seen_does_not_confirm_the_rig(view, true_rig):
     unlit = replace(view, stripes_px=(*view.stripes_px[:2], np.empty((0, 2))))
 
     check = rig_check(unlit, true_rig)
@@ -87,23 +87,19 @@ def test_a_principal_point_that_moved_is_seen_where_usual_corners_are_known(view
     assert rig_check(view, true_rig, median_board_rms_px=0.02).holds
 
 
-def test_stripes_seen_together_go_to_the_planes_that_they_lie_on(view, true_rig):
+def test_stripes_seen_together_are_assigned_to_the_nearest_planes(view, true_rig):
     nothing = (np.empty((0, 2)),) * 3
     together = replace(view, stripes_px=nothing, unlabelled_px=view.stripes_px[::-1])
 
     assert rig_check(together, true_rig).holds
 
 
-def test_an_uncertain_rig_is_given_more_room(rng, stripe_views, true_poses, true_camera, view, true_rig):
+def test_an_uncertain_rig_has_wider_limits(rng, stripe_views, true_poses, true_camera, view, true_rig):
     poses = true_poses(rng, 4)
-    rigs = [
-        calibrated_rig(
-            calibrate_planes(stripe_views(poses, rng, noise, 4 * noise), true_camera, PlanesModel(names=NAMES))
-        )
-        for noise in (0.02, 0.4)
-    ]
-
-    limits = [rig_check(view, rig).lasers[0].limit_m for rig in rigs]
+    limits = []
+    for noise in (0.02, 0.4):
+        found = calibrate_planes(stripe_views(poses, rng, noise, 4 * noise), true_camera, PlanesModel(names=NAMES))
+        limits.append(rig_check(view, calibrated_rig(found)).lasers[0].limit_m)
 
     assert limits[0] > FLATNESS_M
     assert limits[1] > 2 * limits[0]
