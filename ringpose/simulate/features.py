@@ -157,7 +157,8 @@ def draw_detection(
     shown_s = np.where(frames.number >= 0, middle_s[frames.number], np.nan)
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
-    course = _course(scene, view, appearance, _motion(view.normal, deviations.motion, unit[:5]), first_s)
+    motion, start_s = _motion(view.normal, deviations.motion, unit[:5]), first_s if view.path is None else 0.0
+    course = _Course(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
@@ -237,11 +238,6 @@ class _Course(NamedTuple):
             return self.drawn
         face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
         return _Motion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
-
-
-def _course(scene: Scene, view: RingView, appearance: Appearance, drawn: _Motion, first_s: float) -> _Course:
-    start_s = first_s if view.path is None else 0.0
-    return _Course(scene, view, appearance.arcs, appearance.axes, drawn, start_s)
 
 
 class _Outliers(NamedTuple):

@@ -54,7 +54,7 @@ def compare(
     from ringpose.bench.compare_report import comparison_record, comparison_text, worse_sentences
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.errors import NO_POSE, UsageError
+    from ringpose.errors import NO_POSE, DataError, UsageError
     from ringpose.files import records
     from ringpose.files.io import provenance, write_result
 
@@ -62,7 +62,8 @@ def compare(
         raise UsageError("", "both results are read from standard input", "write one of them into a file")
     batch = Batch()
     result_a, result_b = (_read(name, truth, rig, batch) for name in (a, b))
-    _require_same_truth(result_a, result_b)
+    if result_a.truths and result_b.truths and result_a.truths != result_b.truths:
+        raise DataError(b, f"was scored against another truth than {a}", "score both against one truth")
     paired = pairs(*_of_methods(result_a, result_b, methods))
     _require_pairs(result_a, result_b, paired, allow_other_rig)
     names = group_names(result_a.scores, by)
@@ -194,13 +195,6 @@ def _assumed_radii(values: "Fields") -> "AssumedRadii":
     return AssumedRadii(source=source, **numbers)
 
 
-def _require_same_truth(a: _Result, b: _Result) -> None:
-    from ringpose.errors import DataError
-
-    if a.truths and b.truths and a.truths != b.truths:
-        raise DataError(b.name, f"was scored against another truth than {a.name}", "score both against one truth")
-
-
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
     """The scores to compare: all, or those of one method of each."""
     from ringpose.errors import UsageError
@@ -229,7 +223,8 @@ def _require_pairs(
     members = [pair for _, of_method in paired for pair in of_method]
     if not members:
         raise DataError(b.name, f"has no shot and method in common with {a.name}", "give results of the same shots")
-    differing = [(one, two) for one, two in members if not _same_assumptions(one, two)]
+    stated = [pair for pair in members if None not in (pair[0].assumptions, pair[1].assumptions)]
+    differing = [(one, two) for one, two in stated if one.assumptions != two.assumptions]
     if differing:
         one, two = differing[0]
         texts = [assumptions_text(score.assumptions) for score in (one, two) if score.assumptions is not None]
@@ -246,10 +241,6 @@ def _require_pairs(
             f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})",
             "use one rig.yaml, or --allow-other-rig to compare rigs",
         )
-
-
-def _same_assumptions(a: "Score", b: "Score") -> bool:
-    return a.assumptions is None or b.assumptions is None or a.assumptions == b.assumptions
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:

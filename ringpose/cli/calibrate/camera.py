@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given, numbers
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given
 from ringpose.cli.options.common import (
     BoardFile,
     Force,
@@ -15,6 +15,7 @@ from ringpose.cli.options.common import (
     Quiet,
     Report,
     Verbose,
+    numbers,
 )
 from ringpose.types.options import DistortionModel
 

@@ -84,19 +84,6 @@ def given(value: _Given | None, name: str) -> _Given:
     return value
 
 
-def numbers(words: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
-    """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
-    from ringpose.errors import UsageError
-
-    try:
-        found = [float(word) for word in words.split(",")] if words is not None else []
-    except ValueError:
-        raise UsageError(option, f"{words!r} is not a list of numbers", remedy) from None
-    if not all(limits[0] <= number <= limits[1] for number in found):
-        raise UsageError(option, f"{words!r} are not all from {limits[0]:g} to {limits[1]:g}", remedy)
-    return found
-
-
 PRINTING = frozenset(("print_board", "board", "force", "verbose", "quiet"))
 """What goes together with `--print-board`."""
 

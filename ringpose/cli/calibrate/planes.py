@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given, numbers
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given
 from ringpose.cli.options.common import (
     Force,
     ImageChannel,
@@ -17,6 +17,7 @@ from ringpose.cli.options.common import (
     Report,
     Verbose,
     finite,
+    numbers,
 )
 from ringpose.types.options import PlanesMethod
 

@@ -10,7 +10,7 @@ from ringpose.kernels.render import BOX, MAX_PARTS, MAX_POINTS, NONE, REVOLUTION
 from ringpose.simulate.target.foil import relief
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import RingView, Scene
-from ringpose.types.target import Body, Box, Foil, Gap, Material, Part, Revolution, RingForm, RingShape
+from ringpose.types.target import Body, Box, Foil, Material, Part, Revolution, RingShape
 
 BODY, RING = "body", "ring"
 """Names of the parts that the keys `body` and `ring` of a scene describe."""
@@ -108,8 +108,11 @@ def target_tables(parts: Sequence[Part]) -> TargetTables:
         row = _Row(part, len(material_of), sum(map(len, points)), len(gaps), len(forms), foils)
         rows.append(row.numbers)
         points.append(row.profile_m)
-        gaps += [_gap(gap, row.top_m) for gap in part.gaps]
-        forms += [] if part.form is None else [_form(part.form, row.profile_m)]
+        for gap in part.gaps:
+            gaps.append([np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, row.top_m - gap.depth_m])
+        if part.form is not None:  # deviations are interpolated between the least and the greatest radius
+            radii_m = row.profile_m[:, 0].min(), row.profile_m[:, 0].max()
+            forms.append([*part.form.radial_m.ravel(), *part.form.axial_m.ravel(), *radii_m])
         material_of += [materials.setdefault(material, len(materials)) for material in _materials(part)]
     reliefs = [relief(foil) for foil in foils]
     return TargetTables(
@@ -133,7 +136,10 @@ class _Row:
 
     def __init__(self, part: Part, surface: int, point: int, gap: int, form: int, foils: dict[Foil, int]) -> None:
         self.profile_m = part.shape.profile_m if isinstance(part.shape, Revolution) else np.empty((0, 2))
-        margin_m = 0.0 if part.form is None else _largest_deviation_m(part.form)
+        margin_m = 0.0
+        if part.form is not None:  # the largest deviation
+            radial_m, axial_m = np.abs(part.form.radial_m), np.abs(part.form.axial_m)
+            margin_m = float(max(radial_m.sum(axis=(1, 2)).max(), axial_m.sum()))
         if isinstance(part.shape, Box):
             low, high = part.shape.low_m, part.shape.high_m
             self.top_m = float(high[2])
@@ -170,20 +176,6 @@ def _materials(part: Part) -> tuple[Material, ...]:
     """The material of each surface of a part; a ring has one more, that of the walls of its gaps."""
     faces = 6 if isinstance(part.shape, Box) else len(part.shape.profile_m)
     return (*part.materials, *[part.materials[-1]] * faces)[:faces]
-
-
-def _gap(gap: Gap, top_m: float) -> list[float]:
-    return [np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, top_m - gap.depth_m]
-
-
-def _form(form: RingForm, profile_m: Float64[Array, "point 2"]) -> list[float]:
-    """Deviations are interpolated between the least and the greatest radius of the profile."""
-    radii_m = profile_m[:, 0].min(), profile_m[:, 0].max()
-    return [*form.radial_m.ravel(), *form.axial_m.ravel(), *radii_m]
-
-
-def _largest_deviation_m(form: RingForm) -> float:
-    return float(max(np.abs(form.radial_m).sum(axis=(1, 2)).max(), np.abs(form.axial_m).sum()))
 
 
 def _material(material: Material) -> list[float]:
