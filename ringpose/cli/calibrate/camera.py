@@ -67,13 +67,13 @@ def calibrate_camera(
     from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
-    from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
+    from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.ros import write_camera
     from ringpose.files.io import write_page
 
     output = given(output, "--output")
-    refuse_existing_outputs(output, report, force, [board])
+    reject_existing_outputs(output, report, force, [board])
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
@@ -93,5 +93,5 @@ def calibrate_camera(
 
             page = camera_report(calibration, assessment, verdict, images.without_board)
             write_page(report, page, force=force)
-        batch.record_status(say_verdict(verdict, camera_summary(calibration, assessment, verdict), quiet=quiet))
+        batch.record_status(report_verdict(verdict, camera_summary(calibration, assessment, verdict), quiet=quiet))
     batch.finish()
