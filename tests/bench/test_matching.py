@@ -1,6 +1,7 @@
 """Pose lines as estimates, and estimates matched with truths."""
 
 import pytest
+from known_poses import estimate_of, pose_of, truth_of
 
 from ringpose.bench import score
 from ringpose.bench.score import Outcome, PoseEstimate, matching, scores
@@ -13,7 +14,7 @@ def outcomes(found):
     return [(each.method, each.shot, each.outcome) for each in found]
 
 
-def test_every_true_shot_is_scored_for_each_method_in_the_order_of_the_truth(truth_of, estimate_of):
+def test_every_true_shot_is_scored_for_each_method_in_the_order_of_the_truth():
     truths = [truth_of(shot=name) for name in "abc"]
     estimates = [estimate_of(shot="c"), estimate_of(shot="a"), estimate_of(shot="b", method="other")]
 
@@ -31,7 +32,7 @@ def test_every_true_shot_is_scored_for_each_method_in_the_order_of_the_truth(tru
     assert not matching(estimates[1::-1], truths).unsorted
 
 
-def test_a_line_without_a_method_counts_for_every_method(truth_of, estimate_of):
+def test_a_line_without_a_method_counts_for_every_method():
     none = PoseEstimate(shot="b", method="", pose=None)
 
     found = scores([none, estimate_of(shot="a")], [truth_of(shot="a"), truth_of(shot="b")], None)
@@ -39,7 +40,7 @@ def test_a_line_without_a_method_counts_for_every_method(truth_of, estimate_of):
     assert outcomes(found) == [("paper", "a", Outcome.OK), ("paper", "b", Outcome.MISSED)]
 
 
-def test_estimates_without_a_truth_are_named_once(truth_of, estimate_of):
+def test_estimates_without_a_truth_are_named_once():
     estimates = [estimate_of(shot="z"), estimate_of(), estimate_of(shot="z", method="other"), estimate_of(shot="y")]
 
     found = matching(estimates, [truth_of()])
@@ -47,13 +48,13 @@ def test_estimates_without_a_truth_are_named_once(truth_of, estimate_of):
     assert (found.matched, found.truths, found.without_truth) == (1, 1, ("z", "y"))
 
 
-def test_a_shot_with_two_estimates_of_one_method_is_repeated(truth_of, estimate_of):
+def test_a_shot_with_two_estimates_of_one_method_is_repeated():
     estimates = [estimate_of(), estimate_of(method="other"), estimate_of(shot="b"), estimate_of()]
 
     assert matching(estimates, [truth_of(), truth_of(shot="b")]).repeated == ("a",)
 
 
-def test_a_line_is_an_estimate_in_the_camera_frame_with_the_method_of_its_pose(pose_of):
+def test_a_line_is_an_estimate_in_the_camera_frame_with_the_method_of_its_pose():
     line = PoseLine(shot="a", stamp_s=0.0, pose=pose_of(method="paper"))
     without_pose = score.estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=None, reason="dark"), "poses:1")
 

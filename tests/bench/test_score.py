@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_poses import FOCAL_PX, PRINCIPAL_PX, estimate_of, on_ring, truth_of
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
 from ringpose.types.pose import PoseFlag, RingVelocity
+from ringpose.types.rig import Camera
 from ringpose.types.scene import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
@@ -20,6 +22,19 @@ SMALL = np.eye(3) * 1e-6
 MOVING = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s": np.array([0.01, 0.02, 3.0])}
 
 
+@pytest.fixture
+def camera() -> Camera:
+    matrix = np.array([[FOCAL_PX, 0.0, PRINCIPAL_PX[0]], [0.0, FOCAL_PX, PRINCIPAL_PX[1]], [0.0, 0.0, 1.0]])
+    return Camera(
+        camera_name="plain",
+        image_width=1600,
+        image_height=1200,
+        camera_matrix=matrix,
+        distortion_model="plumb_bob",
+        distortion_coefficients=np.zeros(5),
+    )
+
+
 def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:
     """The true velocity, without the spin about the normal, but for an error of so many standard deviations."""
     return RingVelocity(
@@ -29,7 +44,7 @@ def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:
     )
 
 
-def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
+def test_the_truth_itself_has_no_errors():
     truth = truth_of(**MOVING)
 
     result = score(truth, estimate_of(line={"velocity": velocity_of(truth)}), "paper", None)
@@ -39,7 +54,7 @@ def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
     assert max(map(abs, result.errors.values())) < 1e-12
 
 
-def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length(truth_of, estimate_of):
+def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length():
     off = truth_of().center_m + np.array([0.002, -0.003, 0.006])
 
     errors = score(truth_of(), estimate_of(center_m=off), "paper", None).errors
@@ -48,7 +63,7 @@ def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length(truth_of,
     np.testing.assert_allclose([*axes, errors["center_m"]], [0.002, -0.003, 0.006, 0.007], atol=1e-15)
 
 
-def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, estimate_of, on_ring):
+def test_normal_radius_and_grasp_errors_are_those_put_in():
     estimate = estimate_of(
         normal=tilted(truth_of().normal, np.array([np.tan(0.02), 0.0])),
         radius_inner_m=0.401,
@@ -62,7 +77,7 @@ def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, estimate_of, 
     np.testing.assert_allclose(found, [0.02, 0.001, -0.003, 0.005], atol=1e-12)
 
 
-def test_quantities_without_a_value_are_not_scored(truth_of, estimate_of):
+def test_quantities_without_a_value_are_not_scored():
     errors = score(truth_of(), estimate_of(radius_inner_m=np.nan, center_m=np.full(3, np.nan)), "paper", None).errors
 
     assert {name for name in errors if "center" in name or "inner" in name} == set()
@@ -77,7 +92,7 @@ def test_quantities_without_a_value_are_not_scored(truth_of, estimate_of):
         (PoseFlag.RIG_UNCHECKED, Outcome.OK),
     ],
 )
-def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(truth_of, estimate_of, flag, outcome):
+def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(flag, outcome):
     result = score(truth_of(), estimate_of(flags=flag), "paper", None)
 
     assert (result.outcome, result.status) == (outcome, str(outcome))
@@ -86,7 +101,7 @@ def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(truth_of, estimate_o
 
 
 @pytest.mark.parametrize(("sigmas", "wrong"), [(4.9, ()), (5.1, ("velocity",))])
-def test_a_velocity_is_wrong_from_five_standard_deviations(truth_of, estimate_of, sigmas, wrong):
+def test_a_velocity_is_wrong_from_five_standard_deviations(sigmas, wrong):
     truth = truth_of(**MOVING)
 
     result = score(truth, estimate_of(line={"velocity": velocity_of(truth, sigmas)}), "ml", None)
@@ -97,7 +112,7 @@ def test_a_velocity_is_wrong_from_five_standard_deviations(truth_of, estimate_of
     assert result.errors["rate_rad_s"] < 1e-12
 
 
-def test_a_velocity_is_not_judged_where_the_truth_has_none(truth_of, estimate_of):
+def test_a_velocity_is_not_judged_where_the_truth_has_none():
     velocity = velocity_of(truth_of(**MOVING), sigmas=9.0)
 
     result = score(truth_of(), estimate_of(line={"velocity": velocity}), "ml", None)
@@ -117,7 +132,7 @@ def turned(angle_rad: float) -> np.ndarray:
         (100.0, {"stamp_s": 100.1}),
     ],
 )
-def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, estimate_of, stamp_s, line):
+def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(stamp_s, line):
     rates = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s": np.array([0.0, 0.1, 3.0])}
     truth = truth_of(stamp_s=stamp_s, **rates)
     there = {"center_m": truth.center_m + 0.1 * truth.velocity_m_s, "normal": turned(0.01)}
@@ -137,14 +152,14 @@ def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, est
         (None, "pose", Outcome.LOST),
     ],
 )
-def test_a_shot_without_a_pose_is_missed_only_if_one_is_expected(truth_of, estimate, expect, outcome):
+def test_a_shot_without_a_pose_is_missed_only_if_one_is_expected(estimate, expect, outcome):
     result = score(truth_of(expect=expect), estimate, "paper", None)
 
     assert result.outcome is outcome
     assert result.errors == {}
 
 
-def test_nees_are_those_of_the_covariances(truth_of, estimate_of):
+def test_nees_are_those_of_the_covariances():
     off_m = truth_of().center_m + np.array([0, 0.0049, 0])
     covariance = np.diag([1e-4, 4e-4, 1, 1, 1, 1, 1])
     estimate = estimate_of(center_m=off_m, covariance=covariance, covariance_center_m2=SMALL)
@@ -156,14 +171,14 @@ def test_nees_are_those_of_the_covariances(truth_of, estimate_of):
     assert errors["center_nees"] == pytest.approx(4.9**2 / 3)
 
 
-def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone(truth_of, estimate_of):
+def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone():
     result = score(truth_of(expect="partial"), estimate_of(center_m=np.zeros(3)), "paper", None)
 
     assert result.outcome is Outcome.PARTIAL
     assert set(result.errors) == {"normal_rad", "grasp_m"}
 
 
-def test_a_center_that_a_partial_shot_reports_is_judged(truth_of, estimate_of):
+def test_a_center_that_a_partial_shot_reports_is_judged():
     estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL)
 
     result = score(truth_of(expect="partial"), estimate, "paper", None)
@@ -198,7 +213,7 @@ NAMED = ["center", "normal", "grasp along the normal", "grasp radially", "radius
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(truth_of, estimate_of, name):
+def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(name):
     truth, quantity = truth_of(), name.split()[0]
 
     correct, wrong, gross = (score(truth, estimate_of(**off_by(s, name, truth)), "ml", None) for s in (4.9, 5.1, 6.1))
@@ -210,7 +225,7 @@ def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(
     assert (gross.wrong, gross.gross) == ((quantity,), (quantity,))
 
 
-def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, estimate_of):
+def test_where_along_the_band_the_grasp_point_lies_is_not_judged():
     result = score(truth_of(), estimate_of(**off_by(9.0, "grasp along the band", truth_of())), "ml", None)
 
     assert result.wrong == ()
@@ -233,7 +248,7 @@ EXCUSES = {
 
 
 @pytest.mark.parametrize("flag", PoseFlag)
-def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, estimate_of, flag):
+def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(flag):
     named = EXCUSES.get(flag, set())
     truth = truth_of(**MOVING)
     changes = {key: value for name in NAMED for key, value in off_by(9.0, name, truth).items() if "cov" not in key}
@@ -247,14 +262,14 @@ def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, esti
     assert {name for name, found in result.judgements.items() if found is Judgement.FLAGGED} == named
 
 
-def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is(truth_of, estimate_of):
+def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is():
     judgements = score(truth_of(), estimate_of(center_m=np.zeros(3)), "paper", None).judgements
 
     assert judgements.pop("grasp") is Judgement.CORRECT
     assert set(judgements.values()) == {Judgement.NO_COVARIANCE}
 
 
-def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_of, estimate_of):
+def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged():
     covariance = np.diag(SIGMAS**2)
     covariance[5, :] = covariance[:, 5] = np.nan
 
@@ -265,7 +280,7 @@ def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_o
 
 
 @pytest.mark.parametrize(("off_m", "judgement"), [(0.0549, Judgement.CORRECT), (0.0551, Judgement.WRONG)])
-def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(truth_of, estimate_of, off_m, judgement):
+def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(off_m, judgement):
     estimate = estimate_of(grasp_m=truth_of().center_m + np.array([0.45 + off_m, 0, 0]), covariance_grasp_m2=np.eye(3))
 
     result = score(truth_of(), estimate, "ml", None)
@@ -274,7 +289,7 @@ def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(tru
     assert result.gross == (("grasp",) if judgement is Judgement.WRONG else ())
 
 
-def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(estimate_of):
+def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it():
     unflagged = score(NOTHING, estimate_of(), "paper", None)
     flagged = score(NOTHING, estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
 
@@ -285,7 +300,7 @@ def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(est
     assert (every_flagged.outcome, every_flagged.wrong) == (Outcome.DEGRADED, ())
 
 
-def test_a_normal_that_is_turned_over_is_wrong(truth_of, estimate_of):
+def test_a_normal_that_is_turned_over_is_wrong():
     covariance = np.diag(SIGMAS**2)
 
     results = [
@@ -297,7 +312,7 @@ def test_a_normal_that_is_turned_over_is_wrong(truth_of, estimate_of):
 
 
 @pytest.mark.parametrize(("stamp_s", "share"), [(100.0, 0.0), (100.03, 0.3), (100.1, 1.0), (100.15, 1.5), (99.9, -1.0)])
-def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(truth_of, estimate_of, stamp_s, share):
+def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(stamp_s, share):
     center_m = truth_of().center_m
     frames = [
         TruthFrame(stamp_s=100.0 + 0.1 * n, center_m=center_m + np.array([0.01 * n, 0, 0]), normal=turned(0.02 * n))
@@ -313,7 +328,7 @@ def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(truth_of
     assert errors["normal_rad"] < 1e-9
 
 
-def test_a_pose_far_from_the_frames_of_its_truth_is_of_another_clock(truth_of, estimate_of):
+def test_a_pose_far_from_the_frames_of_its_truth_is_of_another_clock():
     frame = TruthFrame(stamp_s=100.0, center_m=truth_of().center_m, normal=truth_of().normal)
 
     with pytest.raises(DataError, match="clock"):
@@ -334,16 +349,14 @@ HALF_BAND_RAD = 0.1 / 0.9
         (np.pi, Outcome.WRONG),
     ],
 )
-def test_a_grasp_point_outside_the_arc_that_the_stripes_span_is_wrong(
-    truth_of, estimate_of, on_ring, camera, angle_rad, outcome
-):
+def test_a_grasp_point_outside_the_arc_that_the_stripes_span_is_wrong(camera, angle_rad, outcome):
     estimate = estimate_of(grasp_m=on_ring(angle_rad, 0.45))
 
     assert score(truth_of(), estimate, "paper", camera).outcome is outcome
     assert score(truth_of(), estimate, "paper", None).outcome is Outcome.OK
 
 
-def test_a_break_point_that_is_not_seen_spans_nothing(truth_of, estimate_of, on_ring, camera):
+def test_a_break_point_that_is_not_seen_spans_nothing(camera):
     seen = truth_of().break_points_px.copy()
     seen[2] = np.nan
     estimate = estimate_of(grasp_m=on_ring(0.3, 0.45))

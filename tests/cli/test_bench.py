@@ -8,17 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known_poses import CENTER_M, NORMAL, on_ring, pose_of, truth_of, write_lines, write_truths
 
 from ringpose.cli.main import main
-from ringpose.files.records import line_of
-from ringpose.files.records.poses import pose_record
-from ringpose.files.records.truths import truth_record
 from ringpose.types.pose import PoseLine, RingPose
-from ringpose.types.scene import Truth
-
-CENTER_M = np.array([0.1, -0.2, 1.0])
-X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-NORMAL = -Z
 
 
 @pytest.fixture(autouse=True)
@@ -26,56 +19,30 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def truth(shot: str, expect: str = "pose", **groups: str | float) -> Truth:
-    return Truth(
-        shot=shot,
-        expect=expect,
-        center_m=CENTER_M,
-        normal=NORMAL,
-        radius_inner_m=0.4,
-        radius_outer_m=0.5,
-        groups=groups,
-    )
-
-
 def pose_off_by(off_m: float) -> RingPose:
     """Centre and grasp point off along the ring's axis, radii along themselves, the normal by as many radians."""
-    return RingPose(
-        center_m=CENTER_M + off_m * Z,
+    return pose_of(
+        center_m=CENTER_M - off_m * NORMAL,
         normal=np.array([math.sin(off_m), 0.0, -math.cos(off_m)]),
         radius_inner_m=0.4 + off_m,
         radius_outer_m=0.5 - off_m,
-        grasp_m=CENTER_M + 0.45 * X + off_m * Z,
-        method="paper",
-        condition_number=1.0,
-        residual_rms_px=0.1,
+        grasp_m=on_ring(0.0, 0.45) - off_m * NORMAL,
     )
 
 
-def write_poses(path: Path, **offsets_m: float | None) -> Path:
+def write_poses(**offsets_m: float | None) -> str:
     """A line for each shot; None has no pose."""
-    lines = [
-        PoseLine(
-            shot=shot,
-            stamp_s=0.0,
-            pose=None if off_m is None else pose_off_by(off_m),
-            reason="no laser stripe found" if off_m is None else None,
-        )
-        for shot, off_m in offsets_m.items()
-    ]
-    path.write_text("".join(line_of(pose_record(line)) for line in lines))
-    return path
-
-
-def write_truths(*truths: Truth) -> None:
-    Path("truth.jsonl").write_text("".join(line_of(truth_record(each)) for each in truths))
+    shots = {shot: None if off_m is None else pose_off_by(off_m) for shot, off_m in offsets_m.items()}
+    reason = "no laser stripe found"
+    lines = [PoseLine(shot=s, stamp_s=0.0, pose=p, reason=None if p else reason) for s, p in shots.items()]
+    return write_lines("poses.jsonl", lines)
 
 
 @pytest.fixture
 def poses() -> str:
     """Two shots at half a metre, off by 3 and 4 mm, one at a metre without a pose."""
-    write_truths(truth("a", distance_m=0.5), truth("b", distance_m=0.5), truth("c", distance_m=1.0))
-    return str(write_poses(Path("poses.jsonl"), a=0.003, b=-0.004, c=None))
+    write_truths("truth.jsonl", [truth_of(shot=s, groups={"distance_m": 1.0 if s == "c" else 0.5}) for s in "abc"])
+    return write_poses(a=0.003, b=-0.004, c=None)
 
 
 def report_of(capsys, *words: str) -> tuple[int, dict]:
@@ -108,7 +75,7 @@ def test_the_table_goes_to_standard_output(poses, capsys):
 
 
 def test_a_shot_without_a_line_is_lost(poses, capsys):
-    write_poses(Path(poses), a=0.003)
+    write_poses(a=0.003)
 
     status, report = report_of(capsys, poses)
 
@@ -117,7 +84,7 @@ def test_a_shot_without_a_line_is_lost(poses, capsys):
 
 
 def test_a_line_without_a_truth_is_named(poses, capsys):
-    write_poses(Path(poses), a=0.003, b=0.003, c=0.003, stranger=0.0)
+    write_poses(a=0.003, b=0.003, c=0.003, stranger=0.0)
 
     status = main(["bench", poses, "--truth", "truth.jsonl"])
 
@@ -172,7 +139,7 @@ def test_a_limit_that_is_missed_is_status_3(poses, capsys, words, status, compla
 
 
 def test_groups_may_be_chosen(poses, capsys):
-    write_truths(*(truth(s, ring="R597", light=s) for s in "abc"))
+    write_truths("truth.jsonl", [truth_of(shot=s, groups={"ring": "R597", "light": s}) for s in "abc"])
 
     _, report = report_of(capsys, poses, "--by", "light,ring")
 
@@ -233,16 +200,15 @@ def test_bad_usage_and_missing_files_give_one_line(poses, capsys, words, status,
     assert complaint in streams.err
 
 
-def write_stamped(path: Path, **stamps_s: float) -> Path:
+def write_stamped(**stamps_s: float) -> str:
     """A line without a pose for each shot, at these times."""
     lines = [PoseLine(shot=shot, stamp_s=stamp_s, pose=None, reason="none") for shot, stamp_s in stamps_s.items()]
-    path.write_text("".join(line_of(pose_record(line)) for line in lines))
-    return path
+    return write_lines("poses.jsonl", lines)
 
 
 def test_only_shots_since_a_time_are_scored(capsys):
-    Path("truth.jsonl").write_text("".join(line_of(truth_record(truth(shot))) for shot in ("a", "b", "c")))
-    write_stamped(Path("poses.jsonl"), a=1.70e9, b=1.71e9)
+    write_truths("truth.jsonl", [truth_of(shot=shot) for shot in "abc"])
+    write_stamped(a=1.70e9, b=1.71e9)
     words = ["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", "2024-01-01T00:00:00+00:00"]
 
     assert main([*words, "--json", "-"]) == 0
@@ -251,8 +217,8 @@ def test_only_shots_since_a_time_are_scored(capsys):
 
 
 def test_cron_prints_only_if_a_limit_is_missed_or_there_is_no_shot(capsys):
-    Path("truth.jsonl").write_text(line_of(truth_record(truth("a"))))
-    write_stamped(Path("poses.jsonl"), a=1.7e9)
+    write_truths("truth.jsonl", [truth_of()])
+    write_stamped(a=1.7e9)
     words = ["bench", "poses.jsonl", "--truth", "truth.jsonl", "--cron", "--max-missed"]
 
     assert main([*words, "1"]) == 0

@@ -7,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known_poses import CENTER_M, NORMAL, on_ring, pose_of, truth_of, write_lines, write_truths
 
 from ringpose.cli.main import main
-from ringpose.files.records import line_of
-from ringpose.files.records.poses import pose_record
-from ringpose.files.records.truths import truth_record
 from ringpose.types.assumptions import Assumptions
-from ringpose.types.pose import PoseFlag, PoseLine, Priors, RadiusPrior, RingPose
-from ringpose.types.scene import Truth
+from ringpose.types.pose import PoseFlag, PoseLine, Priors, RadiusPrior
 
-CENTER_M = np.array([0.1, -0.2, 1.0])
-NORMAL = np.array([0.0, 0.0, -1.0])
 SHOTS = 16
 NO_FLAG = PoseFlag(0)
 
@@ -28,34 +23,21 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
 
 
 def write_truth(name: str = "truth.jsonl", **changes) -> None:
-    values = {"center_m": CENTER_M, "normal": NORMAL, "radius_inner_m": 0.4, "radius_outer_m": 0.5} | changes
-    truths = [Truth(shot=f"s{n}", expect="pose", groups={"distance_m": n % 2}, **values) for n in range(SHOTS)]
-    Path(name).write_text("".join(line_of(truth_record(truth)) for truth in truths))
+    write_truths(name, [truth_of(shot=f"s{n}", groups={"distance_m": n % 2}, **changes) for n in range(SHOTS)])
 
 
 def line(shot: str, error_m: float = 0.0, method: str = "ml", rig: str = "r1", flags=NO_FLAG) -> PoseLine:
     """The true pose, but for its centre and grasp point, with standard deviations of 1 mm."""
-    pose = RingPose(
-        center_m=CENTER_M + np.array([0.0, 0.0, error_m]),
-        normal=NORMAL,
-        radius_inner_m=0.4,
-        radius_outer_m=0.5,
-        grasp_m=CENTER_M + np.array([0.45, 0.0, error_m]),
+    pose = pose_of(
+        center_m=CENTER_M - error_m * NORMAL,
+        grasp_m=on_ring(0.0, 0.45) - error_m * NORMAL,
         method=method,
-        condition_number=1.0,
-        residual_rms_px=0.1,
         covariance=np.eye(7) * 1e-6,
         covariance_center_m2=np.eye(3) * 1e-6,
         covariance_grasp_m2=np.eye(3) * 1e-6,
         flags=flags,
     )
     return PoseLine(shot=shot, stamp_s=0.0, pose=pose, flags=flags, rig=rig, latency_s=0.01)
-
-
-def write_lines(name: str, lines) -> str:
-    text = "".join(line_of(pose_record(each)) for each in lines).encode()
-    Path(name).write_bytes(gzip.compress(text, mtime=0) if name.endswith(".gz") else text)
-    return name
 
 
 @pytest.fixture
