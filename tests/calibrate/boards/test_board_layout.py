@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID
+from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
 from ringpose.calibrate.boards.layout import marker_corners, marker_layout, marker_size_findings
 from ringpose.calibrate.boards.patterns.markers import Markers
@@ -15,7 +15,7 @@ MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}
 
 
 @pytest.mark.parametrize("board", MARKED.values(), ids=MARKED)
-def test_markers_have_their_size_with_a_correct_board_file(board, drawn_board):
+def test_markers_have_their_size_with_a_correct_board_file(board):
     findings = marker_size_findings([find_board(drawn_board(board), board, "true")])
 
     assert [finding.grade for finding in findings] == [Grade.GOOD]
@@ -31,14 +31,14 @@ def test_markers_have_their_size_with_a_correct_board_file(board, drawn_board):
         (GRID, replace(GRID, gap_m=0.02)),
     ],
 )
-def test_a_wrong_marker_size_advises_to_measure_the_print(drawn, said, drawn_board):
+def test_a_wrong_marker_size_advises_to_measure_the_print(drawn, said):
     (finding,) = marker_size_findings([find_board(drawn_board(drawn), said, "wrong")])
 
     assert finding.grade is Grade.REDO
     assert "times as wide and 1." in finding.advice
 
 
-def test_a_wrong_board_width_changes_only_the_width_of_the_markers(drawn_board):
+def test_a_wrong_board_width_changes_only_the_width_of_the_markers():
     view = find_board(drawn_board(FOUR), replace(FOUR, width_m=0.35), "wide")
 
     # middles are 0.22 m apart on the print, 0.27 m in the file

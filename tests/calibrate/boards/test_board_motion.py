@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn_boards import FOUR
+from drawn_boards import FOUR, drawn_board
 
 from ringpose.calibrate.boards.motion import STILL_PX, board_shift_px
 from ringpose.calibrate.boards.views import find_board
@@ -17,7 +17,7 @@ def shot_of(*images: np.ndarray) -> Shot:
 
 
 @pytest.fixture(scope="module")
-def face(drawn_board) -> np.ndarray:
+def face() -> np.ndarray:
     """The board in the middle of a larger image."""
     return np.pad(drawn_board(FOUR), 60, constant_values=90)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
+from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
 from ringpose.calibrate.boards.diagnostics import BoardFailure, charuco_failure, edge_width_px
 from ringpose.calibrate.boards.patterns.markers import find_markers, marker_dictionary
@@ -71,7 +71,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize(("board", "changed", "failure", "found"), KINDS.values(), ids=KINDS)
-def test_what_is_wrong_with_the_image_of_a_board_is_reported(board, changed, failure, found, drawn_board):
+def test_what_is_wrong_with_the_image_of_a_board_is_reported(board, changed, failure, found):
     missing = find_board(np.ascontiguousarray(changed(drawn_board(board))), board, "x")
 
     assert missing.failure is failure
@@ -93,14 +93,14 @@ OTHERS = [
 
 
 @pytest.mark.parametrize(("drawn", "board", "failure", "found"), OTHERS)
-def test_an_image_of_another_board_is_reported(drawn, board, failure, found, drawn_board):
+def test_an_image_of_another_board_is_reported(drawn, board, failure, found):
     missing = find_board(drawn_board(drawn), board, "other")
 
     assert missing.failure is failure
     assert missing.found.startswith(found)
 
 
-def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers(drawn_board):
+def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers():
     corner = covered(covered(drawn_board(GRID), slice(125), ALL, 198), ALL, slice(125), 198)  # leaves 4, 5
 
     assert find_board(corner, FOUR, "other board").failure is BoardFailure.OTHER_MARKERS
@@ -113,7 +113,7 @@ def test_noise_is_not_part_of_a_chessboard(rng):
 
 
 @pytest.mark.parametrize(("blur_px", "reason"), [(2.5, BoardFailure.BLURRED), (0.7, BoardFailure.FEW_CORNERS)])
-def test_blur_is_reported_only_if_it_is_wide_against_the_markers_cells(blur_px, reason, drawn_board):
+def test_blur_is_reported_only_if_it_is_wide_against_the_markers_cells(blur_px, reason):
     """The cells of the markers are 4.6 pixels wide."""
     image = drawn_board(CHARUCO)
     markers = find_markers(image, marker_dictionary(CHARUCO))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
+from known_views import board_view, true_poses
 
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import bow_finding, camera_assessment
@@ -18,7 +19,7 @@ NOISE_PX = 0.02
 
 
 @pytest.fixture
-def views(rng, board_view, true_poses):
+def views(rng):
     """Views of a board of these heights in the middle of its width, taken for flat."""
 
     def seen(heights_m: Sequence[float]) -> list[BoardView]:

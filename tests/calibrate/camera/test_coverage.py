@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.camera.assessment import coverage
 from ringpose.types.board import BoardPose, BoardView
@@ -9,7 +10,7 @@ from ringpose.types.calibration import CameraCalibration, CameraView
 
 
 @pytest.fixture
-def covered(true_camera):
+def covered():
     """Makes the coverage of views with given pixels, tilt about x, and distance."""
 
     def made(*views: tuple[np.ndarray, float, float], bad: int = -1):
@@ -34,7 +35,7 @@ def covered(true_camera):
                     rejected="bad" if index == bad else "",
                 )
             )
-        calibration = CameraCalibration(camera=true_camera, rms_px=0.1, sigma_px=0.1, views=tuple(judged))
+        calibration = CameraCalibration(camera=TRUE_CAMERA, rms_px=0.1, sigma_px=0.1, views=tuple(judged))
         return coverage(calibration, boards)
 
     return made

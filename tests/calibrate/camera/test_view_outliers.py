@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_views import board_view, chessboard_views
 
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.outliers import other_camera_finding
@@ -17,8 +18,8 @@ NOISE_PX = 0.03
 
 
 @pytest.fixture
-def views(chessboard_views):
-    return lambda number: chessboard_views(number, NOISE_PX)
+def views(rng):
+    return lambda number: chessboard_views(rng, number, NOISE_PX)
 
 
 MIDDLE_PX, LAST_PX = np.array([800.0, 600.0]), np.array([1599.0, 1199.0])
@@ -57,7 +58,7 @@ def test_a_view_of_another_camera_or_turned_image_is_named(views, change, text):
     assert re.search(text, found["v4"])
 
 
-def test_a_board_turned_by_half_a_turn_is_as_good_as_any(views, board_view, rng):
+def test_a_board_turned_by_half_a_turn_is_as_good_as_any(views, rng):
     turn = np.diag([-1.0, -1.0, 1.0])
     rolled = board_view(POINTS, (turn, np.array([0.15, 0.12, 0.5])), "rolled", NOISE_PX)
 

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import pytest
+from drawn_boards import FOUR
+from known_views import TRUE_CAMERA, stripe_views, true_poses
 
 from ringpose.calibrate.planes.shots import StripeShots, check_method
 from ringpose.errors import UsageError
@@ -10,9 +12,9 @@ from ringpose.types.options import PlanesMethod
 
 
 @pytest.fixture
-def shots(rng, plane_board, true_camera, stripe_views, true_poses):
+def shots(rng):
     """Three shots of three lasers."""
-    found = StripeShots(plane_board, true_camera, "left,middle,right", None)
+    found = StripeShots(FOUR, TRUE_CAMERA, "left,middle,right", None)
     found.names = ("left", "middle", "right")
     found.views = stripe_views(true_poses(rng, 3), rng, 0.02, 0.05)
     return found
@@ -22,9 +24,9 @@ def shots(rng, plane_board, true_camera, stripe_views, true_poses):
     ("method", "finding"),
     [(PlanesMethod.JOINT, "no covariance"), (PlanesMethod.TOTAL_LEAST_SQUARES, "only the joint method")],
 )
-def test_a_camera_without_covariance_or_joint_method_cannot_be_free(method, finding, plane_board, true_camera):
+def test_a_camera_without_covariance_or_joint_method_cannot_be_free(method, finding):
     with pytest.raises(UsageError, match=finding):
-        check_method(method, True, plane_board, replace(true_camera, covariance=None))
+        check_method(method, True, FOUR, replace(TRUE_CAMERA, covariance=None))
 
 
 def test_the_assessment_compares_other_methods_with_the_papers(shots):

@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 import pytest
 import scipy.io
+from drawn_boards import FOUR
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.calibrate.camera.parameters import CameraModel
@@ -48,11 +50,11 @@ def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def rendered(rendered_plane_views, plane_board, true_camera):
+def rendered(rendered_plane_views):
     """Planes of the rendered views by either method, with the true camera."""
-    views = [stripe_view(shot, found, plane_board, true_camera, 3) for shot, found in rendered_plane_views]
+    views = [stripe_view(shot, found, FOUR, TRUE_CAMERA, 3) for shot, found in rendered_plane_views]
     model = PlanesModel(names=("left", "middle", "right"))
-    return {method: calibrate_planes(views, true_camera, replace(model, method=method)) for method in PlanesMethod}
+    return {method: calibrate_planes(views, TRUE_CAMERA, replace(model, method=method)) for method in PlanesMethod}
 
 
 @pytest.mark.slow
