@@ -78,17 +78,11 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnShot:
-    """A drawn detection and all that is true about it."""
+    """A drawn detection and its truth, whose groups name the outliers."""
 
     detection: Detection
     truth: Truth
     common: CommonErrors
-    displaced: Bool[Array, "laser edge=2"]
-    """Break points that are outliers."""
-    background: Bool[Array, "laser"]
-    """Stripes on a surface behind the ring."""
-    missing: Bool[Array, "laser"]
-    """Stripes that were left out."""
 
 
 def drawn_features(
@@ -190,9 +184,6 @@ def draw_detection(
         detection=detection,
         truth=_truth(scene, view, position_px, first_s, stamp_s, course, outliers, moving=moving),
         common=common,
-        displaced=outliers.displaced,
-        background=outliers.behind_m > 0,
-        missing=outliers.missing,
     )
 
 
