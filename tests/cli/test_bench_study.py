@@ -1,4 +1,4 @@
-"""`ringpose bench study`: results, resumption, and what is refused."""
+"""`ringpose bench study`: results, resumption, and what is rejected."""
 
 import json
 
@@ -130,7 +130,7 @@ def test_two_results_of_one_study_are_compared(folder, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["results.csv", "results.parquet"])
-def test_a_table_that_is_cut_off_is_refused(folder, name):
+def test_a_table_that_is_cut_off_is_rejected(folder, name):
     pytest.importorskip("pyarrow")
     main(["bench", "study", "study.yaml", "--output", "a", "--jobs", "1"])
     whole = (folder / "a" / name).read_bytes()
@@ -149,7 +149,7 @@ def test_the_worst_shots_are_written_as_a_data_set(folder):
 
 
 @pytest.mark.slow
-def test_a_report_has_every_section_and_stands_alone(folder):
+def test_a_report_has_every_section_and_no_external_reference(folder):
     pytest.importorskip("matplotlib")
 
     words = ["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "20", "--report", "page.html"]
@@ -187,7 +187,7 @@ def test_a_report_has_every_section_and_stands_alone(folder):
         ("methods:", "track: {shots: 3, period_s: 0.2}\nmethods:", "track"),
     ],
 )
-def test_a_bad_study_is_refused_with_the_key_that_is_wrong(folder, capsys, old, new, word):
+def test_a_bad_study_is_rejected_with_the_key_that_is_wrong(folder, capsys, old, new, word):
     text = (folder / "study.yaml").read_text().replace(old, new)
     (folder / "study.yaml").write_text(text.replace("level: features", "level: images") if word == "features" else text)
 

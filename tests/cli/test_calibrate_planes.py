@@ -134,7 +134,7 @@ def test_a_laser_that_is_never_lit_is_named_with_what_each_shot_showed(plane_fol
     assert "pln_B_01: 0 stripes on the board where laser 3 is on: too dark" in stderr
 
 
-def test_images_without_the_number_of_lasers_are_refused_once_with_the_stripes_seen(plane_folder, capsys):
+def test_images_without_the_number_of_lasers_are_rejected_once_with_the_stripes_seen(plane_folder, capsys):
     for name in ("pln_B_01", "pln_B_03"):
         cv2.imwrite(f"planes/{name}.png", np.load(f"planes/{name}.npz")["images"][1])
     for file in (plane_folder / "planes").glob("*.npz"):

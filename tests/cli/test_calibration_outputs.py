@@ -37,7 +37,7 @@ def folder(plane_folder, carried_data):
         (("convert-camera", "camera.yaml", "--format", "ros", "-o", "camera.yaml", "--force"), *2 * ["camera.yaml"]),
     ],
 )
-def test_an_output_that_is_an_input_is_refused(folder, capsys, words, output, kept):
+def test_an_output_that_is_an_input_is_rejected(folder, capsys, words, output, kept):
     (folder / "m.yaml").write_text("mount: {}")
     before = Path(kept).read_bytes()
 

@@ -33,7 +33,7 @@ def test_a_board_is_printed_and_its_missing_file_is_written(folder, capsys):
         (["there.pdf", "--board", "there.pdf", "--force"], 73, "there.pdf: is an input, too"),
     ],
 )
-def test_a_print_that_is_refused_writes_nothing(command, words, status, named, folder, capsys):
+def test_a_rejected_print_writes_nothing(command, words, status, named, folder, capsys):
     text = "{kind: chessboard, squares_x: 9, squares_y: 6, square_m: 0.02}"
     (folder / "there.pdf").write_text(text)
 

@@ -22,7 +22,7 @@ from ringpose.types.options import DistortionModel
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]
 FixK3 = Annotated[bool, typer.Option("--fix-k3", help="Hold k3 at zero: for few views or little distortion.")]
 ZeroTangential = Annotated[bool, typer.Option("--zero-tangential", help="Hold p1 and p2 at zero.")]
-KeepAll = Annotated[bool, typer.Option("--keep-all", help="Leave out no view and no corner, and let all count alike.")]
+KeepAll = Annotated[bool, typer.Option("--keep-all", help="Use all views and corners, with equal weights.")]
 Compare = Annotated[bool, typer.Option("--compare", help="Solve with the other distortion model too, and compare.")]
 Distances = Annotated[
     str, typer.Option("--distances", metavar="METRES", help="Where the uncertainty is given in mm, comma between.")
