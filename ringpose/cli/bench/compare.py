@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -10,11 +10,9 @@ from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_line
 from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
-    from ringpose.bench.assumptions import AssumedRadii, StatedAssumptions
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
-    from ringpose.files.schema import Fields
 
 ResultA = Annotated[
     str,
@@ -125,74 +123,13 @@ def _read_study(name: str) -> _Result:
 
 
 def _read_table(name: str) -> _Result:
-    from ringpose.bench.report import SCHEMA, SCHEMA_2
-    from ringpose.errors import DataError
+    from ringpose.bench.report import recorded_scores
     from ringpose.files.io import read_bytes
     from ringpose.files.records import parsed_record
     from ringpose.files.schema import Fields
 
     fields = Fields(name, parsed_record(read_bytes(Path(name)), name))
-    schema = fields.values.get("ringpose")
-    if schema not in (SCHEMA, SCHEMA_2):
-        found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
-        raise DataError(
-            name, f"{found}, must be {SCHEMA!r}", "give the output of bench --json, or pose records (.jsonl)"
-        )
-    scores = [_score_of(shot, schema == SCHEMA_2) for shot in fields.each("shots")]
-    return _Result(name, scores, list(fields.texts("truths")))
-
-
-def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
-    """A shot of a table; all poses of version 2 have the same assumptions, which are the default."""
-    from ringpose.bench.assumptions import StatedAssumptions
-    from ringpose.bench.score import Judgement, Outcome, Score
-
-    def numbers(key: str) -> dict[str, float]:
-        part = fields.fields(key)
-        return {name: part.number(name) for name in part.values}
-
-    judgements = fields.fields("judgements")
-    return Score(
-        shot=fields.text("shot"),
-        method=str(fields.values.get("method") or ""),
-        outcome=Outcome(fields.choice("outcome", tuple(Outcome))),
-        status=cast(
-            Literal["ok", "degraded", "none", "lost"], fields.choice("status", ("ok", "degraded", "none", "lost"))
-        ),
-        has_target=fields.boolean("has_target"),
-        groups=dict(fields.fields("groups").values),
-        errors=numbers("errors"),
-        judgements={name: Judgement(judgements.choice(name, tuple(Judgement))) for name in map(str, judgements.values)},
-        distances=numbers("distances"),
-        gross=fields.texts("gross"),
-        assumptions=StatedAssumptions() if of_version_2 else _assumptions(fields),
-        latency_s=fields.number("latency_s", least=0) if fields.has("latency_s") else None,
-        rig=fields.text("rig") if fields.has("rig") else "",
-    )
-
-
-def _assumptions(fields: "Fields") -> "StatedAssumptions | None":
-    from ringpose.bench.assumptions import StatedAssumptions
-    from ringpose.files.records.poses import motion_prior
-    from ringpose.files.rigs import rig_stability
-
-    if not fields.has("assumptions"):
-        return None
-    values = fields.fields("assumptions")
-    return StatedAssumptions(
-        motion=motion_prior(values),
-        radii=_assumed_radii(values.fields("radii")) if values.has("radii") else None,
-        ring_tolerance_m=values.number("ring_tolerance_m", least=0),
-        stability=rig_stability(values.fields("stability")),
-    )
-
-
-def _assumed_radii(values: "Fields") -> "AssumedRadii":
-    from ringpose.bench.assumptions import AssumedRadii
-
-    numbers = values.given(("inner_m", "outer_m", "sd_m"), lambda key: values.number(key, least=0))
-    source = cast(Literal["given", "catalogue"], values.choice("source", ("given", "catalogue")))
-    return AssumedRadii(source=source, **numbers)
+    return _Result(name, recorded_scores(fields), list(fields.texts("truths")))
 
 
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
