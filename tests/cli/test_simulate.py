@@ -1,4 +1,4 @@
-"""`ringpose simulate`: what it writes, what it says, what it refuses."""
+"""`ringpose simulate`: the files that it writes, its messages, the input that it rejects."""
 
 import json
 import signal
@@ -8,6 +8,7 @@ import cv2
 import pytest
 import yaml
 from schemas import validated
+from small_rig import SERVED_RIG
 
 from ringpose.cli.main import main
 from ringpose.files.boards import read_board
@@ -15,21 +16,6 @@ from ringpose.files.images.shots import read_shot
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 
-RIG = {
-    "ringpose": "rig/1",
-    "camera": {
-        "image_width": 200,
-        "image_height": 150,
-        "camera_name": "tiny",
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [222.0, 0, 99.5, 0, 222.0, 74.5, 0, 0, 1]},
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [-0.1, 0.1, 0, 0, 0]},
-    },
-    "lasers": [
-        {"name": "upper", "normal": [0, 1, 0], "distance_m": -0.05, "projector_m": [0, -0.05, 0]},
-        {"name": "lower", "normal": [0, 1, 0], "distance_m": 0.05, "projector_m": [0, 0.05, 0]},
-    ],
-}
 SCENE = {
     "ringpose": "scene/1",
     "rig": "rig.yaml",
@@ -51,7 +37,7 @@ BOARDS = {
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(RIG))
+    (tmp_path / "rig.yaml").write_text(SERVED_RIG)
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(SCENE))
     return tmp_path / "scene.yaml"
 
@@ -67,7 +53,7 @@ def test_shots_rig_and_truth_are_written(scene, capsys):
     names = [Path(line).stem for line in capsys.readouterr().out.splitlines()]
     assert (status, names) == (0, ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"])
     rig = read_rig(out / "rig.yaml")
-    assert [read_shot(out / "shots" / f"{name}.npz", rig=rig).lasers.tolist() for name in names] == [[0, 3]] * 3
+    assert [read_shot(out / "shots" / f"{name}.npz", rig=rig).lasers.tolist() for name in names] == [[0, 7]] * 3
     assert [truth.shot for truth in read_truths(out / "truth.jsonl")] == names
     for line in (out / "truth.jsonl").read_text().splitlines():
         validated(json.loads(line), "truth")

@@ -4,12 +4,10 @@ import json
 
 import numpy as np
 import pytest
-import yaml
 
 from ringpose.cli.main import main
 from ringpose.errors import DataError
 from ringpose.files.scenes.motions import read_poses
-from ringpose.files.scenes.scene import read_scene
 from ringpose.types.target import MOTION_PRESETS, FreeMotion, TimedPoses
 
 POSES = [
@@ -19,27 +17,12 @@ POSES = [
 CSV = "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n0,-0.58,0,0.5,1,0,0,0\n2,-0.58,0,0.4,1,0,0,0\n"
 
 
-SCENE = {
-    "ringpose": "scene/1",
-    "rig": "rig.yaml",
-    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
-    "body": {"size_m": [2.0, 1.0, 3.0]},
-    "trajectory": [{"name": "a", "center_m": [-0.58, 0, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0}],
-}
-
-
 @pytest.fixture
-def scene_with(tmp_path, rig_file):
+def scene_with(scene_of):
     """Reads a scene with this `motion`; other keys replace those of the scene."""
-    rig_file("lasers.1.projector_m", [0, 0.03, 0.04])
-
-    def read(motion, **keys):
-        values = {**SCENE, "motion": motion, **keys}
-        path = tmp_path / "scene.yaml"
-        path.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not None}))
-        return read_scene(path)
-
-    return read
+    view = {"name": "a", "center_m": [-0.58, 0, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0}
+    plain = {"lights": None, "boards": None, "body": {"size_m": [2.0, 1.0, 3.0]}, "trajectory": [view]}
+    return lambda motion, **keys: scene_of(*(plain | {"motion": motion} | keys).items())
 
 
 def test_without_numbers_of_its_own_the_motion_is_that_of_a_uniform_body(scene_with):

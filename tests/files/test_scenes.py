@@ -1,55 +1,12 @@
 """Reading of scene.yaml, and the messages for invalid scenes."""
 
-import copy
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.scenes.scene import read_scene
 from ringpose.types.pose import RingPose
 from ringpose.types.scene import Beacon
 from ringpose.types.target import MATERIALS
-
-BOARD = {"kind": "charuco", "squares_x": 7, "squares_y": 5, "square_m": 0.04, "marker_m": 0.03}
-BOARD["dictionary"] = "DICT_4X4_50"
-
-SCENE = {
-    "ringpose": "scene/1",
-    "rig": "rig.yaml",
-    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
-    "body": {"size_m": [2.2, 2.1, 1.0], "foil": {"rms_m": 0.001}},
-    "lights": {"dim": {}, "sun": {"sun_w_m2": 15, "sun_direction": [0, -1, -1]}},
-    "trajectory": [
-        {"name": "a", "center_m": [-0.58, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]},
-        {"generate": {"distances_m": [0.5], "count": 2, "lights": ["dim", "sun"]}},
-    ],
-    "boards": {"camera": {"board": BOARD, "generate": {"count": 3}}},
-}
-
-
-@pytest.fixture
-def scene_of(tmp_path: Path, rig_file):
-    """Reads the scene above with another value at a path of keys; None removes the key."""
-
-    def read(*changes, with_projectors=True):
-        values = copy.deepcopy(SCENE)
-        for keys, value in changes:
-            *path, last = (int(key) if key.isdigit() else key for key in keys.split("."))
-            below = values
-            for key in path:
-                below = below[key]
-            if value is None:
-                del below[last]
-            else:
-                below[last] = value
-        rig_file(*(("lasers.1.projector_m", [0, 0.03, 0.04]) if with_projectors else ()))
-        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(values))
-        return read_scene(tmp_path / "scene.yaml")
-
-    return read
 
 
 def test_radii_and_height_make_an_annulus_with_walls(scene_of):
@@ -142,7 +99,7 @@ def test_pitch_and_yaw_are_the_papers(scene_of):
         ("boards.camera.board", {"kind": "asymmetric_circles", "squares_x": 4, "squares_y": 11, "spacing_m": 0.02},
          "which is not simulated"),
         ("exposure_s", float("nan"), "must be finite"),
-        ("trajectory.1", SCENE["trajectory"][0], "'a' occurs twice"),
+        ("trajectory.1", {"name": "a", "center_m": [-0.5, 0, 1], "normal": [0, 0, -1]}, "'a' occurs twice"),
     ],
 )  # fmt: skip
 def test_an_invalid_scene_gives_one_line(scene_of, keys, value, message):
