@@ -1,6 +1,10 @@
 """Views of the four-marker board with all lasers on, from tests/data, and the command that calibrates with them."""
 
+import contextlib
+import io
 import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
@@ -8,6 +12,24 @@ import yaml
 from ringpose.cli.main import main
 
 ORDER = ("--laser-order", "right,middle,left")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A command that has run in a folder: its exit status and output."""
+
+    folder: Path
+    status: int
+    out: str
+    err: str
+
+
+def run_in(folder: Path, command: Callable[[], int]) -> Run:
+    """Run a command in a folder."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = command()
+    return Run(folder, status, out.getvalue(), err.getvalue())
 
 
 def copy_views(carried_data: Path, folder: Path) -> None:

@@ -78,24 +78,12 @@ def comparison_text(
     if nothing_changed(rows):
         shots = len({a.shot for _, members in paired for a, _ in members})
         return f"nothing changed: {shots} shots, {len({row.quantity for row in judged})} quantities ({matched})\n"
-    heading = [
-        "method",
-        *by,
-        "quantity",
-        "shots",
-        "A",
-        "B",
-        "difference",
-        "95 % interval",
-        "p",
-        "verdict",
-        "needs shots",
-    ]
+    of_row = ("quantity", "shots", "A", "B", "difference", "95 % interval", "p", "verdict", "needs shots")
     changed = [row for row in rows if row.verdict is not Verdict.SAME]
     shown = [row for row in changed if testable_shots(row.changed)]
     cells = [_cells(row, by) for row in shown]
     lines = ["B beside A; a positive difference is worse"]
-    lines += [*aligned([heading, *cells], left=2 + len(by)), ""] if cells else []
+    lines += [*aligned([["method", *by, *of_row], *cells], left=2 + len(by)), ""] if cells else []
     if len(shown) < len(changed):
         lines.append(f"{len(changed) - len(shown)} more rows cannot tell, with fewer than 6 shots that changed")
     lines += _named("newly wrong", [f"{shot} {name} ({method})" for method, shot, name in newly_wrong(paired)])

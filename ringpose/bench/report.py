@@ -1,14 +1,26 @@
-"""Summaries and scores as plain values for JSON and CSV, in metres and radians."""
+"""Summaries and scores as plain values for JSON and CSV, in metres and radians, and scores from these values."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal, cast
 
-from ringpose.bench.assumptions import assumptions_record, assumptions_text, counted
-from ringpose.bench.score import QUANTITIES, Judgement, Matching, Score
+from ringpose.bench.assumptions import (
+    AssumedRadii,
+    StatedAssumptions,
+    assumptions_record,
+    assumptions_text,
+    counted,
+)
+from ringpose.bench.score import QUANTITIES, Judgement, Matching, Outcome, Score
 from ringpose.bench.summary import Summary
+from ringpose.errors import DataError
+from ringpose.files.records.poses import motion_prior
+from ringpose.files.rigs import rig_stability
+from ringpose.files.schema import Fields
 
 SCHEMA = "bench/3"
+
+STATUSES = ("ok", "degraded", "none", "lost")
 
 SCHEMA_2 = "bench/2"
 """The version before, which is read but not written: all poses are those of a still and perfect ring."""
@@ -93,3 +105,57 @@ def _shot_record(score: Score) -> Mapping[str, Any]:
         "latency_s": score.latency_s,
         "rig": score.rig or None,
     }
+
+
+def recorded_scores(fields: Fields) -> list[Score]:
+    """The scores in a report; all poses of version 2 have the same assumptions, which are the default."""
+    schema = fields.values.get("ringpose")
+    if schema not in (SCHEMA, SCHEMA_2):
+        found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
+        remedy = "give the output of bench --json, or pose records (.jsonl)"
+        raise DataError(fields.file, f"{found}, must be {SCHEMA!r}", remedy)
+    return [
+        _score_of(shot, StatedAssumptions() if schema == SCHEMA_2 else _assumptions(shot))
+        for shot in fields.each("shots")
+    ]
+
+
+def _score_of(fields: Fields, assumptions: StatedAssumptions | None) -> Score:
+    def numbers(key: str) -> dict[str, float]:
+        part = fields.fields(key)
+        return {name: part.number(name) for name in part.values}
+
+    judgements = fields.fields("judgements")
+    return Score(
+        shot=fields.text("shot"),
+        method=str(fields.values.get("method") or ""),
+        outcome=Outcome(fields.choice("outcome", tuple(Outcome))),
+        status=cast(Literal["ok", "degraded", "none", "lost"], fields.choice("status", STATUSES)),
+        has_target=fields.boolean("has_target"),
+        groups=dict(fields.fields("groups").values),
+        errors=numbers("errors"),
+        judgements={name: Judgement(judgements.choice(name, tuple(Judgement))) for name in map(str, judgements.values)},
+        distances=numbers("distances"),
+        gross=fields.texts("gross"),
+        assumptions=assumptions,
+        latency_s=fields.optional("latency_s", lambda key: fields.number(key, least=0)),
+        rig=fields.optional("rig", fields.text) or "",
+    )
+
+
+def _assumptions(fields: Fields) -> StatedAssumptions | None:
+    if not fields.has("assumptions"):
+        return None
+    values = fields.fields("assumptions")
+    return StatedAssumptions(
+        motion=motion_prior(values),
+        radii=values.optional("radii", lambda key: _assumed_radii(values.fields(key))),
+        ring_tolerance_m=values.number("ring_tolerance_m", least=0),
+        stability=rig_stability(values.fields("stability")),
+    )
+
+
+def _assumed_radii(values: Fields) -> AssumedRadii:
+    numbers = values.given(("inner_m", "outer_m", "sd_m"), lambda key: values.number(key, least=0))
+    source = cast(Literal["given", "catalogue"], values.choice("source", ("given", "catalogue")))
+    return AssumedRadii(source=source, **numbers)

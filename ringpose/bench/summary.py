@@ -97,7 +97,9 @@ def summaries(scores: Sequence[Score], by: Sequence[str]) -> list[Summary]:
         own = [score for score in scores if score.method == method]
         keys = sorted({group_key(score, by) for score in own}, key=sortable)
         if by:
-            lines += [_summary(method, dict(zip(by, key, strict=True)), _members(own, by, key)) for key in keys]
+            for key in keys:
+                members = [score for score in own if group_key(score, by) == key]
+                lines.append(_summary(method, dict(zip(by, key, strict=True)), members))
         lines.append(_summary(method, {}, own))
     return lines
 
@@ -144,17 +146,10 @@ def wrong_quantities(scores: Sequence[Score]) -> WrongQuantities:
     )
 
 
-def _members(scores: Iterable[Score], by: Sequence[str], key: GroupKey) -> list[Score]:
-    return [score for score in scores if group_key(score, by) == key]
-
-
 def group_key(score: Score, by: Sequence[str]) -> GroupKey:
     """Values of the fields `by` (as `light`, `distance_m`) of a shot: shots with equal ones are summarized together."""
-    return tuple(_scalar(score.groups.get(name, ABSENT)) for name in by)
-
-
-def _scalar(value: object) -> str | float | int | bool:
-    return value if isinstance(value, str | float | int) else str(value)
+    values = (score.groups.get(name, ABSENT) for name in by)
+    return tuple(value if isinstance(value, str | float | int) else str(value) for value in values)
 
 
 def sortable(key: GroupKey) -> tuple[tuple[bool, float, str], ...]:

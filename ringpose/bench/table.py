@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ringpose.bench.assumptions import StatedAssumptions, assumption_lines
 from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
-from ringpose.bench.summary import ABSENT, ErrorStatistics, Summary
+from ringpose.bench.summary import ABSENT, Summary
 
 OUTCOMES = {
     Outcome.OK: "ok",
@@ -55,7 +55,7 @@ def table(
     and truths that match.
     """
     blocks = [
-        _block("shots", summaries, by, _counts),
+        _block("shots", summaries, by, _shots),
         _block("errors, root mean square", summaries, by, _rmse),
         _block("errors, median and maximum", summaries, by, _median_and_max),
         _block("wrong quantities of those judged", summaries, by, _wrong),
@@ -78,7 +78,11 @@ def _block(
         if heading not in OPTIONAL or any(of_line[heading] not in (ABSENT, "0/0") for of_line in of_lines)
     ]
     rows = [
-        [*_group_cells(line, by), *(of_line[heading] for heading in shown)]
+        [
+            line.method or ABSENT,
+            *(str(line.group.get(name, ABSENT)) if line.group else "all" for name in by),
+            *(of_line[heading] for heading in shown),
+        ]
         for line, of_line in zip(summaries, of_lines, strict=True)
     ]
     heading = [*names, *shown]
@@ -97,14 +101,8 @@ def aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
     ]
 
 
-def _group_cells(line: Summary, by: Sequence[str]) -> list[str]:
-    method = line.method or ABSENT
-    return [method, *(str(line.group.get(name, ABSENT)) if line.group else "all" for name in by)]
-
-
-def _counts(line: Summary) -> Mapping[str, str]:
-    counted = {heading: str(line.outcomes[outcome]) for outcome, heading in OUTCOMES.items()}
-    return {"shots": str(line.shots), **counted}
+def _shots(line: Summary) -> Mapping[str, str]:
+    return {"shots": str(line.shots)} | {name: str(line.outcomes[outcome]) for outcome, name in OUTCOMES.items()}
 
 
 def _wrong(line: Summary) -> Mapping[str, str]:
@@ -145,7 +143,7 @@ def _matched(matched: Matching) -> str:
 
 def _rmse(line: Summary) -> Mapping[str, str]:
     errors = {
-        heading: _number(line.errors.get(name), factor, lambda errors: errors.rmse)
+        heading: number(factor * line.errors[name].rmse) if name in line.errors else ABSENT
         for name, (heading, factor) in COLUMNS.items()
     }
     nees = {heading: f"{line.nees[name]:.3g}" if name in line.nees else ABSENT for name, heading in NEES.items()}
@@ -156,24 +154,14 @@ def _median_and_max(line: Summary) -> Mapping[str, str]:
     cells = {}
     for name in ("center_m", "normal_rad", "radius_inner_m", "radius_outer_m", "grasp_m"):
         heading, factor = COLUMNS[name]
-        cells[heading] = _number(line.errors.get(name), factor, lambda errors: errors.median)
-        cells[f"{heading.split()[0]} max"] = _number(line.errors.get(name), factor, lambda errors: errors.max)
+        errors = line.errors.get(name)
+        cells[heading] = ABSENT if errors is None else number(factor * errors.median)
+        cells[f"{heading.split()[0]} max"] = ABSENT if errors is None else number(factor * errors.max)
     return cells
 
 
-def _number(errors: ErrorStatistics | None, factor: float, part: Callable[[ErrorStatistics], float]) -> str:
-    """A statistic with three significant digits, without an exponent."""
-    if errors is None:
-        return ABSENT
-    value = part(errors) * factor
-    if value == 0:
-        return "0"
-    digits = max(0, 2 - math.floor(math.log10(value)))
-    return f"{value:.{digits}f}"
-
-
 def number(value: float) -> str:
-    """Three significant digits without an exponent; `-` for NaN."""
+    """Three significant digits without an exponent, at most six decimals; `-` for NaN."""
     if not math.isfinite(value):
         return ABSENT
     digits = 2 - math.floor(math.log10(abs(value))) if value else 0

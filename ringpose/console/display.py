@@ -31,7 +31,10 @@ ESTIMATE_COLOR, TRUTH_COLOR, TRACK_COLOR = (31, 95, 191), (70, 160, 60), (225, 1
 SKY_COLOR = (24, 26, 34)
 
 PANEL_PX = (400, 600, 900)
-"""Widths of the panel; the first leaves more than half of a page of 1024 px to the scene."""
+"""Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
+
+BELOW_ALL = 1e9
+"""Order of a control below those that are added later."""
 
 UNSEEN = np.zeros((1, 2, 3))
 """A line of length 0, for what is not known."""
@@ -48,15 +51,11 @@ def opened_server(host: str, port: int) -> viser.ViserServer:
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(PANEL_PX[0])
     server.gui.set_panel_label("ringpose")
+    width: Any = server.gui.add_dropdown("panel width (px)", [f"{each}" for each in PANEL_PX], order=BELOW_ALL)
+    width.on_update(lambda _: server.gui.main_panel.set_width(int(width.value)))
     server.scene.set_up_direction("-y")
     server.scene.set_background_image(np.full((4, 4, 3), SKY_COLOR, np.uint8), format="png")
     return server
-
-
-def add_panel_width(server: viser.ViserServer) -> None:
-    """A control of the width of the panel, with which the pictures grow."""
-    width: Any = server.gui.add_dropdown("panel width (px)", [f"{each}" for each in PANEL_PX])
-    width.on_update(lambda _: server.gui.main_panel.set_width(int(width.value)))
 
 
 class Picture:

@@ -18,7 +18,6 @@ from ringpose.console.display import (
     Picture,
     Plots,
     SceneView,
-    add_panel_width,
     line_text,
     opened_server,
     plotted,
@@ -137,7 +136,6 @@ class ConsolePage:
             self._details = gui.add_markdown("")
         with tabs.add_tab("Errors"):
             self._plots = Plots(self._server, "number")
-        add_panel_width(self._server)
         self._preset.on_update(lambda _: self._apply_preset())
         self._motion.on_update(lambda _: self._apply_motion())
         self._step.on_click(lambda _: self._advance(STEP_S))

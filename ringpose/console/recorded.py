@@ -6,16 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.console.display import (
-    Picture,
-    Plots,
-    SceneView,
-    add_panel_width,
-    line_text,
-    opened_server,
-    plotted,
-    track_text,
-)
+from ringpose.console.display import Picture, Plots, SceneView, line_text, opened_server, plotted, track_text
 from ringpose.report.overlay import pose_in_camera_frame
 from ringpose.report.replay import ReplayShot, times_s
 from ringpose.types.rig import Rig
@@ -52,7 +43,6 @@ class RecordedPage:
         with gui.add_folder("Errors"):
             rows = [plotted(pose, shot.errors) for pose, shot in zip(poses, shots, strict=True)]
             Plots(self._server, "shot").show(range(1, len(shots) + 1), rows)
-        add_panel_width(self._server)
         self._number.on_update(lambda _: self._show())
         self._show()
         self._player = threading.Thread(target=self._play, name="replay player", daemon=True)

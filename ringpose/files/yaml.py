@@ -73,10 +73,6 @@ def _mapping(loader: _Loader, node: yaml.Node) -> dict[Any, Any]:
     return values
 
 
-def _integer(loader: _Loader, node: yaml.ScalarNode) -> int:
-    return int(node.value)
-
-
 class _Dumper(yaml.SafeDumper):
     """A dumper that quotes every text that YAML 1.1 or 1.2 would read as another type."""
 
@@ -94,7 +90,7 @@ for _name, _pattern, _first in _RESOLVERS:
 _Loader.add_constructor(_TAG + "map", _mapping)
 _Loader.add_constructor(_TAG + "opencv-matrix", _mapping)
 _Loader.add_constructor(_TAG + "opencv-nd-matrix", _mapping)
-_Loader.add_constructor(_TAG + "int", _integer)
+_Loader.add_constructor(_TAG + "int", lambda _, node: int(node.value))
 
 
 def parsed(text: bytes, file: str) -> Any:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import NullFormatter
 
 from ringpose.calibrate.camera.outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.calibrate.camera.parameters import parameters_of
@@ -40,7 +40,11 @@ def camera_report(
 def _parameters(calibration: CameraCalibration) -> Section:
     camera, deviations = calibration.camera, calibration.standard_deviations
     rows = [
-        [_with_unit(name), f"{value:.6g}", f"{deviation:.2g}" if deviation else "held"]
+        [
+            f"{name} (px)" if name in CAMERA_PARAMETERS[:4] else name,
+            f"{value:.6g}",
+            f"{deviation:.2g}" if deviation else "held",
+        ]
         for (name, deviation), value in zip(deviations.items(), parameters_of(camera).tolist(), strict=True)
     ]
     return Section(
@@ -51,10 +55,6 @@ def _parameters(calibration: CameraCalibration) -> Section:
         ],
         table=Table(headings=("parameter", "value", "standard deviation"), rows=rows),
     )
-
-
-def _with_unit(parameter: str) -> str:
-    return f"{parameter} (px)" if parameter in CAMERA_PARAMETERS[:4] else parameter
 
 
 def _uncertainty(calibration: CameraCalibration, assessment: CameraAssessment) -> Section:
@@ -250,14 +250,10 @@ def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"
         axes.clabel(axes.contour(x, y, values, levels=levels, colors="w", linewidths=0.8), fmt="%.2g", fontsize=8)
     if np.nanmin(values) < WORST_PX < np.nanmax(values):
         axes.contour(x, y, values, levels=[WORST_PX], colors="#d62728", linewidths=2)
-    bar = figure.colorbar(shown, ax=axes, shrink=0.8, format=FuncFormatter(_plain))
+    bar = figure.colorbar(shown, ax=axes, shrink=0.8, format="{x:g}")
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
     bar.ax.set_ylabel("px")
     _image_axes(axes, camera)
-
-
-def _plain(value: float, _: object) -> str:
-    return f"{value:g}"
 
 
 def _extent(camera: Camera) -> tuple[float, float, float, float]:

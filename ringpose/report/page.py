@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from string import Template
 
 from ringpose.errors import UsageError
-from ringpose.types.calibration import Check, Verdict
+from ringpose.types.calibration import Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,29 +77,26 @@ $body
 def _section(section: Section) -> str:
     parts = [f"<h2>{escape(section.title)}</h2>"]
     parts += [f"<p>{escape(paragraph)}</p>" for paragraph in section.text]
-    parts += [_list(section.points)] if section.points else []
+    if section.points:
+        parts += ["<ol>", *(f"<li>{escape(point)}</li>" for point in section.points), "</ol>"]
     parts += [_table(section.table)] if section.table is not None else []
     parts += [_figure(picture) for picture in section.pictures]
     return "\n".join(parts)
 
 
-def _list(points: Sequence[str]) -> str:
-    items = "\n".join(f"<li>{escape(point)}</li>" for point in points)
-    return f"<ol>\n{items}\n</ol>"
-
-
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(heading)}</th>" for heading in table.headings)
-    rows = "\n".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in table.rows)
-    return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>"
+    rows = [
+        "".join(
+            f'<td class="{_GRADES[cell]}">{cell}</td>' if cell in _GRADES else f"<td>{escape(cell)}</td>"
+            for cell in row
+        )
+        for row in table.rows
+    ]
+    return "\n".join(["<table>", *(f"<tr>{cells}</tr>" for cells in (head, *rows)), "</table>"])
 
 
 _GRADES = {"good": "good", "can be improved": "can-be-improved", "redo": "redo"}
-
-
-def _cell(text: str) -> str:
-    grade = f' class="{_GRADES[text]}"' if text in _GRADES else ""
-    return f"<td{grade}>{escape(text)}</td>"
 
 
 def _figure(picture: Picture) -> str:
@@ -118,20 +115,11 @@ def require_matplotlib() -> None:
 
 def verdict_section(verdict: Verdict) -> Section:
     """Grade, advice, and every number beside its limits."""
-    return Section(
-        title=f"Verdict: {verdict.grade}",
-        points=verdict.advice,
-        table=Table(
-            headings=("quantity", "value", "good limit", "redo limit", "grade"),
-            rows=[_row(finding) for finding in verdict.findings],
-        ),
-    )
-
-
-def _row(finding: Check) -> list[str]:
-    limits = (finding.value, finding.pass_limit, finding.fail_limit)
-    return [f"{finding.place} {finding.name}".strip(), *map(_number, limits), str(finding.grade)]
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}" if abs(value) < float("inf") else "none"
+    rows = []
+    for finding in verdict.findings:
+        numbers = (finding.value, finding.pass_limit, finding.fail_limit)
+        cells = (f"{number:.4g}" if abs(number) < float("inf") else "none" for number in numbers)
+        rows.append([f"{finding.place} {finding.name}".strip(), *cells, str(finding.grade)])
+    headings = ("quantity", "value", "good limit", "redo limit", "grade")
+    table = Table(headings=headings, rows=rows)
+    return Section(title=f"Verdict: {verdict.grade}", points=verdict.advice, table=table)

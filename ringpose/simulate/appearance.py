@@ -266,7 +266,8 @@ def visible_edges(
     rate = electrons_per_radiance(sensor, scene.lens) * exposure_s
     _, px_per_m = edge_normals_px(place_m, off_face, arcs, camera)
     steps_m = (np.array(LIGHT_OFFSETS_PX) / px_per_m[:, None])[..., None] * off_face[:, None]
-    light_e = rate * _radiance(illuminated, place_m[:, None] + steps_m)
+    toward_m = place_m[:, None] + steps_m
+    light_e = rate * radiance_along(illuminated, toward_m.reshape(-1, 3))[0].reshape(toward_m.shape[:2])
     face_e, beyond_e = light_e[:, 0], light_e[:, 1:]
     height_e = np.abs(face_e - beyond_e[:, 0])
     pixel_e = np.sqrt(noise.dark_e2 + np.minimum(face_e, beyond_e[:, 0]))
@@ -316,16 +317,6 @@ def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*sha
     length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
     unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
     return unit
-
-
-def _radiance(
-    illuminated: IlluminatedTarget, toward_m: Float64[Array, "place offset xyz=3"]
-) -> Float64[Array, "place offset"]:
-    """Radiance of ambient light that the camera sees in the direction of these points."""
-    radiance: Float64[Array, "place offset"] = (
-        radiance_along(illuminated, toward_m.reshape(-1, 3))[0].astype(np.float64).reshape(toward_m.shape[:-1])
-    )
-    return radiance
 
 
 def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:

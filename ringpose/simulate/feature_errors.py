@@ -154,7 +154,8 @@ def center_errors(stripe: Stripe, noise: ImageNoise) -> CenterErrors | None:
     reach = int(np.ceil(REACH_SIGMAS * section))
     y = np.arange(-reach, reach + 1) - CENTER_PHASE
     light = np.exp(-0.5 * (y / section) ** 2)
-    sensor = _sensor_variance(light, peak_e, stripe, noise)
+    background = noise.dark_e2 + noise.frames * stripe.background_e
+    sensor = (background + light * peak_e) / peak_e**2 + (noise.response * light) ** 2  # variance by row
     grain = noise.contrast * noise.grain_px / noise.blurred_grain_px  # in one pixel of the image
     ratio = min(grain / sqrt(float(sensor.min())), MAX_SPECKLE)
     weight = 1.0 / (1.0 + (ratio * light) ** 2)
@@ -274,14 +275,6 @@ def _blurred_section(stripe: Stripe, noise: ImageNoise) -> tuple[float, float, f
     sigma = sqrt(stripe.sigma_px**2 + PIXEL_VARIANCE)
     section = sqrt(sigma**2 + noise.blur_px**2)
     return sigma, section, stripe.peak_e * stripe.sigma_px / section
-
-
-def _sensor_variance(
-    light: Float64[Array, "row"], peak_e: float, stripe: Stripe, noise: ImageNoise
-) -> Float64[Array, "row"]:
-    """Variance of the sensor's noise in the rows of a section."""
-    background = noise.dark_e2 + noise.frames * stripe.background_e
-    return (background + light * peak_e) / peak_e**2 + (noise.response * light) ** 2
 
 
 def _speckle_sum(

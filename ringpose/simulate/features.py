@@ -78,17 +78,11 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnShot:
-    """A drawn detection and all that is true about it."""
+    """A drawn detection and its truth, whose groups name the outliers."""
 
     detection: Detection
     truth: Truth
     common: CommonErrors
-    displaced: Bool[Array, "laser edge=2"]
-    """Break points that are outliers."""
-    background: Bool[Array, "laser"]
-    """Stripes on a surface behind the ring."""
-    missing: Bool[Array, "laser"]
-    """Stripes that were left out."""
 
 
 def drawn_features(
@@ -157,7 +151,8 @@ def draw_detection(
     shown_s = np.where(frames.number >= 0, middle_s[frames.number], np.nan)
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
-    course = _course(scene, view, appearance, _motion(view.normal, deviations.motion, unit[:5]), first_s)
+    motion, start_s = _motion(view.normal, deviations.motion, unit[:5]), first_s if view.path is None else 0.0
+    course = _Course(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
@@ -189,9 +184,6 @@ def draw_detection(
         detection=detection,
         truth=_truth(scene, view, position_px, first_s, stamp_s, course, outliers, moving=moving),
         common=common,
-        displaced=outliers.displaced,
-        background=outliers.behind_m > 0,
-        missing=outliers.missing,
     )
 
 
@@ -237,11 +229,6 @@ class _Course(NamedTuple):
             return self.drawn
         face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
         return _Motion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
-
-
-def _course(scene: Scene, view: RingView, appearance: Appearance, drawn: _Motion, first_s: float) -> _Course:
-    start_s = first_s if view.path is None else 0.0
-    return _Course(scene, view, appearance.arcs, appearance.axes, drawn, start_s)
 
 
 class _Outliers(NamedTuple):

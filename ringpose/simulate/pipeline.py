@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.simulate.board_target import board_target
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.light import IlluminatedTarget
@@ -20,6 +19,7 @@ from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, Placement, board_poses, ring_views, target_placement
 from ringpose.simulate.renderer import TIMES, RenderedView, render_view
 from ringpose.simulate.sensor import saturation_dn
+from ringpose.simulate.target.board import board_target
 from ringpose.simulate.target.parts import part_around, view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot

@@ -142,7 +142,7 @@ def test_shots_are_paired_by_name_in_any_order(rng):
     assert nothing_changed(compare(pairs(a, a[::-1]), [], 0.0, resamples=0))
 
 
-def test_a_handful_of_shots_cannot_tell_and_says_how_many_could(rng):
+def test_too_few_shots_are_undecided_with_the_number_that_is_needed(rng):
     a = [scored(str(n), grasp_m=1.0 + 0.1 * n) for n in range(5)]
     b = [scored(str(n), grasp_m=1.3 + 0.1 * n) for n in range(5)]
 

@@ -22,37 +22,29 @@ def scored(light: str, grasp_m: float | None) -> Score:
 LINES = summaries([scored("dim", 0.001), scored("sun", 0.003), scored("none", None)], ["light"])
 
 
-def test_a_limit_that_every_group_holds_says_nothing():
-    assert exceeded_error_limits(LINES, {"grasp_m": 0.0031}) == []
+@pytest.mark.parametrize(
+    ("limits", "messages"),
+    [
+        ({"grasp_m": 0.0031}, []),
+        ({"grasp_m": 0.0025}, ["grasp_m: RMSE 0.003 of light sun (paper) exceeds 0.0025"]),
+        ({"normal_rad": 1.0}, ["normal_rad: no shot has such an error, limit 1"]),
+    ],
+)
+def test_each_group_whose_error_exceeds_a_limit_is_named(limits, messages):
+    assert exceeded_error_limits(LINES, limits) == messages
 
 
-def test_one_group_over_the_limit_is_named_though_all_together_hold_it():
-    assert exceeded_error_limits(LINES, {"grasp_m": 0.0025}) == [
-        "grasp_m: RMSE 0.003 of light sun (paper) exceeds 0.0025"
-    ]
-
-
-def test_a_limit_on_what_nobody_gave_is_missed():
-    assert exceeded_error_limits(LINES, {"normal_rad": 1.0}) == ["normal_rad: no shot has such an error, limit 1"]
-
-
-def test_too_many_misses_are_counted_over_all_groups():
+def test_missed_shots_are_counted_over_all_groups():
+    assert exceeded_count_limits(LINES, missed=1, wrong=0) == []
     assert exceeded_count_limits(LINES, missed=0, wrong=None) == [
         "missed and lost: 1 shots of all shots (paper) exceed 0"
     ]
 
 
-def test_as_many_misses_as_allowed_are_allowed():
-    assert exceeded_count_limits(LINES, missed=1, wrong=0) == []
-
-
-def test_limits_are_said_in_millimetres_and_degrees_and_kept_in_metres_and_radians():
+def test_limits_in_millimetres_and_degrees_are_converted_to_metres_and_radians():
     limits = error_limits(center_mm=2.0, normal_deg=180.0, radius_mm=None, grasp_mm=0.5)
 
     assert limits == pytest.approx({"center_m": 0.002, "normal_rad": math.pi, "grasp_m": 0.0005})
-
-
-def test_a_limit_on_radii_holds_for_both_edges():
     assert set(error_limits(None, None, 1.0, None)) == {"radius_inner_m", "radius_outer_m"}
 
 

@@ -1,34 +1,38 @@
-"""Answers joined with truths."""
+"""Pose lines as estimates, and estimates matched with truths."""
 
+import pytest
+from known_poses import estimate_of, pose_of, truth_of
+
+from ringpose.bench import score
 from ringpose.bench.score import Outcome, PoseEstimate, matching, scores
+from ringpose.errors import DataError
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseLine
 
 
 def outcomes(found):
-    return [(score.method, score.shot, score.outcome) for score in found]
+    return [(each.method, each.shot, each.outcome) for each in found]
 
 
-def test_every_true_shot_is_scored_in_the_order_of_the_truth(truth_of, estimate_of):
+def test_every_true_shot_is_scored_for_each_method_in_the_order_of_the_truth():
     truths = [truth_of(shot=name) for name in "abc"]
+    estimates = [estimate_of(shot="c"), estimate_of(shot="a"), estimate_of(shot="b", method="other")]
 
-    found = scores([estimate_of(shot="c"), estimate_of(shot="a")], truths, None)
-
-    assert outcomes(found) == [("paper", "a", Outcome.OK), ("paper", "b", Outcome.LOST), ("paper", "c", Outcome.OK)]
-
-
-def test_each_method_is_scored_by_itself(truth_of, estimate_of):
-    truths = [truth_of(shot=name) for name in "ab"]
-
-    found = scores([estimate_of(shot="a"), estimate_of(shot="b", method="other")], truths, None)
-
-    assert outcomes(found) == [
+    assert outcomes(scores(estimates, truths, None)) == [
         ("paper", "a", Outcome.OK),
         ("paper", "b", Outcome.LOST),
+        ("paper", "c", Outcome.OK),
         ("other", "a", Outcome.LOST),
         ("other", "b", Outcome.OK),
+        ("other", "c", Outcome.LOST),
     ]
+    assert outcomes(scores([], [truth_of()], None)) == [("", "a", Outcome.LOST)]
+    found = matching(estimates[:2], truths)
+    assert (found.matched, found.truths, found.unsorted) == (2, 3, True)
+    assert not matching(estimates[1::-1], truths).unsorted
 
 
-def test_a_line_without_a_method_counts_for_every_method(truth_of, estimate_of):
+def test_a_line_without_a_method_counts_for_every_method():
     none = PoseEstimate(shot="b", method="", pose=None)
 
     found = scores([none, estimate_of(shot="a")], [truth_of(shot="a"), truth_of(shot="b")], None)
@@ -36,11 +40,7 @@ def test_a_line_without_a_method_counts_for_every_method(truth_of, estimate_of):
     assert outcomes(found) == [("paper", "a", Outcome.OK), ("paper", "b", Outcome.MISSED)]
 
 
-def test_no_answer_at_all_leaves_every_shot_lost(truth_of):
-    assert outcomes(scores([], [truth_of()], None)) == [("", "a", Outcome.LOST)]
-
-
-def test_answers_without_a_truth_are_named_once(truth_of, estimate_of):
+def test_estimates_without_a_truth_are_named_once():
     estimates = [estimate_of(shot="z"), estimate_of(), estimate_of(shot="z", method="other"), estimate_of(shot="y")]
 
     found = matching(estimates, [truth_of()])
@@ -48,17 +48,17 @@ def test_answers_without_a_truth_are_named_once(truth_of, estimate_of):
     assert (found.matched, found.truths, found.without_truth) == (1, 1, ("z", "y"))
 
 
-def test_a_shot_answered_twice_by_one_method_is_repeated(truth_of, estimate_of):
+def test_a_shot_with_two_estimates_of_one_method_is_repeated():
     estimates = [estimate_of(), estimate_of(method="other"), estimate_of(shot="b"), estimate_of()]
 
     assert matching(estimates, [truth_of(), truth_of(shot="b")]).repeated == ("a",)
 
 
-def test_answers_in_another_order_than_the_truth_are_matched_all_the_same(truth_of, estimate_of):
-    truths = [truth_of(shot=name) for name in "abc"]
-    estimates = [estimate_of(shot="c"), estimate_of(shot="a")]
+def test_a_line_is_an_estimate_in_the_camera_frame_with_the_method_of_its_pose():
+    line = PoseLine(shot="a", stamp_s=0.0, pose=pose_of(method="paper"))
+    without_pose = score.estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=None, reason="dark"), "poses:1")
 
-    found = matching(estimates, truths)
-
-    assert (found.matched, found.truths, found.unsorted) == (2, 3, True)
-    assert not matching(estimates[::-1], truths).unsorted
+    assert (score.estimate_of(line, "poses:1").shot, score.estimate_of(line, "poses:1").method) == ("a", "paper")
+    assert (without_pose.pose, without_pose.method) == (None, "")
+    with pytest.raises(DataError, match="poses:7: is in the tool frame"):
+        score.estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=pose_of(), frame=PoseFrame.TOOL), "poses:7")

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_poses import FOCAL_PX, PRINCIPAL_PX, estimate_of, on_ring, truth_of
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
 from ringpose.types.pose import PoseFlag, RingVelocity
+from ringpose.types.rig import Camera
 from ringpose.types.scene import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
@@ -20,6 +22,19 @@ SMALL = np.eye(3) * 1e-6
 MOVING = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s": np.array([0.01, 0.02, 3.0])}
 
 
+@pytest.fixture
+def camera() -> Camera:
+    matrix = np.array([[FOCAL_PX, 0.0, PRINCIPAL_PX[0]], [0.0, FOCAL_PX, PRINCIPAL_PX[1]], [0.0, 0.0, 1.0]])
+    return Camera(
+        camera_name="plain",
+        image_width=1600,
+        image_height=1200,
+        camera_matrix=matrix,
+        distortion_model="plumb_bob",
+        distortion_coefficients=np.zeros(5),
+    )
+
+
 def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:
     """The true velocity, without the spin about the normal, but for an error of so many standard deviations."""
     return RingVelocity(
@@ -29,7 +44,7 @@ def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:
     )
 
 
-def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
+def test_the_truth_itself_has_no_errors():
     truth = truth_of(**MOVING)
 
     result = score(truth, estimate_of(line={"velocity": velocity_of(truth)}), "paper", None)
@@ -39,7 +54,7 @@ def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
     assert max(map(abs, result.errors.values())) < 1e-12
 
 
-def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length(truth_of, estimate_of):
+def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length():
     off = truth_of().center_m + np.array([0.002, -0.003, 0.006])
 
     errors = score(truth_of(), estimate_of(center_m=off), "paper", None).errors
@@ -48,7 +63,7 @@ def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length(truth_of,
     np.testing.assert_allclose([*axes, errors["center_m"]], [0.002, -0.003, 0.006, 0.007], atol=1e-15)
 
 
-def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, estimate_of, on_ring):
+def test_normal_radius_and_grasp_errors_are_those_put_in():
     estimate = estimate_of(
         normal=tilted(truth_of().normal, np.array([np.tan(0.02), 0.0])),
         radius_inner_m=0.401,
@@ -62,18 +77,11 @@ def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, estimate_of, 
     np.testing.assert_allclose(found, [0.02, 0.001, -0.003, 0.005], atol=1e-12)
 
 
-def test_a_radius_that_was_not_seen_is_not_scored(truth_of, estimate_of):
-    errors = score(truth_of(), estimate_of(radius_inner_m=np.nan), "paper", None).errors
+def test_quantities_without_a_value_are_not_scored():
+    errors = score(truth_of(), estimate_of(radius_inner_m=np.nan, center_m=np.full(3, np.nan)), "paper", None).errors
 
-    assert "radius_inner_m" not in errors
-    assert "radius_outer_m" in errors
-
-
-def test_a_center_that_is_not_given_is_not_scored(truth_of, estimate_of):
-    errors = score(truth_of(), estimate_of(center_m=np.full(3, np.nan)), "paper", None).errors
-
-    assert {name for name in errors if "center" in name} == set()
-    assert "normal_rad" in errors
+    assert {name for name in errors if "center" in name or "inner" in name} == set()
+    assert {"radius_outer_m", "normal_rad"} <= errors.keys()
 
 
 @pytest.mark.parametrize(
@@ -84,14 +92,16 @@ def test_a_center_that_is_not_given_is_not_scored(truth_of, estimate_of):
         (PoseFlag.RIG_UNCHECKED, Outcome.OK),
     ],
 )
-def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(truth_of, estimate_of, flag, outcome):
+def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(flag, outcome):
     result = score(truth_of(), estimate_of(flags=flag), "paper", None)
 
     assert (result.outcome, result.status) == (outcome, str(outcome))
+    with_unknown_flag = score(truth_of(), replace(estimate_of(), status="degraded"), "ml", None)
+    assert (with_unknown_flag.outcome, with_unknown_flag.status) == (Outcome.DEGRADED, "degraded")
 
 
 @pytest.mark.parametrize(("sigmas", "wrong"), [(4.9, ()), (5.1, ("velocity",))])
-def test_a_velocity_is_wrong_from_five_standard_deviations(truth_of, estimate_of, sigmas, wrong):
+def test_a_velocity_is_wrong_from_five_standard_deviations(sigmas, wrong):
     truth = truth_of(**MOVING)
 
     result = score(truth, estimate_of(line={"velocity": velocity_of(truth, sigmas)}), "ml", None)
@@ -102,7 +112,7 @@ def test_a_velocity_is_wrong_from_five_standard_deviations(truth_of, estimate_of
     assert result.errors["rate_rad_s"] < 1e-12
 
 
-def test_a_velocity_is_not_judged_where_the_truth_has_none(truth_of, estimate_of):
+def test_a_velocity_is_not_judged_where_the_truth_has_none():
     velocity = velocity_of(truth_of(**MOVING), sigmas=9.0)
 
     result = score(truth_of(), estimate_of(line={"velocity": velocity}), "ml", None)
@@ -110,79 +120,65 @@ def test_a_velocity_is_not_judged_where_the_truth_has_none(truth_of, estimate_of
     assert "velocity" not in result.judgements
 
 
-@pytest.mark.parametrize(("stamp_s", "shot_stamp_s"), [(100.0, 99.0), (None, 100.0)])
-def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, estimate_of, stamp_s, shot_stamp_s):
-    truth = truth_of(stamp_s=stamp_s, velocity_m_s=np.array([0.05, 0.0, 0.0]))
-    line = {"stamp_s": shot_stamp_s, "pose_stamp_s": 100.08}
-    there = truth.center_m + 0.08 * truth.velocity_m_s
-
-    errors = score(truth, estimate_of(center_m=there, line=line), "ml", None).errors
-
-    assert errors["center_m"] < 1e-12
+def turned(angle_rad: float) -> np.ndarray:
+    return np.array([-np.sin(angle_rad), 0.0, -np.cos(angle_rad)])
 
 
 @pytest.mark.parametrize(
-    ("expect", "outcome"),
-    [("pose", Outcome.MISSED), ("partial", Outcome.PARTIAL_NONE), ("no_target", Outcome.NO_TARGET)],
+    ("stamp_s", "line"),
+    [
+        (100.0, {"stamp_s": 99.0, "pose_stamp_s": 100.1}),
+        (None, {"stamp_s": 100.0, "pose_stamp_s": 100.1}),
+        (100.0, {"stamp_s": 100.1}),
+    ],
 )
-def test_no_pose_is_a_miss_only_where_one_is_to_be_had(truth_of, expect, outcome):
-    result = score(truth_of(expect=expect), NO_POSE, "paper", None)
+def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(stamp_s, line):
+    rates = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s": np.array([0.0, 0.1, 3.0])}
+    truth = truth_of(stamp_s=stamp_s, **rates)
+    there = {"center_m": truth.center_m + 0.1 * truth.velocity_m_s, "normal": turned(0.01)}
+
+    errors = score(truth, estimate_of(line=line, **there), "ml", None).errors
+
+    assert errors["center_m"] < 1e-12
+    assert errors["normal_rad"] < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expect", "outcome"),
+    [
+        (NO_POSE, "pose", Outcome.MISSED),
+        (NO_POSE, "partial", Outcome.PARTIAL_NONE),
+        (NO_POSE, "no_target", Outcome.NO_TARGET),
+        (None, "pose", Outcome.LOST),
+    ],
+)
+def test_a_shot_without_a_pose_is_missed_only_if_one_is_expected(estimate, expect, outcome):
+    result = score(truth_of(expect=expect), estimate, "paper", None)
 
     assert result.outcome is outcome
     assert result.errors == {}
 
 
-def test_a_shot_without_a_line_is_lost(truth_of):
-    assert score(truth_of(), None, "paper", None).outcome is Outcome.LOST
-
-
-def test_a_pose_of_nothing_is_wrong(estimate_of):
-    result = score(NOTHING, estimate_of(), "paper", None)
-
-    assert result.outcome is Outcome.WRONG
-    assert result.errors == {}
-
-
-@pytest.mark.parametrize(("off_mm", "outcome"), [(4.9, Outcome.OK), (5.1, Outcome.WRONG)])
-def test_a_center_beyond_five_of_its_sigmas_is_wrong(truth_of, estimate_of, off_mm, outcome):
-    estimate = estimate_of(center_m=truth_of().center_m + np.array([0, off_mm / 1000, 0]), covariance_center_m2=SMALL)
-
-    result = score(truth_of(), estimate, "paper", None)
-
-    assert result.outcome is outcome
-    assert result.errors["center_nees"] == pytest.approx(off_mm**2 / 3)
-
-
-def test_a_center_that_is_flagged_is_degraded_however_far_off(truth_of, estimate_of):
-    estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.CENTER_WEAK)
-
-    assert score(truth_of(), estimate, "paper", None).outcome is Outcome.DEGRADED
-
-
-def test_a_flag_of_something_else_does_not_excuse_the_center(truth_of, estimate_of):
-    estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.RADIUS_WEAK)
-
-    assert score(truth_of(), estimate, "paper", None).outcome is Outcome.WRONG
-
-
-def test_the_normals_covariance_gives_its_nees(truth_of, estimate_of):
+def test_nees_are_those_of_the_covariances():
+    off_m = truth_of().center_m + np.array([0, 0.0049, 0])
     covariance = np.diag([1e-4, 4e-4, 1, 1, 1, 1, 1])
-    estimate = estimate_of(normal=truth_of().normal, covariance=covariance)
+    estimate = estimate_of(center_m=off_m, covariance=covariance, covariance_center_m2=SMALL)
     truth = truth_of(normal=tilted(estimate.pose.normal, np.array([0.01, 0.04])))
 
     errors = score(truth, estimate, "paper", None).errors
 
     assert errors["normal_nees"] == pytest.approx((1 + 4) / 2)
+    assert errors["center_nees"] == pytest.approx(4.9**2 / 3)
 
 
-def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone(truth_of, estimate_of):
+def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone():
     result = score(truth_of(expect="partial"), estimate_of(center_m=np.zeros(3)), "paper", None)
 
     assert result.outcome is Outcome.PARTIAL
     assert set(result.errors) == {"normal_rad", "grasp_m"}
 
 
-def test_a_center_that_a_partial_shot_reports_is_judged(truth_of, estimate_of):
+def test_a_center_that_a_partial_shot_reports_is_judged():
     estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL)
 
     result = score(truth_of(expect="partial"), estimate, "paper", None)
@@ -217,52 +213,43 @@ NAMED = ["center", "normal", "grasp along the normal", "grasp radially", "radius
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(truth_of, estimate_of, name):
+def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(name):
     truth, quantity = truth_of(), name.split()[0]
 
     correct, wrong, gross = (score(truth, estimate_of(**off_by(s, name, truth)), "ml", None) for s in (4.9, 5.1, 6.1))
 
     assert correct.distances[quantity] == pytest.approx(4.9, rel=1e-3)
     assert set(correct.judgements.values()) == {Judgement.CORRECT}
+    assert (correct.outcome, wrong.outcome) == (Outcome.OK, Outcome.WRONG)
     assert (wrong.wrong, wrong.gross) == ((quantity,), ())
     assert (gross.wrong, gross.gross) == ((quantity,), (quantity,))
 
 
-def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, estimate_of):
+def test_where_along_the_band_the_grasp_point_lies_is_not_judged():
     result = score(truth_of(), estimate_of(**off_by(9.0, "grasp along the band", truth_of())), "ml", None)
 
     assert result.wrong == ()
     assert result.distances["grasp"] < 1e-9
 
 
-EXCUSES = [
-    (PoseFlag.CENTER_WEAK, {"center"}),
-    (PoseFlag.SIDE_UNKNOWN, {"center"}),
-    (PoseFlag.GRASP_WEAK, {"grasp"}),
-    (PoseFlag.VELOCITY_WEAK, {"velocity"}),
-    (PoseFlag.NORMAL_WEAK, {"normal"}),
-    (PoseFlag.RADIUS_WEAK, {"radius_inner", "radius_outer"}),
-    (PoseFlag.RADIUS_INCONSISTENT, {"center", "radius_inner", "radius_outer"}),
-    (PoseFlag.RADIUS_UNVERIFIED, {"center", "radius_inner", "radius_outer"}),
-    (PoseFlag.INCONSISTENT, set(JUDGED)),
-    (PoseFlag.ASSIGNMENT_AMBIGUOUS, set(JUDGED)),
-    (PoseFlag.POINT_REJECTED, set()),
-    (PoseFlag.STRIPE_REJECTED, set()),
-    (PoseFlag.EDGE_REJECTED, set()),
-    (PoseFlag.LASER_MISSING, set()),
-    (PoseFlag.RING_FORM, set()),
-    (PoseFlag.MOTION, set()),
-    (PoseFlag.AMBIENT_CHANGED, set()),
-    (PoseFlag.RIG_DRIFT, set()),
-    (PoseFlag.RIG_UNCHECKED, set()),
-    (PoseFlag.SATURATED, set()),
-    (PoseFlag.TRUNCATED, set()),
-    (PoseFlag.BLUNT_EDGE, set()),
-]
+EXCUSES = {
+    PoseFlag.CENTER_WEAK: {"center"},
+    PoseFlag.SIDE_UNKNOWN: {"center"},
+    PoseFlag.GRASP_WEAK: {"grasp"},
+    PoseFlag.VELOCITY_WEAK: {"velocity"},
+    PoseFlag.NORMAL_WEAK: {"normal"},
+    PoseFlag.RADIUS_WEAK: {"radius_inner", "radius_outer"},
+    PoseFlag.RADIUS_INCONSISTENT: {"center", "radius_inner", "radius_outer"},
+    PoseFlag.RADIUS_UNVERIFIED: {"center", "radius_inner", "radius_outer"},
+    PoseFlag.INCONSISTENT: set(JUDGED),
+    PoseFlag.ASSIGNMENT_AMBIGUOUS: set(JUDGED),
+}
+"""The quantities that a flag names; the other flags name none."""
 
 
-@pytest.mark.parametrize(("flag", "named"), EXCUSES)
-def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, estimate_of, flag, named):
+@pytest.mark.parametrize("flag", PoseFlag)
+def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(flag):
+    named = EXCUSES.get(flag, set())
     truth = truth_of(**MOVING)
     changes = {key: value for name in NAMED for key, value in off_by(9.0, name, truth).items() if "cov" not in key}
     covariances = {key: value for key, value in off_by(0.0, "center", truth).items() if "cov" in key}
@@ -271,21 +258,18 @@ def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, esti
     result = score(truth, estimate_of(**covariances, **changes, flags=flag, line=line), "ml", None)
 
     assert set(result.wrong) == set(JUDGED) - named
+    assert result.outcome is (Outcome.WRONG if result.wrong else Outcome.DEGRADED)
     assert {name for name, found in result.judgements.items() if found is Judgement.FLAGGED} == named
 
 
-def test_every_flag_has_been_considered():
-    assert {flag for flag, _ in EXCUSES} == set(PoseFlag)
-
-
-def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is(truth_of, estimate_of):
+def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is():
     judgements = score(truth_of(), estimate_of(center_m=np.zeros(3)), "paper", None).judgements
 
     assert judgements.pop("grasp") is Judgement.CORRECT
     assert set(judgements.values()) == {Judgement.NO_COVARIANCE}
 
 
-def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_of, estimate_of):
+def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged():
     covariance = np.diag(SIGMAS**2)
     covariance[5, :] = covariance[:, 5] = np.nan
 
@@ -296,7 +280,7 @@ def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_o
 
 
 @pytest.mark.parametrize(("off_m", "judgement"), [(0.0549, Judgement.CORRECT), (0.0551, Judgement.WRONG)])
-def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(truth_of, estimate_of, off_m, judgement):
+def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(off_m, judgement):
     estimate = estimate_of(grasp_m=truth_of().center_m + np.array([0.45 + off_m, 0, 0]), covariance_grasp_m2=np.eye(3))
 
     result = score(truth_of(), estimate, "ml", None)
@@ -305,21 +289,18 @@ def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(tru
     assert result.gross == (("grasp",) if judgement is Judgement.WRONG else ())
 
 
-def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(estimate_of):
+def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it():
     unflagged = score(NOTHING, estimate_of(), "paper", None)
     flagged = score(NOTHING, estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
 
     assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED) - {"velocity"}
     assert set(flagged.wrong) == {"center", "normal", "grasp"}
+    assert (unflagged.outcome, unflagged.errors) == (Outcome.WRONG, {})
+    every_flagged = score(NOTHING, estimate_of(flags=PoseFlag.INCONSISTENT), "paper", None)
+    assert (every_flagged.outcome, every_flagged.wrong) == (Outcome.DEGRADED, ())
 
 
-def test_a_pose_of_nothing_whose_every_quantity_is_flagged_is_degraded(estimate_of):
-    result = score(NOTHING, estimate_of(flags=PoseFlag.INCONSISTENT), "paper", None)
-
-    assert (result.outcome, result.wrong) == (Outcome.DEGRADED, ())
-
-
-def test_a_normal_that_is_turned_over_is_wrong(truth_of, estimate_of):
+def test_a_normal_that_is_turned_over_is_wrong():
     covariance = np.diag(SIGMAS**2)
 
     results = [
@@ -330,28 +311,8 @@ def test_a_normal_that_is_turned_over_is_wrong(truth_of, estimate_of):
     assert [result.gross for result in results] == [("normal",), ("normal",)]
 
 
-def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_of, estimate_of):
-    truth = truth_of(
-        stamp_s=100.0,
-        velocity_m_s=np.array([0.05, 0.0, -0.02]),
-        angular_velocity_rad_s=np.array([0.0, 0.1, 3.0]),
-    )
-    there = truth.center_m + 0.1 * truth.velocity_m_s
-    turned = np.array([-np.sin(0.01), 0.0, -np.cos(0.01)])
-    estimate = replace(estimate_of(center_m=there, normal=turned), stamp_s=100.1)
-
-    errors = score(truth, estimate, "ml", None).errors
-
-    assert errors["center_m"] < 1e-12
-    assert errors["normal_rad"] < 1e-12
-
-
-def turned(angle_rad: float) -> np.ndarray:
-    return np.array([-np.sin(angle_rad), 0.0, -np.cos(angle_rad)])
-
-
 @pytest.mark.parametrize(("stamp_s", "share"), [(100.0, 0.0), (100.03, 0.3), (100.1, 1.0), (100.15, 1.5), (99.9, -1.0)])
-def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(truth_of, estimate_of, stamp_s, share):
+def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(stamp_s, share):
     center_m = truth_of().center_m
     frames = [
         TruthFrame(stamp_s=100.0 + 0.1 * n, center_m=center_m + np.array([0.01 * n, 0, 0]), normal=turned(0.02 * n))
@@ -367,17 +328,11 @@ def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(truth_of
     assert errors["normal_rad"] < 1e-9
 
 
-def test_a_pose_far_from_the_frames_of_its_truth_is_of_another_clock(truth_of, estimate_of):
+def test_a_pose_far_from_the_frames_of_its_truth_is_of_another_clock():
     frame = TruthFrame(stamp_s=100.0, center_m=truth_of().center_m, normal=truth_of().normal)
 
     with pytest.raises(DataError, match="clock"):
         score(truth_of(frames=(frame,)), estimate_of(line={"pose_stamp_s": 1.7e9}), "ml", None)
-
-
-def test_a_degraded_line_with_an_unknown_flag_is_degraded(truth_of, estimate_of):
-    result = score(truth_of(), replace(estimate_of(), status="degraded"), "ml", None)
-
-    assert (result.outcome, result.status) == (Outcome.DEGRADED, "degraded")
 
 
 HALF_BAND_RAD = 0.1 / 0.9
@@ -394,21 +349,16 @@ HALF_BAND_RAD = 0.1 / 0.9
         (np.pi, Outcome.WRONG),
     ],
 )
-def test_a_grasp_point_outside_the_arc_that_the_stripes_span_is_wrong(
-    truth_of, estimate_of, on_ring, camera, angle_rad, outcome
-):
+def test_a_grasp_point_outside_the_arc_that_the_stripes_span_is_wrong(camera, angle_rad, outcome):
     estimate = estimate_of(grasp_m=on_ring(angle_rad, 0.45))
 
     assert score(truth_of(), estimate, "paper", camera).outcome is outcome
+    assert score(truth_of(), estimate, "paper", None).outcome is Outcome.OK
 
 
-def test_a_break_point_that_is_not_seen_spans_nothing(truth_of, estimate_of, on_ring, camera):
+def test_a_break_point_that_is_not_seen_spans_nothing(camera):
     seen = truth_of().break_points_px.copy()
     seen[2] = np.nan
     estimate = estimate_of(grasp_m=on_ring(0.3, 0.45))
 
     assert score(truth_of(break_points_px=seen), estimate, "paper", camera).outcome is Outcome.WRONG
-
-
-def test_without_a_camera_the_arc_goes_unchecked(truth_of, estimate_of, on_ring):
-    assert score(truth_of(), estimate_of(grasp_m=on_ring(np.pi, 0.45)), "paper", None).outcome is Outcome.OK

@@ -36,35 +36,26 @@ def test_groups_come_sorted_by_size_and_all_shots_come_last():
 
 
 def test_a_group_that_a_truth_does_not_name_is_a_dash():
-    lines = summaries([scored("a", 1.0, light="dim"), scored("b", 1.0)], ["light"])
+    shots = [scored("a", 1.0, light="dim"), scored("b", 1.0)]
 
-    assert [line.group.get("light") for line in lines] == [ABSENT, "dim", None]
+    assert [line.group.get("light") for line in summaries(shots, ["light"])] == [ABSENT, "dim", None]
+    assert unknown_groups(shots, ["light", "lihgt"]) == ["lihgt"]
 
 
 def test_failures_are_counted_and_do_not_enter_the_errors():
     (line,) = summaries([scored("a", 3.0), scored("b"), scored("c", -3.0)], [])
 
+    assert sum(line.outcomes.values()) == line.shots
+    assert set(line.errors) == {"center_x_m"}
     assert (line.outcomes[Outcome.OK], line.outcomes[Outcome.MISSED], line.outcomes[Outcome.LOST]) == (2, 1, 0)
     assert line.errors["center_x_m"].count == 2
     assert line.errors["center_x_m"].rmse == 3.0
-
-
-def test_counts_of_the_outcomes_add_up_to_the_shots():
-    lines = summaries([scored("a", 1.0, light="dim"), scored("b", light="dim"), scored("c", light="sun")], ["light"])
-
-    assert [sum(line.outcomes.values()) for line in lines] == [line.shots for line in lines]
 
 
 def test_methods_are_not_mixed():
     lines = summaries([scored("a", 1.0), scored("a", 5.0, method="other")], [])
 
     assert [(line.method, line.errors["center_x_m"].rmse) for line in lines] == [("paper", 1.0), ("other", 5.0)]
-
-
-def test_a_quantity_that_nobody_gave_is_not_there():
-    (line,) = summaries([scored("a")], [])
-
-    assert line.errors == {}
 
 
 def test_nees_is_a_mean_not_a_root():
@@ -74,10 +65,6 @@ def test_nees_is_a_mean_not_a_root():
     (line,) = summaries([one, two], [])
 
     assert line.nees["center_nees"] == pytest.approx(1.1)
-
-
-def test_a_group_that_no_truth_names_is_unknown():
-    assert unknown_groups([scored("a", light="dim"), scored("b", ring="R597")], ["light", "lihgt", "ring"]) == ["lihgt"]
 
 
 def judged(name: str, correct: int, wrong: int, gross: int = 0) -> list[Score]:

@@ -14,9 +14,6 @@ def test_lines_name_the_value_that_is_not_good_and_the_advice():
         "verdict: can be improved: left held_out_rms_m 0.0004 (limit 0.0002)",
         "advice: add a view at 1 m",
     ]
-
-
-def test_one_line_reports_that_all_values_are_good():
     assert verdict_lines(Verdict(findings=(GOOD,))) == ["verdict: good: every number is within its limit"]
 
 

@@ -8,17 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known_poses import CENTER_M, NORMAL, on_ring, pose_of, truth_of, write_lines, write_truths
 
 from ringpose.cli.main import main
-from ringpose.files.records import line_of
-from ringpose.files.records.poses import pose_record
-from ringpose.files.records.truths import truth_record
 from ringpose.types.pose import PoseLine, RingPose
-from ringpose.types.scene import Truth
-
-CENTER_M = np.array([0.1, -0.2, 1.0])
-X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-NORMAL = -Z
 
 
 @pytest.fixture(autouse=True)
@@ -26,56 +19,30 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def truth(shot: str, expect: str = "pose", **groups: str | float) -> Truth:
-    return Truth(
-        shot=shot,
-        expect=expect,
-        center_m=CENTER_M,
-        normal=NORMAL,
-        radius_inner_m=0.4,
-        radius_outer_m=0.5,
-        groups=groups,
-    )
-
-
 def pose_off_by(off_m: float) -> RingPose:
     """Centre and grasp point off along the ring's axis, radii along themselves, the normal by as many radians."""
-    return RingPose(
-        center_m=CENTER_M + off_m * Z,
+    return pose_of(
+        center_m=CENTER_M - off_m * NORMAL,
         normal=np.array([math.sin(off_m), 0.0, -math.cos(off_m)]),
         radius_inner_m=0.4 + off_m,
         radius_outer_m=0.5 - off_m,
-        grasp_m=CENTER_M + 0.45 * X + off_m * Z,
-        method="paper",
-        condition_number=1.0,
-        residual_rms_px=0.1,
+        grasp_m=on_ring(0.0, 0.45) - off_m * NORMAL,
     )
 
 
-def write_poses(path: Path, **offsets_m: float | None) -> Path:
+def write_poses(**offsets_m: float | None) -> str:
     """A line for each shot; None has no pose."""
-    lines = [
-        PoseLine(
-            shot=shot,
-            stamp_s=0.0,
-            pose=None if off_m is None else pose_off_by(off_m),
-            reason="no laser stripe found" if off_m is None else None,
-        )
-        for shot, off_m in offsets_m.items()
-    ]
-    path.write_text("".join(line_of(pose_record(line)) for line in lines))
-    return path
-
-
-def write_truths(*truths: Truth) -> None:
-    Path("truth.jsonl").write_text("".join(line_of(truth_record(each)) for each in truths))
+    shots = {shot: None if off_m is None else pose_off_by(off_m) for shot, off_m in offsets_m.items()}
+    reason = "no laser stripe found"
+    lines = [PoseLine(shot=s, stamp_s=0.0, pose=p, reason=None if p else reason) for s, p in shots.items()]
+    return write_lines("poses.jsonl", lines)
 
 
 @pytest.fixture
 def poses() -> str:
     """Two shots at half a metre, off by 3 and 4 mm, one at a metre without a pose."""
-    write_truths(truth("a", distance_m=0.5), truth("b", distance_m=0.5), truth("c", distance_m=1.0))
-    return str(write_poses(Path("poses.jsonl"), a=0.003, b=-0.004, c=None))
+    write_truths("truth.jsonl", [truth_of(shot=s, groups={"distance_m": 1.0 if s == "c" else 0.5}) for s in "abc"])
+    return write_poses(a=0.003, b=-0.004, c=None)
 
 
 def report_of(capsys, *words: str) -> tuple[int, dict]:
@@ -83,31 +50,17 @@ def report_of(capsys, *words: str) -> tuple[int, dict]:
     return status, json.loads(capsys.readouterr().out)
 
 
-def test_errors_come_out_as_they_were_put_in(poses, capsys):
-    status, report = report_of(capsys, poses)
+@pytest.mark.parametrize("name", ["poses.jsonl", "-"])
+def test_errors_and_failures_are_reported_by_group(poses, capsys, monkeypatch, name):
+    monkeypatch.setattr("sys.stdin", io.StringIO(Path(poses).read_text()))
 
-    everything = report["groups"][-1]
+    status, report = report_of(capsys, name)
+
     off_m = math.sqrt((0.003**2 + 0.004**2) / 2)
-    rmse = {name: spread["rmse"] for name, spread in everything["errors"].items()}
+    rmse = {quantity: spread["rmse"] for quantity, spread in report["groups"][-1]["errors"].items()}
     assert status == 0
-    assert rmse == pytest.approx(
-        {
-            "center_x_m": 0.0,
-            "center_y_m": 0.0,
-            "center_z_m": off_m,
-            "center_m": off_m,
-            "normal_rad": off_m,
-            "radius_inner_m": off_m,
-            "radius_outer_m": off_m,
-            "grasp_m": off_m,
-        },
-        abs=1e-12,
-    )
-
-
-def test_failures_are_counted_by_group(poses, capsys):
-    _, report = report_of(capsys, poses)
-
+    others = ("center_z_m", "center_m", "normal_rad", "radius_inner_m", "radius_outer_m", "grasp_m")
+    assert rmse == pytest.approx({"center_x_m": 0.0, "center_y_m": 0.0} | dict.fromkeys(others, off_m), abs=1e-12)
     counted = [(each["group"], each["shots"], each["outcomes"]["missed"]) for each in report["groups"]]
     assert counted == [({"distance_m": 0.5}, 2, 0), ({"distance_m": 1.0}, 1, 1), ({}, 3, 1)]
 
@@ -121,16 +74,8 @@ def test_the_table_goes_to_standard_output(poses, capsys):
     assert streams.out.splitlines()[4].split()[:4] == ["paper", "all", "3", "2"]
 
 
-def test_pose_lines_come_on_standard_input(poses, capsys, monkeypatch):
-    monkeypatch.setattr("sys.stdin", io.StringIO(Path(poses).read_text()))
-
-    status, report = report_of(capsys, "-")
-
-    assert (status, len(report["shots"])) == (0, 3)
-
-
 def test_a_shot_without_a_line_is_lost(poses, capsys):
-    write_poses(Path(poses), a=0.003)
+    write_poses(a=0.003)
 
     status, report = report_of(capsys, poses)
 
@@ -139,7 +84,7 @@ def test_a_shot_without_a_line_is_lost(poses, capsys):
 
 
 def test_a_line_without_a_truth_is_named(poses, capsys):
-    write_poses(Path(poses), a=0.003, b=0.003, c=0.003, stranger=0.0)
+    write_poses(a=0.003, b=0.003, c=0.003, stranger=0.0)
 
     status = main(["bench", poses, "--truth", "truth.jsonl"])
 
@@ -194,18 +139,11 @@ def test_a_limit_that_is_missed_is_status_3(poses, capsys, words, status, compla
 
 
 def test_groups_may_be_chosen(poses, capsys):
-    write_truths(*(truth(s, ring="R597", light=s) for s in "abc"))
+    write_truths("truth.jsonl", [truth_of(shot=s, groups={"ring": "R597", "light": s}) for s in "abc"])
 
     _, report = report_of(capsys, poses, "--by", "light,ring")
 
     assert report["groups"][0]["group"] == {"light": "a", "ring": "R597"}
-
-
-def test_a_group_that_no_truth_has_is_wrong_usage(poses, capsys):
-    status = main(["bench", poses, "--truth", "truth.jsonl", "--by", "colour"])
-
-    assert status == 2
-    assert capsys.readouterr().err == 'ringpose: --by: no shot has a group "colour"\n'
 
 
 def test_csv_has_a_row_a_shot(poses, capsys):
@@ -221,7 +159,7 @@ def test_csv_has_a_row_a_shot(poses, capsys):
     assert rows[2]["center_z_m"] == ""
 
 
-def test_a_report_says_where_it_came_from_and_is_not_overwritten_unasked(poses, capsys):
+def test_a_report_has_its_provenance_and_is_replaced_only_with_force(poses, capsys):
     words = ["bench", poses, "--truth", "truth.jsonl", "--json", "report.json"]
 
     statuses = [main(words), main(words), main([*words, "--force"])]
@@ -242,10 +180,17 @@ def test_a_report_says_where_it_came_from_and_is_not_overwritten_unasked(poses, 
         (["poses.jsonl", "--truth", "truth.jsonl", "--json", "-", "--csv", "-"], 2, "both use standard output"),
         (["empty", "--method", "magic"], 2, "--method"),
         (["poses.jsonl", "--truth", "truth.jsonl", "--method", "paper"], 2, "have a method already"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--by", "colour"], 2, 'no shot has a group "colour"'),
+        (["none.jsonl", "--truth", "none.jsonl"], 65, "names no shot"),
+        *(
+            (["poses.jsonl", "--truth", "truth.jsonl", "--since", since], 2, since)
+            for since in ("yesterday", "5 weeks", "2024-13-01")
+        ),
     ],
 )
-def test_what_cannot_be_compared_is_one_line(poses, capsys, words, status, complaint):
+def test_bad_usage_and_missing_files_give_one_line(poses, capsys, words, status, complaint):
     Path("empty").mkdir()
+    Path("none.jsonl").touch()
 
     ended = main(["bench", *words])
 
@@ -255,26 +200,15 @@ def test_what_cannot_be_compared_is_one_line(poses, capsys, words, status, compl
     assert complaint in streams.err
 
 
-def test_a_truth_without_shots_is_bad_data(poses, capsys):
-    Path("truth.jsonl").write_text("")
-    Path(poses).write_text("")
-
-    status = main(["bench", poses, "--truth", "truth.jsonl"])
-
-    assert status == 65
-    assert "names no shot" in capsys.readouterr().err
-
-
-def write_stamped(path: Path, **stamps_s: float) -> Path:
+def write_stamped(**stamps_s: float) -> str:
     """A line without a pose for each shot, at these times."""
     lines = [PoseLine(shot=shot, stamp_s=stamp_s, pose=None, reason="none") for shot, stamp_s in stamps_s.items()]
-    path.write_text("".join(line_of(pose_record(line)) for line in lines))
-    return path
+    return write_lines("poses.jsonl", lines)
 
 
 def test_only_shots_since_a_time_are_scored(capsys):
-    Path("truth.jsonl").write_text("".join(line_of(truth_record(truth(shot))) for shot in ("a", "b", "c")))
-    write_stamped(Path("poses.jsonl"), a=1.70e9, b=1.71e9)
+    write_truths("truth.jsonl", [truth_of(shot=shot) for shot in "abc"])
+    write_stamped(a=1.70e9, b=1.71e9)
     words = ["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", "2024-01-01T00:00:00+00:00"]
 
     assert main([*words, "--json", "-"]) == 0
@@ -282,26 +216,14 @@ def test_only_shots_since_a_time_are_scored(capsys):
     assert [shot["shot"] for shot in json.loads(capsys.readouterr().out)["shots"]] == ["b"]
 
 
-def test_cron_prints_only_if_a_limit_is_missed(capsys):
-    Path("truth.jsonl").write_text(line_of(truth_record(truth("a"))))
-    write_stamped(Path("poses.jsonl"), a=1.7e9)
+def test_cron_prints_only_if_a_limit_is_missed_or_there_is_no_shot(capsys):
+    write_truths("truth.jsonl", [truth_of()])
+    write_stamped(a=1.7e9)
     words = ["bench", "poses.jsonl", "--truth", "truth.jsonl", "--cron", "--max-missed"]
 
     assert main([*words, "1"]) == 0
     assert capsys.readouterr() == ("", "")
     assert main([*words, "0"]) == 3
     assert "missed" in capsys.readouterr().err
-
-
-def test_that_there_is_no_shot_since_a_time_is_a_missed_limit(capsys):
-    Path("truth.jsonl").write_text(line_of(truth_record(truth("a"))))
-    write_stamped(Path("poses.jsonl"), a=1.7e9)
-
-    assert main(["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", "24h", "--cron"]) == 3
+    assert main([*words, "1", "--since", "24h"]) == 3
     assert "no shot since 24h" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("since", ["yesterday", "5 weeks", "2024-13-01"])
-def test_a_time_that_cannot_be_read_is_a_wrong_usage(since, capsys):
-    assert main(["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", since]) == 2
-    assert since in capsys.readouterr().err

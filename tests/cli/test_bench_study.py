@@ -1,4 +1,4 @@
-"""`ringpose bench study`: results, resumption, and what is refused."""
+"""`ringpose bench study`: results, resumption, and what is rejected."""
 
 import json
 
@@ -97,24 +97,19 @@ def test_a_damaged_part_is_named(folder, capsys):
     assert part.name in capsys.readouterr().err
 
 
-def test_a_missed_limit_is_named_and_changes_the_status(folder, capsys):
-    with (folder / "study.yaml").open("a") as stream:
-        stream.write("limits: {max_center_m: 0.0001}\n")
+def test_cron_prints_only_if_a_limit_is_missed(folder, capsys):
+    text = (folder / "study.yaml").read_text()
+    words = ["bench", "study", "study.yaml", "--jobs", "1", "--count", "1", "--cron", "--output"]
 
-    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1", "--cron"]) == 3
+    (folder / "study.yaml").write_text(text + "limits: {max_center_m: 1, min_available_share: 0.1}\n")
+    assert main([*words, "held"]) == 0
+    assert capsys.readouterr() == ("", "")
 
+    (folder / "study.yaml").write_text(text + "limits: {max_center_m: 0.0001}\n")
+    assert main([*words, "missed"]) == 3
     printed = capsys.readouterr()
     assert "max_center_m" in printed.err
     assert "position error" in printed.out
-
-
-def test_cron_prints_nothing_while_all_limits_are_held(folder, capsys):
-    with (folder / "study.yaml").open("a") as stream:
-        stream.write("limits: {max_center_m: 1, min_available_share: 0.1}\n")
-
-    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1", "--cron"]) == 0
-
-    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.slow
@@ -135,7 +130,7 @@ def test_two_results_of_one_study_are_compared(folder, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["results.csv", "results.parquet"])
-def test_a_table_that_is_cut_off_is_refused(folder, name):
+def test_a_table_that_is_cut_off_is_rejected(folder, name):
     pytest.importorskip("pyarrow")
     main(["bench", "study", "study.yaml", "--output", "a", "--jobs", "1"])
     whole = (folder / "a" / name).read_bytes()
@@ -154,7 +149,7 @@ def test_the_worst_shots_are_written_as_a_data_set(folder):
 
 
 @pytest.mark.slow
-def test_a_report_has_every_section_and_stands_alone(folder):
+def test_a_report_has_every_section_and_no_external_reference(folder):
     pytest.importorskip("matplotlib")
 
     words = ["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "20", "--report", "page.html"]
@@ -197,7 +192,7 @@ def test_a_report_has_every_section_and_stands_alone(folder):
         ("methods:", "track: {shots: 3, period_s: 0.2}\nmethods:", "track"),
     ],
 )
-def test_a_bad_study_is_refused_with_the_key_that_is_wrong(folder, capsys, old, new, word):
+def test_a_bad_study_is_rejected_with_the_key_that_is_wrong(folder, capsys, old, new, word):
     text = (folder / "study.yaml").read_text().replace(old, new)
     (folder / "study.yaml").write_text(text.replace("level: features", "level: images") if word == "features" else text)
 
@@ -207,23 +202,18 @@ def test_a_bad_study_is_refused_with_the_key_that_is_wrong(folder, capsys, old, 
     assert not (folder / "out").exists()
 
 
-def test_an_unknown_preset_is_a_wrong_usage(folder, capsys):
-    assert main(["bench", "study", "paper-sinthetic", "--output", "out"]) == 2
-    assert "paper-synthetic" in capsys.readouterr().err
-
-
-def test_a_missing_study_is_a_missing_input(folder):
-    assert main(["bench", "study", "none.yaml", "--output", "out"]) == 66
-
-
-@pytest.mark.parametrize("keep", ["best:2", "worst", "worst:0"])
-def test_what_to_keep_must_be_a_number_of_the_worst(folder, keep):
-    assert main(["bench", "study", "study.yaml", "--output", "out", "--keep", keep]) == 2
-
-
-def test_two_schedulers_are_a_wrong_usage(folder):
-    words = ["bench", "study", "study.yaml", "--output", "out", "--scheduler", "tcp://127.0.0.1:1"]
-    assert main([*words, "--scheduler-file", "x.json"]) == 2
+@pytest.mark.parametrize(
+    ("words", "status", "named"),
+    [
+        (["paper-sinthetic"], 2, "paper-synthetic"),
+        (["none.yaml"], 66, "none.yaml"),
+        *((["study.yaml", "--keep", keep], 2, "--keep") for keep in ("best:2", "worst", "worst:0")),
+        (["study.yaml", "--scheduler", "tcp://127.0.0.1:1", "--scheduler-file", "x.json"], 2, "--scheduler"),
+    ],
+)
+def test_bad_usage_is_reported(folder, capsys, words, status, named):
+    assert main(["bench", "study", *words, "--output", "out"]) == status
+    assert named in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", preset_names())

@@ -1,4 +1,4 @@
-"""A study on a dask cluster: the same results, refused versions, and a scheduler that disappears."""
+"""A study on a dask cluster: the same results, rejected versions, and a scheduler that disappears."""
 
 import os
 import shutil
@@ -76,7 +76,7 @@ def test_a_cluster_gives_the_same_results_even_if_its_scheduler_is_killed(
     assert study_rows("out") == study_rows("whole")
 
 
-def test_workers_with_another_version_are_refused_with_the_difference(study_folder, study_process, cluster):
+def test_workers_with_another_version_are_rejected_with_the_difference(study_folder, study_process, cluster):
     other = study_folder() / "other"
     shutil.copytree(Path(ringpose.__file__).parent, other / "ringpose")
     (other / "ringpose" / "newer.py").write_text("")

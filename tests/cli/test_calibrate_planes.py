@@ -1,13 +1,11 @@
 """`ringpose calibrate-planes`: errors, reasons, exit statuses."""
 
-import contextlib
-import io
 import re
 
 import cv2
 import numpy as np
 import pytest
-from plane_views import ORDER, calibrate, calibrated, copy_views, written
+from plane_views import ORDER, calibrate, calibrated, copy_views, run_in, written
 
 ROWS = ((550, 1200), (230, 550), (0, 230))
 """Between which rows the carried views have the stripes of left, middle and right."""
@@ -24,22 +22,7 @@ def switched_shots(plane_folder):
         np.savez(file, images=np.stack(frames), lasers=masks, stamp_s=np.arange(4) / 10, exposure_s=np.full(4, 0.01))
 
 
-def exchange(file, masks):
-    """Give the lit frames of a shot other masks."""
-    with np.load(file) as shot:
-        parts = {**shot, "lasers": np.array([0, *masks], np.uint8)}
-    np.savez(file, **parts)
-
-
-def test_all_lasers_on_and_no_order_is_refused_with_the_remedy(plane_folder, capsys):
-    status = calibrate("planes")
-
-    assert status == 65
-    assert "give --laser-order" in capsys.readouterr().err
-    assert not (plane_folder / "rig.yaml").exists()
-
-
-def test_one_shot_is_one_line_and_is_refused(plane_folder, capsys):
+def test_the_stripes_of_one_view_do_not_determine_the_planes(plane_folder, capsys):
     status = calibrate("planes/pln_B_01.npz", *ORDER)
 
     assert status == 65
@@ -50,7 +33,7 @@ def test_one_shot_is_one_line_and_is_refused(plane_folder, capsys):
 
 @pytest.fixture(scope="module")
 def poor_shots(carried_data, tmp_path_factory):
-    """Status, messages and quality of a calibration to which shots with one defect each are added."""
+    """A calibration to which shots with one defect each are added."""
     folder = tmp_path_factory.mktemp("poor")
     copy_views(carried_data, folder)
     planes = folder / "planes"
@@ -67,23 +50,15 @@ def poor_shots(carried_data, tmp_path_factory):
         }
         for name, pair in images.items():
             np.savez(planes / f"{name}.npz", **{**shot, "images": pair})
-    err = io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stderr(err):
-        status = calibrate("planes", *ORDER)
-    return status, err.getvalue(), written(folder)["quality"]
+    return run_in(folder, lambda: calibrate("planes", *ORDER))
 
 
-def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(poor_shots):
-    status, stderr, quality = poor_shots
+def test_shots_without_board_or_stripes_are_named_with_the_reason_and_the_others_are_used(poor_shots):
+    stderr = poor_shots.err
 
-    assert status == 3
+    assert poor_shots.status == 3
     assert "ringpose: black: no board: too dark" in stderr
-    assert quality["without_board"][0]["name"] == "black"
-
-
-def test_a_shot_without_stripes_is_named_with_the_reason(poor_shots):
-    _, stderr, _ = poor_shots
-
+    assert written(poor_shots.folder)["quality"]["without_board"][0]["name"] == "black"
     assert "unlit: no stripe of left, middle, right" in stderr
     assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in stderr
     assert "of the board is saturated" in stderr
@@ -91,69 +66,43 @@ def test_a_shot_without_stripes_is_named_with_the_reason(poor_shots):
     assert float(width_px[1]) == pytest.approx(141, abs=15)
 
 
-def test_a_wrong_order_is_wrong_usage(plane_folder, capsys):
-    assert calibrate("planes", "--laser-order", "up,middle,down") == 2
+CHESSBOARD = "{kind: chessboard, squares_x: 8, squares_y: 6, square_m: 0.02}"
 
 
-def test_names_with_a_full_stop_are_wrong_usage(plane_folder, capsys):
-    assert calibrate("planes", "--laser-names", "a.b,c,d") == 2
+@pytest.mark.parametrize(
+    ("words", "status", "named"),
+    [
+        ([], 65, "give --laser-order"),
+        (["--laser-order", "up,middle,down"], 2, "--laser-order"),
+        (["--laser-names", "a.b,c,d"], 2, "--laser-names"),
+        (["--laser-names", "left,right"], 65, "a frame names laser 3, there are 2 (left, right)"),
+        ([*ORDER, "--camera", "small.yaml"], 65, "1600 x 1200 pixels, the camera has 1280 x 1200"),
+        ([*ORDER, "--method", "paper", "--board", "chessboard.yaml"], 2, "paper"),
+        ([*ORDER, "--free-camera"], 2, "has no covariance"),
+        ([*ORDER, "--expected-angles", "ten"], 2, "--expected-angles"),
+        ([*ORDER, "--expected-angles", "10"], 2, "has 1, must have 2; give left to middle, middle to right"),
+        ([*ORDER, "--expected-angles", "-10,10"], 2, "'-10,10' are not all from 0 to 180; give degrees"),
+        ([*ORDER, "--expected-angles", "nan,10"], 2, "'nan,10' are not all from 0 to 180; give degrees"),
+        *(([*ORDER, "--working-distance", text], 2, "--working-distance") for text in ("0", "nan", "-1")),
+    ],
+)
+def test_bad_usage_is_reported_and_no_rig_is_written(plane_folder, capsys, words, status, named):
+    text = (plane_folder / "camera.yaml").read_text()
+    (plane_folder / "small.yaml").write_text(text.replace("image_width: 1600", "image_width: 1280"))
+    (plane_folder / "chessboard.yaml").write_text(CHESSBOARD)
 
-
-def test_too_few_names_name_the_shot_that_has_more_lasers(plane_folder, capsys):
-    status = calibrate("planes", "--laser-names", "left,right")
-
-    assert status == 65
-    assert "a frame names laser 3, there are 2 (left, right)" in capsys.readouterr().err
-
-
-def test_the_camera_of_another_size_is_refused(plane_folder, capsys):
-    text = (plane_folder / "camera.yaml").read_text().replace("image_width: 1600", "image_width: 1280")
-    (plane_folder / "camera.yaml").write_text(text)
-
-    status = calibrate("planes", *ORDER)
-
-    assert status == 65
-    assert "1600 x 1200 pixels, the camera has 1280 x 1200" in capsys.readouterr().err
-
-
-def test_the_papers_method_needs_markers(plane_folder, capsys):
-    (plane_folder / "plane_board.yaml").write_text("{kind: chessboard, squares_x: 8, squares_y: 6, square_m: 0.02}")
-
-    assert calibrate("planes", *ORDER, "--method", "paper") == 2
-
-
-def test_angles_that_are_none_are_wrong_usage(plane_folder, capsys):
-    assert calibrate("planes", *ORDER, "--expected-angles", "ten") == 2
-
-
-def test_a_camera_without_covariance_cannot_be_freed(plane_folder, capsys):
-    assert calibrate("planes", *ORDER, "--free-camera") == 2
-    assert "has no covariance" in capsys.readouterr().err
+    assert calibrate("planes", *words) == status
+    assert named in capsys.readouterr().err
+    assert not (plane_folder / "rig.yaml").exists()
 
 
 @pytest.mark.parametrize("missing", ["--output", "--camera", "INPUT"])
-def test_what_is_missing_is_named(missing, plane_folder, capsys):
+def test_a_missing_argument_is_named(missing, plane_folder, capsys):
     words = {"--output": "rig.yaml", "--camera": "camera.yaml", "INPUT": "planes"}
     given = [part for name, value in words.items() if name != missing for part in (name, value) if part != "INPUT"]
 
     assert calibrated(*given) == 2
     assert f"{missing}: is missing" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("angles", "finding"),
-    [
-        ("10", "has 1, must have 2; give left to middle, middle to right"),
-        ("-10,10", "'-10,10' are not all from 0 to 180; give degrees, as 10,10"),
-        ("nan,10", "'nan,10' are not all from 0 to 180; give degrees, as 10,10"),
-    ],
-)
-def test_expected_angles_that_no_lasers_have_are_refused(angles, finding, plane_folder, capsys):
-    status = calibrate("planes", *ORDER, "--expected-angles", angles)
-
-    assert status == 2
-    assert capsys.readouterr().err == f"ringpose: --expected-angles: {finding}\n"
-    assert not (plane_folder / "rig.yaml").exists()
 
 
 def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance(plane_folder, capsys):
@@ -185,7 +134,7 @@ def test_a_laser_that_is_never_lit_is_named_with_what_each_shot_showed(plane_fol
     assert "pln_B_01: 0 stripes on the board where laser 3 is on: too dark" in stderr
 
 
-def test_images_whose_lasers_nobody_names_are_refused_once_with_the_stripes_seen(plane_folder, capsys):
+def test_images_without_the_number_of_lasers_are_rejected_once_with_the_stripes_seen(plane_folder, capsys):
     for name in ("pln_B_01", "pln_B_03"):
         cv2.imwrite(f"planes/{name}.png", np.load(f"planes/{name}.npz")["images"][1])
     for file in (plane_folder / "planes").glob("*.npz"):
@@ -199,7 +148,7 @@ def test_images_whose_lasers_nobody_names_are_refused_once_with_the_stripes_seen
     assert "--laser-names: pln_B_01 does not say how many lasers are on; its board shows 3 stripes; give one" in stderr
 
 
-def test_the_working_distance_is_where_poses_are_judged(plane_folder, capsys):
+def test_the_errors_of_poses_are_predicted_at_the_working_distance(plane_folder, capsys):
     calibrate("planes", *ORDER, "--working-distance", "1.0")
 
     assert re.search(r"poses 1\.00 m away will be off by \d+\.\d mm from this calibration", capsys.readouterr().err)
@@ -207,13 +156,7 @@ def test_the_working_distance_is_where_poses_are_judged(plane_folder, capsys):
     assert "at 1.00 m" in [finding["place"] for finding in findings if finding["name"] == "ring_center_sd_m"]
 
 
-@pytest.mark.parametrize("distance", ["0", "nan", "-1"])
-def test_a_working_distance_that_is_none_is_wrong_usage(distance, plane_folder, capsys):
-    assert calibrate("planes", *ORDER, "--working-distance", distance) == 2
-    assert "--working-distance" in capsys.readouterr().err
-
-
-def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switched_shots, capsys):
+def test_a_number_of_lasers_below_three_is_reported(plane_folder, switched_shots, capsys):
     for file in sorted((plane_folder / "planes").glob("*.npz")):
         with np.load(file) as shot:
             parts = {key: values[:3] for key, values in shot.items()}
@@ -225,11 +168,12 @@ def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switch
     assert note in capsys.readouterr().err
 
 
-def test_moved_boards_and_exchanged_lasers_are_named_though_quiet_is_asked_for(plane_folder, switched_shots, capsys):
+def test_moved_boards_and_exchanged_lasers_are_named_even_if_quiet(plane_folder, switched_shots, capsys):
     with np.load("planes/pln_B_05.npz") as shot:
         moved = np.stack([shot["images"][0], *np.roll(shot["images"][1:], 3, axis=2)])
         np.savez("planes/moved.npz", **{**shot, "images": moved})
-    exchange("planes/pln_B_03.npz", [2, 1, 4])
+    with np.load("planes/pln_B_03.npz") as shot:
+        np.savez("planes/pln_B_03.npz", **{**shot, "lasers": np.array([0, 2, 1, 4], np.uint8)})
 
     status = calibrate("planes", "--quiet")
 

@@ -1,4 +1,4 @@
-"""What the calibrating commands write never takes the place of what they read, not even with --force."""
+"""Outputs of the calibrating commands that cannot be written: an input is not replaced, not even with --force."""
 
 import os
 import shutil
@@ -9,17 +9,7 @@ import pytest
 from ringpose.cli.main import main
 
 CAMERA = ("calibrate-camera", "views", "--board", "camera_board.yaml", "--force")
-PLANES = (
-    "calibrate-planes",
-    "planes",
-    "--board",
-    "plane_board.yaml",
-    "--camera",
-    "camera.yaml",
-    "--laser-names",
-    "a,b,c",
-    "--force",
-)
+PLANES = ("calibrate-planes", "planes", "--board", "plane_board.yaml", "--camera", "camera.yaml", "--force")
 IMAGE = "views/cam_B_00.png"
 
 
@@ -44,13 +34,10 @@ def folder(plane_folder, carried_data):
         ((*PLANES, "--output", "plane_board.yaml"), "plane_board.yaml", "plane_board.yaml"),
         ((*PLANES, "--output", "r.yaml", "--mount", "m.yaml", "--report", "m.yaml"), "m.yaml", "m.yaml"),
         ((*PLANES, "--output", "planes/pln_B_01.npz"), "planes/pln_B_01.npz", "planes/pln_B_01.npz"),
-        (
-            ("convert-camera", "camera.yaml", "--format", "ros", "-o", "camera.yaml", "--force"),
-            *2 * ["camera.yaml"],
-        ),
+        (("convert-camera", "camera.yaml", "--format", "ros", "-o", "camera.yaml", "--force"), *2 * ["camera.yaml"]),
     ],
 )
-def test_an_output_that_is_an_input_is_refused(folder, capsys, words, output, kept):
+def test_an_output_that_is_an_input_is_rejected(folder, capsys, words, output, kept):
     (folder / "m.yaml").write_text("mount: {}")
     before = Path(kept).read_bytes()
 
@@ -60,7 +47,7 @@ def test_an_output_that_is_an_input_is_refused(folder, capsys, words, output, ke
     assert Path(kept).read_bytes() == before
 
 
-def test_an_output_whose_name_no_file_can_have_cannot_be_created(folder, capsys):
+def test_an_output_with_an_invalid_name_cannot_be_created(folder, capsys):
     name = 300 * "a"
 
     status = main([*CAMERA, "--output", name])
@@ -68,9 +55,9 @@ def test_an_output_whose_name_no_file_can_have_cannot_be_created(folder, capsys)
     assert (status, capsys.readouterr().err.count("\n")) == (73, 1)
 
 
-def test_an_input_that_is_shut_off_cannot_be_opened(folder, capsys, monkeypatch):
+def test_an_input_without_permission_cannot_be_opened(folder, capsys, monkeypatch):
     def refuse(file: Path) -> bytes:
-        raise PermissionError(f"{file} is shut off")
+        raise PermissionError(f"{file}")
 
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr(Path, "read_bytes", refuse)

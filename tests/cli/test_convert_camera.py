@@ -32,24 +32,16 @@ def test_a_camera_that_went_through_every_format_is_the_same(camera_file):
     np.testing.assert_array_equal(after.distortion_coefficients, before.distortion_coefficients)
 
 
-def test_an_output_that_exists_is_kept(camera_file):
+def test_an_existing_output_is_replaced_only_with_force(camera_file):
     (camera_file.parent / "a.yaml").write_text("mine")
 
     assert convert("rig.yaml", "ros", "a.yaml") == 73
     assert (camera_file.parent / "a.yaml").read_text() == "mine"
-
-
-def test_force_replaces_it(camera_file):
-    (camera_file.parent / "a.yaml").write_text("mine")
-
     assert convert("rig.yaml", "ros", "a.yaml", "--force") == 0
 
 
-def test_an_unknown_format_is_wrong_usage(camera_file):
-    assert convert("rig.yaml", "excel", "a.xls") == 2
-
-
-def test_a_file_that_is_no_camera_is_bad_data(camera_file):
+def test_unknown_formats_and_files_without_a_camera_are_rejected(camera_file):
     (camera_file.parent / "a.yaml").write_text("a: 1")
 
+    assert convert("rig.yaml", "excel", "a.xls") == 2
     assert convert("a.yaml", "ros", "b.yaml") == 65

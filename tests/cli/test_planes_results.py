@@ -1,15 +1,11 @@
 """Outputs of `ringpose calibrate-planes` for good views: one run, checked by many tests."""
 
-import contextlib
-import io
 import re
-from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
-from plane_views import ORDER, calibrate, copy_views, written
+from plane_views import ORDER, calibrate, copy_views, run_in, written
 
 from ringpose.files.rigs import read_rig
 
@@ -22,35 +18,18 @@ TRUE_NORMALS = np.array(
 )
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run: its folder, exit status and messages."""
-
-    folder: Path
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture(scope="module")
 def run(carried_data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     copy_views(carried_data, folder)
     words = ("--laser-names", "left,middle,right", "--expected-angles", "10,13", "--overlay", "drawn")
     words += ("--report", "out.html") if find_spec("matplotlib") else ()
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = calibrate("planes", *ORDER, *words)
-    return Run(folder, status, out.getvalue(), err.getvalue())
+    return run_in(folder, lambda: calibrate("planes", *ORDER, *words))
 
 
 def worst_angle_deg(rig: dict) -> float:
     normals = np.array([laser["normal"] for laser in rig["lasers"]])
     return float(np.degrees(np.linalg.norm(np.cross(normals, TRUE_NORMALS), axis=1).max()))
-
-
-def test_carried_views_give_the_true_planes_by_the_most_likely_too(run):
-    assert worst_angle_deg(written(run.folder)) < 0.02
 
 
 @pytest.mark.parametrize(("method", "angle_deg"), [("total-least-squares", 0.02), ("paper", 0.1)])
@@ -72,58 +51,48 @@ def test_switched_frames_need_no_order(shared_data, plane_folder):
     assert worst_angle_deg(written(plane_folder)) < 0.01
 
 
-def test_the_file_says_how_good_it_is_and_where_it_comes_from(run):
+def test_the_rig_file_has_the_true_planes_with_their_quality_and_provenance(run):
     found = written(run.folder)
 
     assert run.status == 0
+    assert worst_angle_deg(found) < 0.02
     assert max(laser["held_out_rms_m"] for laser in found["quality"]["lasers"]) < 60e-6
-    assert found["covariance"]["parameters"][:2] == ["left.tilt_1", "left.tilt_2"]
     assert len(found["provenance"]["inputs"]) == 5
+    beside = found["quality"]["paper"]
+    assert [laser["name"] for laser in beside] == ["left", "middle", "right"]
+    assert max(np.degrees(laser["angle_rad"]) for laser in beside) < 0.1
 
 
-def test_the_rig_is_read_back(run):
-    rig = read_rig(run.folder / "rig.yaml")
+def test_the_rig_is_read_back_with_its_covariance(run):
+    covariance = read_rig(run.folder / "rig.yaml").covariance
 
-    assert rig.covariance.data.shape == (9, 9)
-    assert np.linalg.eigvalsh(rig.covariance.data).min() > 0
+    assert covariance.data.shape == (9, 9)
+    assert covariance.parameters[:2] == ("left.tilt_1", "left.tilt_2")
+    assert np.linalg.eigvalsh(covariance.data).min() > 0
 
 
 def test_overlays_show_the_stripes(run):
-    assert sorted(path.name for path in (run.folder / "drawn").iterdir()) == [
-        "pln_B_01.png",
-        "pln_B_03.png",
-        "pln_B_05.png",
-    ]
+    names = sorted(path.name for path in (run.folder / "drawn").iterdir())
+    assert names == ["pln_B_01.png", "pln_B_03.png", "pln_B_05.png"]
 
 
-def test_the_summary_gives_micrometres_held_out_by_distance(run):
+def test_the_summary_has_held_out_errors_by_distance_and_the_verdict_the_views_to_add(run):
+    verdict = written(run.folder)["quality"]["verdict"]
+    poor = {finding["name"] for finding in verdict["findings"] if finding["grade"] != "good"}
+
     assert run.out == ""
     assert re.search(r"3 views, rms [23]\d um, held out [23]\d um", run.err)
     assert "left: held out " in run.err
     assert " um at 0." in run.err
-
-
-def test_the_verdict_names_the_views_to_add(run):
-    verdict = written(run.folder)["quality"]["verdict"]
-
-    poor = {finding["name"] for finding in verdict["findings"] if finding["grade"] != "good"}
     assert verdict["grade"] == "can be improved"
     assert {"views", "angle_error_rad"} <= poor
     assert "verdict: can be improved" in run.err
     assert "advice: add views that show the stripe of left" in run.err
 
 
-def test_the_papers_planes_stand_beside(run):
-    beside = written(run.folder)["quality"]["paper"]
-
-    assert [laser["name"] for laser in beside] == ["left", "middle", "right"]
-    assert max(np.degrees(laser["angle_rad"]) for laser in beside) < 0.1
-
-
 def test_the_report_shows_residuals_and_uncertainty(run):
     pytest.importorskip("matplotlib")
 
     html = (run.folder / "out.html").read_text()
-
     assert html.count("data:image/png;base64,") == 3
     assert "Verdict: can be improved" in html

@@ -98,39 +98,26 @@ def test_what_exists_is_replaced_with_force_only(scene, capsys):
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "status", "named"),
     [
-        ["--displaced", "2"],
-        ["--displaced", "0.1:5,3"],
-        ["--background", "often"],
-        ["--missing", "1.5"],
-        ["--max-speed", "-1"],
-        ["--ring-tolerance", "nan"],
+        (["--features", "--displaced", "2"], 2, "--displaced"),
+        (["--features", "--displaced", "0.1:5,3"], 2, "--displaced"),
+        (["--features", "--background", "often"], 2, "--background"),
+        (["--features", "--missing", "1.5"], 2, "--missing"),
+        (["--features", "--max-speed", "-1"], 2, "--max-speed"),
+        (["--features", "--ring-tolerance", "nan"], 2, "--ring-tolerance"),
+        (["--features", "--max-rate", "1"], 2, "--max-rate"),  # the scene has a motion
+        (["--features", "--rig-errors"], 65, "covariance"),  # the rig has none, and no stability
+        (["--output", "out", "--max-speed", "0.1"], 2, "--features"),
+        ([], 2, "--output"),
     ],
 )
-def test_a_wrong_option_is_named(scene, capsys, options):
-    assert features(scene, *options) == 2
-    assert options[0] in capsys.readouterr().err
-
-
-def test_rig_errors_without_a_covariance_and_a_stability_are_rejected(scene, capsys):
+def test_bad_usage_is_reported(scene, capsys, monkeypatch, options, status, named):
+    monkeypatch.chdir(scene.parent)
+    if "--max-rate" in options:
+        scene.write_text(scene.read_text() + "motion: {preset: geo-bound}\n")
     exact = "stability: {plane_tilt_rad: 0, plane_distance_m: 0, focal_ratio: 0}\n"
     (scene.parent / "rig.yaml").write_text(SERVED_RIG + exact)
-    assert features(scene, "--rig-errors") == 65
-    assert "covariance" in capsys.readouterr().err
 
-
-def test_motion_of_images_is_rejected(scene, capsys):
-    assert main(["simulate", str(scene), "-o", str(scene.parent / "out"), "--max-speed", "0.1"]) == 2
-    assert "--features" in capsys.readouterr().err
-
-
-def test_velocities_are_not_drawn_for_a_scene_with_motion(scene, capsys):
-    scene.write_text(scene.read_text() + "motion: {preset: geo-bound}\n")
-    assert features(scene, "--max-rate", "1") == 2
-    assert "--max-rate" in capsys.readouterr().err
-
-
-def test_images_need_an_output(scene, capsys):
-    assert main(["simulate", str(scene)]) == 2
-    assert "--output" in capsys.readouterr().err
+    assert main(["simulate", str(scene), *options]) == status
+    assert named in capsys.readouterr().err

@@ -46,15 +46,8 @@ def console(tmp_path_factory):
     folder = tmp_path_factory.mktemp("console")
     for name in ("scene.yaml", "scene-rig.yaml"):
         shutil.copy(EXAMPLES / name, folder)
-    program = [
-        Path(sys.executable).parent / "ringpose",
-        "simulate",
-        "console",
-        "scene.yaml",
-        "--port",
-        str(free_port()),
-    ]
-    words = [*program, "--output", "recorded"]
+    options = ["--port", str(free_port()), "--output", "recorded"]
+    words = [Path(sys.executable).parent / "ringpose", "simulate", "console", "scene.yaml", *options]
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield json.loads(process.stdout.readline())["page"], folder

@@ -78,7 +78,7 @@ def test_a_trajectory_is_followed_and_interpolated(scene, state):
         '{"stamp_s": 1, "center_m": [0, 0, 1], "normal": [0, 0, -1]}\n' * 2,
     ],
 )
-def test_what_is_no_trajectory_is_rejected(text):
+def test_an_invalid_trajectory_is_rejected(text):
     with pytest.raises(DataError, match=r"t\.jsonl"):
         trajectory_in(text.encode(), "t.jsonl")
 
@@ -100,18 +100,13 @@ def test_a_light_plane_turns_about_its_projector_and_moves_with_it(scene, state)
     np.testing.assert_allclose(lasers.projector_m - scene.rig.lasers.projector_m, np.outer(moved_m, [0, 1, 0]))
 
 
-def test_larger_pixels_see_a_wider_field_with_more_light(scene, state):
+def test_larger_pixels_see_a_wider_field_with_more_light_and_a_rig_can_be_replaced(scene, state):
     wide = replace(state, rig_change=replace(state.rig_change, pitch_scale=2.0)).scene_of(scene)
 
     assert wide.rig.camera.camera_matrix[0, 0] == pytest.approx(scene.rig.camera.camera_matrix[0, 0] / 2)
     assert wide.sensor.pixel_m == pytest.approx(2 * scene.sensor.pixel_m)
-
-
-def test_a_picked_rig_takes_the_place_of_that_of_the_scene(scene, state):
     camera = replace(scene.rig.camera, camera_name="other")
-    rig = rig_of(scene, state, rig=replace(scene.rig, camera=camera))
-
-    assert rig.camera.camera_name == "other"
+    assert rig_of(scene, state, rig=replace(scene.rig, camera=camera)).camera.camera_name == "other"
 
 
 @pytest.mark.parametrize(
@@ -140,10 +135,7 @@ def test_points_project_to_the_same_place_of_a_preview(scene, rng):
     full, small = (project(points, each.rig.camera) for each in (scene, smaller))
 
     np.testing.assert_allclose((small + 0.5) * 4, full + 0.5, atol=1e-9)
-
-
-def test_an_image_that_is_small_already_is_its_own_preview(scene):
-    assert preview(scene, 300) is scene
+    assert preview(scene, 300) is scene  # it is small already
 
 
 @pytest.mark.parametrize("target", [{}, {"model": "sinosat2"}, {"model": "sinosat2", "state": "stowed"}], ids=str)
@@ -235,7 +227,7 @@ def test_a_preview_costs_less_than_half_of_a_measurement(scene, state):
     assert costs[0] < 0.5 * costs[1]
 
 
-def test_nothing_is_rendered_while_nobody_watches(scene, state):
+def test_nothing_is_rendered_without_a_viewer(scene, state):
     asked, pictures = threading.Semaphore(0), []
 
     def is_watched():

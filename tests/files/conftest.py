@@ -1,4 +1,4 @@
-"""A rig file that tests modify, and the marker of a deleted value."""
+"""A rig file and a scene that tests modify, and the marker of a deleted value."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 import yaml
+
+from ringpose.files.scenes.scene import read_scene
+from ringpose.types.scene import Scene
 
 RIG: dict[str, Any] = {
     "ringpose": "rig/1",
@@ -44,6 +47,22 @@ def changed(values: Any, path: str, value: Any) -> Any:
 
 DELETED = object()
 
+BOARD: dict[str, Any] = {"kind": "charuco", "squares_x": 7, "squares_y": 5, "square_m": 0.04, "marker_m": 0.03}
+BOARD["dictionary"] = "DICT_4X4_50"
+
+SCENE: dict[str, Any] = {
+    "ringpose": "scene/1",
+    "rig": "rig.yaml",
+    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
+    "body": {"size_m": [2.2, 2.1, 1.0], "foil": {"rms_m": 0.001}},
+    "lights": {"dim": {}, "sun": {"sun_w_m2": 15, "sun_direction": [0, -1, -1]}},
+    "trajectory": [
+        {"name": "a", "center_m": [-0.58, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]},
+        {"generate": {"distances_m": [0.5], "count": 2, "lights": ["dim", "sun"]}},
+    ],
+    "boards": {"camera": {"board": BOARD, "generate": {"count": 3}}},
+}
+
 
 @pytest.fixture
 def rig_file(tmp_path: Path) -> Callable[..., Path]:
@@ -61,3 +80,18 @@ def rig_file(tmp_path: Path) -> Callable[..., Path]:
 def deleted() -> object:
     """The value that removes a key."""
     return DELETED
+
+
+@pytest.fixture
+def scene_of(tmp_path: Path, rig_file: Callable[..., Path]) -> Callable[..., Scene]:
+    """Reads the scene with other values at paths; None removes a key."""
+
+    def read(*changes: tuple[str, Any], with_projectors: bool = True) -> Scene:
+        values: Any = SCENE
+        for path, value in changes:
+            values = changed(values, path, DELETED if value is None else value)
+        rig_file(*(("lasers.1.projector_m", [0, 0.03, 0.04]) if with_projectors else ()))
+        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(values))
+        return read_scene(tmp_path / "scene.yaml")
+
+    return read

@@ -147,6 +147,16 @@ def test_an_image_of_another_size_than_the_rig_is_rejected_before_decoding(tmp_p
         read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
 
 
+@pytest.mark.parametrize("size", [(100_000, 100_000), (2**20 + 1, 5), (2**31 - 1, 1), (0, 5), (5, 0)])
+def test_an_invalid_size_gives_one_error_and_nothing_on_stderr(tmp_path, capfd, size):
+    (tmp_path / "a.png").write_bytes(png(*size))
+
+    with pytest.raises(DataError, match=r"million|declares|Invalid IHDR|damaged"):
+        read_image(tmp_path / "a.png")
+
+    assert capfd.readouterr().err == ""
+
+
 def message_and_peak_of(read, *arguments, **options) -> tuple[str, int]:
     """The message of the error, and the peak of the allocated bytes."""
     tracemalloc.start()

@@ -23,28 +23,8 @@ from ringpose.files.rigs import read_rig
 from ringpose.types.image import Shot
 from ringpose.types.pose import MEASURED_PARAMETERS
 
-ODD = st.sampled_from(
-    [
-        None,
-        True,
-        0,
-        -1,
-        1e308,
-        -1e-308,
-        10**400,
-        math.nan,
-        math.inf,
-        "",
-        "a",
-        "1e3",
-        [],
-        [[]],
-        {},
-        {"a": 1},
-        [None],
-        [[1], 2],
-    ]
-)
+NUMBERS = [0, -1, 1e308, -1e-308, 10**400, math.nan, math.inf]
+ODD = st.sampled_from([None, True, *NUMBERS, "", "a", "1e3", [], [[]], {}, {"a": 1}, [None], [[1], 2]])
 
 MATRIX = {"rows": 3, "cols": 3, "data": [700.0, 0, 320.5, 0, 710.0, 240.25, 0, 0, 1]}
 COEFFICIENTS = {"rows": 1, "cols": 5, "data": [-0.1, 0.12, 1e-4, -2e-4, 0.03]}

@@ -1,15 +1,12 @@
 import os
-import struct
 import threading
-import zlib
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from ringpose.errors import CannotCreateError, DataError, NoInputError
-from ringpose.files.images.codecs import read_image, write_image
+from ringpose.errors import DataError, NoInputError
+from ringpose.files.images.codecs import read_image
 
 
 def encoded(suffix: str, image) -> bytes:
@@ -40,6 +37,7 @@ def test_grey_values_are_read_as_they_are(tmp_path, rng, suffix, dtype):
 
     np.testing.assert_array_equal(read, image)
     assert read.dtype == dtype
+    np.testing.assert_array_equal(read_image(tmp_path / f"a{suffix}", "r"), image)
 
 
 def test_jpeg_is_read(tmp_path):
@@ -63,14 +61,6 @@ def test_pgm_is_read_as_netpbm_describes_it(tmp_path, header, pixels, values):
     assert read_image(tmp_path / "a.pgm").tolist() == values
 
 
-@pytest.mark.parametrize("content", [b"P5 3 2 255\nabcde", b"P5 3 2 0 abcdef", b"P5 3 2 65536 " + bytes(18), b"P5 3 2"])
-def test_an_invalid_pgm_is_rejected(tmp_path, content):
-    (tmp_path / "a.pgm").write_bytes(content)
-
-    with pytest.raises(DataError, match=r"a\.pgm: "):
-        read_image(tmp_path / "a.pgm")
-
-
 @pytest.mark.parametrize("suffix", [".webp", ".jp2", ".hdr", ".ppm"])
 def test_other_formats_are_rejected(tmp_path, suffix):
     (tmp_path / "a.png").write_bytes(
@@ -91,16 +81,9 @@ def test_colour_becomes_luminance_or_the_requested_channel(tmp_path, channel, va
     assert read_image(tmp_path / "a.png", channel) == pytest.approx(value, abs=0.5)
 
 
-def test_channel_of_a_grey_image_is_the_image(tmp_path, rng):
-    image = grey(rng)
-    (tmp_path / "a.png").write_bytes(encoded(".png", image))
-
-    np.testing.assert_array_equal(read_image(tmp_path / "a.png", "r"), image)
-
-
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".pgm"])
 @pytest.mark.parametrize("kept", [0.0, 0.02, 0.5, 0.98])
-def test_truncated_image_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd, suffix, kept):
+def test_a_truncated_image_gives_one_error_and_nothing_on_stderr(tmp_path, rng, capfd, suffix, kept):
     whole = encoded(suffix, grey(rng))
     (tmp_path / f"a{suffix}").write_bytes(whole[: int(kept * len(whole))])
 
@@ -110,7 +93,7 @@ def test_truncated_image_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd
     assert capfd.readouterr().err == ""
 
 
-def test_damaged_png_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd):
+def test_a_damaged_png_gives_one_error_and_nothing_on_stderr(tmp_path, rng, capfd):
     damaged = bytearray(encoded(".png", grey(rng)))
     damaged[len(damaged) // 2] ^= 0xFF
     (tmp_path / "a.png").write_bytes(damaged)
@@ -121,7 +104,7 @@ def test_damaged_png_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_damaged_jpeg_is_refused_although_it_can_be_decoded(tmp_path, rng, capfd):
+def test_a_damaged_jpeg_is_rejected_although_it_can_be_decoded(tmp_path, rng, capfd):
     damaged = bytearray(encoded(".jpg", grey(rng)))
     damaged[len(damaged) // 2 :] = rng.bytes(len(damaged) // 2 - 2).replace(b"\xff", b"\xfe") + b"\xff\xd9"
     assert cv2.imdecode(np.frombuffer(damaged, np.uint8), cv2.IMREAD_UNCHANGED) is not None
@@ -146,7 +129,7 @@ def test_jpeg_with_padding_before_its_end_marker_is_read(tmp_path, rng, capfd, p
     assert capfd.readouterr().err == ""
 
 
-def test_jpeg_with_pixels_that_are_left_over_is_refused(tmp_path, rng):
+def test_a_jpeg_with_excess_pixels_is_rejected(tmp_path, rng):
     """A duplicated packet shifts all pixels after it, and the last ones remain before the end marker."""
     whole = encoded(".jpg", grey(rng))
     middle = len(whole) // 2
@@ -156,7 +139,7 @@ def test_jpeg_with_pixels_that_are_left_over_is_refused(tmp_path, rng):
         read_image(tmp_path / "a.jpg")
 
 
-def test_what_other_threads_write_meanwhile_is_passed_on_and_is_not_damage(tmp_path, rng, capfd, monkeypatch):
+def test_output_of_other_threads_on_stderr_is_passed_on_and_is_not_taken_as_damage(tmp_path, rng, capfd, monkeypatch):
     image = rng.integers(0, 256, (8, 8), dtype=np.uint8)
     (tmp_path / "a.png").write_bytes(encoded(".png", image))
     progress, decode = b"\x1b[2K3 shots\n", cv2.imdecode
@@ -173,7 +156,7 @@ def test_what_other_threads_write_meanwhile_is_passed_on_and_is_not_damage(tmp_p
     assert capfd.readouterr().err.encode() == progress
 
 
-def test_log_of_opencv_is_what_it_was_after_an_image_was_read(tmp_path, rng, capfd):
+def test_the_log_level_of_opencv_is_restored(tmp_path, rng, capfd):
     (tmp_path / "a.tif").write_bytes(encoded(".tif", grey(rng))[:-9])
     with pytest.raises(DataError):
         read_image(tmp_path / "a.tif")
@@ -185,7 +168,11 @@ def test_log_of_opencv_is_what_it_was_after_an_image_was_read(tmp_path, rng, cap
 
 
 @pytest.mark.parametrize(
-    "content", [b"just words\n", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"%PDF-1.4"]
+    "content",
+    [
+        *(b"just words\n", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"%PDF-1.4"),
+        *(b"P5 3 2 255\nabcde", b"P5 3 2 0 abcdef", b"P5 3 2 65536 " + bytes(18), b"P5 3 2"),
+    ],
 )
 def test_a_file_that_is_not_an_image_is_rejected(tmp_path, capfd, content):
     (tmp_path / "a.png").write_bytes(content)
@@ -196,51 +183,23 @@ def test_a_file_that_is_not_an_image_is_rejected(tmp_path, capfd, content):
     assert capfd.readouterr().err == ""
 
 
-def test_pixels_that_are_no_grey_values_are_refused(tmp_path, rng):
+@pytest.mark.parametrize(
+    ("name", "finding"),
+    [
+        ("/dev/zero", "is a device, must be a file"),
+        ("missing.png", "does not exist"),
+        ("link.png", "cannot be opened: too many levels of symbolic links"),
+    ],
+)
+def test_an_image_that_cannot_be_opened_is_a_missing_input(tmp_path, name, finding):
+    (tmp_path / "link.png").symlink_to("link.png")
+
+    with pytest.raises(NoInputError, match=finding):
+        read_image(tmp_path / name)
+
+
+def test_floating_point_pixels_are_rejected(tmp_path, rng):
     (tmp_path / "a.tif").write_bytes(encoded(".tif", grey(rng).astype(np.float32)))
 
     with pytest.raises(DataError, match="pixels of type float32"):
         read_image(tmp_path / "a.tif")
-
-
-def test_a_character_device_is_rejected():
-    with pytest.raises(NoInputError, match="is a device, must be a file"):
-        read_image(Path("/dev/zero"))
-
-
-def test_a_missing_image_is_a_missing_input(tmp_path):
-    with pytest.raises(NoInputError):
-        read_image(tmp_path / "a.png")
-
-
-def test_picture_is_written_once(tmp_path, rng):
-    write_image(tmp_path / "a.png", grey(rng))
-
-    with pytest.raises(CannotCreateError):
-        write_image(tmp_path / "a.png", grey(rng))
-
-
-def png_of_size(columns: int, rows: int) -> bytes:
-    def chunk(name: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-
-    header = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
-    data = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + data
-
-
-@pytest.mark.parametrize("size", [(100_000, 100_000), (2**20 + 1, 5), (2**31 - 1, 1), (0, 5), (5, 0)])
-def test_an_invalid_size_gives_one_error_and_nothing_on_stderr(tmp_path, capfd, size):
-    (tmp_path / "a.png").write_bytes(png_of_size(*size))
-
-    with pytest.raises(DataError, match=r"million|declares|Invalid IHDR|damaged"):
-        read_image(tmp_path / "a.png")
-
-    assert capfd.readouterr().err == ""
-
-
-def test_a_link_to_itself_is_a_missing_input(tmp_path):
-    (tmp_path / "a.png").symlink_to("a.png")
-
-    with pytest.raises(NoInputError, match="cannot be opened: too many levels of symbolic links"):
-        read_image(tmp_path / "a.png")

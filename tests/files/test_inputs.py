@@ -17,17 +17,20 @@ def test_a_folder_yields_its_files_by_name(tmp_path):
     assert [path.name for path in found] == ["a.png", "b.npz", "e.NPZ"]
 
 
-def test_a_given_file_is_yielded_whatever_its_suffix(tmp_path):
-    assert list(inputs([tmp_path / "a.txt"], (".npz",))) == [tmp_path / "a.txt"]
+def test_given_files_are_yielded_whatever_their_suffix(tmp_path):
+    names = [tmp_path / "a.txt", tmp_path / "missing.jsonl"]
+
+    assert list(inputs(names, ())) == names
 
 
-def test_an_empty_name_is_rejected(tmp_path, monkeypatch):
+def test_missing_inputs_are_yielded_as_problems(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", None)
     (tmp_path / "a.npz").touch()
 
-    (problem,) = inputs([""], (".npz",))
+    problems = list(inputs(["", "-", "missing.jsonl"], (".jsonl",)))
 
-    assert isinstance(problem, NoInputError)
+    assert [type(problem) for problem in problems] == 3 * [NoInputError]
 
 
 def test_an_empty_folder_is_yielded_as_a_problem(tmp_path):
@@ -69,34 +72,14 @@ def test_stdin_is_read_only_as_far_as_requested(monkeypatch):
     assert next(lines) == "b\n"
 
 
-def test_closed_stdin_is_a_problem(monkeypatch):
-    monkeypatch.setattr("sys.stdin", None)
+@pytest.mark.parametrize(("name", "compressed"), [("d.jsonl", False), ("d.jsonl", True), ("d.jsonl.gz", True)])
+def test_a_file_of_records_yields_them_whether_it_is_compressed_or_not(tmp_path, name, compressed):
+    content = b'{"shot": "a"}\n\n{"shot": "b"}\n'
+    (tmp_path / name).write_bytes(gzip.compress(content) if compressed else content)
 
-    (problem,) = inputs(["-"], ())
+    found = list(inputs([tmp_path / name], (".jsonl",)))
 
-    assert isinstance(problem, NoInputError)
-
-
-def test_a_file_of_records_yields_its_records(tmp_path):
-    (tmp_path / "d.jsonl").write_text('{"shot": "a"}\n\n{"shot": "b"}\n')
-
-    found = list(inputs([tmp_path], (".jsonl",)))
-
-    assert found == [Record(f"{tmp_path}/d.jsonl:1", {"shot": "a"}), Record(f"{tmp_path}/d.jsonl:3", {"shot": "b"})]
-
-
-@pytest.mark.parametrize("suffixes", [(".jsonl",), ()])
-def test_a_missing_file_of_records_is_yielded_as_a_problem(tmp_path, suffixes):
-    (found,) = inputs([tmp_path / "d.jsonl"], suffixes)
-
-    assert isinstance(found, NoInputError) == bool(suffixes)
-
-
-@pytest.mark.parametrize("name", ["d.jsonl", "d.jsonl.gz"])
-def test_compressed_records_are_read_whatever_their_name(tmp_path, name):
-    (tmp_path / name).write_bytes(gzip.compress(b'{"shot": "a"}\n'))
-
-    assert list(inputs([tmp_path / name], (".jsonl",))) == [Record(f"{tmp_path / name}:1", {"shot": "a"})]
+    assert found == [Record(f"{tmp_path / name}:1", {"shot": "a"}), Record(f"{tmp_path / name}:3", {"shot": "b"})]
 
 
 def test_an_endless_line_is_rejected(tmp_path, monkeypatch):

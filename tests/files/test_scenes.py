@@ -1,76 +1,12 @@
 """Reading of scene.yaml, and the messages for invalid scenes."""
 
-import copy
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.scenes.scene import read_scene
 from ringpose.types.pose import RingPose
 from ringpose.types.scene import Beacon
 from ringpose.types.target import MATERIALS
-
-BOARD = {
-    "kind": "charuco",
-    "squares_x": 7,
-    "squares_y": 5,
-    "square_m": 0.04,
-    "marker_m": 0.03,
-    "dictionary": "DICT_4X4_50",
-}
-
-SCENE = {
-    "ringpose": "scene/1",
-    "rig": "rig.yaml",
-    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
-    "body": {"size_m": [2.2, 2.1, 1.0], "foil": {"rms_m": 0.001}},
-    "lights": {"dim": {}, "sun": {"sun_w_m2": 15, "sun_direction": [0, -1, -1]}},
-    "trajectory": [
-        {"name": "a", "center_m": [-0.58, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]},
-        {"generate": {"distances_m": [0.5], "count": 2, "lights": ["dim", "sun"]}},
-    ],
-    "boards": {"camera": {"board": BOARD, "generate": {"count": 3}}},
-}
-
-RIG = {
-    "ringpose": "rig/1",
-    "camera": {
-        "image_width": 320,
-        "image_height": 240,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [356.0, 0, 160, 0, 356.0, 120, 0, 0, 1]},
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0, 0, 0, 0, 0]},
-    },
-    "lasers": [
-        {"name": "left", "normal": [0, 1, 0], "distance_m": -0.05, "projector_m": [0, -0.05, 0]},
-        {"name": "right", "normal": [0, 0.8, 0.6], "distance_m": 0.2, "projector_m": [0, 0.25, 0]},
-    ],
-}
-
-
-@pytest.fixture
-def scene_of(tmp_path: Path):
-    """Reads the scene above with another value at a path of keys; None removes the key."""
-
-    def read(*changes, rig=RIG):
-        values = copy.deepcopy(SCENE)
-        for keys, value in changes:
-            *path, last = keys.split(".")
-            below = values
-            for key in path:
-                below = below[int(key) if key.isdigit() else key]
-            if value is None:
-                del below[last]
-            else:
-                below[int(last) if last.isdigit() else last] = value
-        (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
-        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(values))
-        return read_scene(tmp_path / "scene.yaml")
-
-    return read
 
 
 def test_radii_and_height_make_an_annulus_with_walls(scene_of):
@@ -95,14 +31,15 @@ def test_materials_are_given_by_name_or_by_parameters(scene_of):
     assert (ring.wall.diffuse, ring.wall.specular, ring.wall.roughness) == (0.1, 0.2, 0.3)
 
 
-def test_omitted_keys_have_their_defaults(scene_of):
-    foil = scene_of().body.foil
+def test_a_scene_has_the_given_and_the_generated_views_and_defaults_for_omitted_keys(scene_of):
+    scene = scene_of(("x_note", "mine"))
 
-    assert (foil.rms_m, foil.crinkle_m) == (0.001, 0.03)
-
-
-def test_without_foil_the_body_is_flat(scene_of):
+    assert [view.name for view in scene.views] == ["a"]
+    assert scene.approaches[0].lights == ("dim", "sun")
+    assert scene.sequence == (0, 3)
+    assert (scene.body.foil.rms_m, scene.body.foil.crinkle_m) == (0.001, 0.03)
     assert scene_of(("body.foil", None)).body.foil is None
+    assert scene_of(("sequence", "off,1,2,1+2,all")).sequence == (0, 1, 2, 3, 3)
 
 
 def test_a_light_may_have_a_beacon(scene_of):
@@ -110,14 +47,6 @@ def test_a_light_may_have_a_beacon(scene_of):
 
     assert scene.lights["sun"].beacon == Beacon(ambient_w_m2=8.0, on_s=0.5, off_s=0.25, phase_s=0.0)
     assert scene.lights["dim"].beacon is None
-
-
-def test_a_sequence_is_read_as_masks(scene_of):
-    assert scene_of(("sequence", "off,1,2,1+2,all")).sequence == (0, 1, 2, 3, 3)
-
-
-def test_the_default_sequence_is_off_and_all(scene_of):
-    assert scene_of().sequence == (0, 3)
 
 
 def test_pitch_and_yaw_are_the_papers(scene_of):
@@ -129,17 +58,6 @@ def test_pitch_and_yaw_are_the_papers(scene_of):
         method="paper", condition_number=1.0, residual_rms_px=0.0,
     )  # fmt: skip
     assert (pose.pitch_rad, pose.yaw_rad) == pytest.approx((0.2, -0.1))
-
-
-def test_keys_with_the_free_prefix_are_accepted(scene_of):
-    assert scene_of(("x_note", "mine")).views[0].name == "a"
-
-
-def test_given_and_generated_views_are_separate(scene_of):
-    scene = scene_of()
-
-    assert [view.name for view in scene.views] == ["a"]
-    assert scene.approaches[0].lights == ("dim", "sun")
 
 
 @pytest.mark.parametrize(
@@ -181,6 +99,7 @@ def test_given_and_generated_views_are_separate(scene_of):
         ("boards.camera.board", {"kind": "asymmetric_circles", "squares_x": 4, "squares_y": 11, "spacing_m": 0.02},
          "which is not simulated"),
         ("exposure_s", float("nan"), "must be finite"),
+        ("trajectory.1", {"name": "a", "center_m": [-0.5, 0, 1], "normal": [0, 0, -1]}, "'a' occurs twice"),
     ],
 )  # fmt: skip
 def test_an_invalid_scene_gives_one_line(scene_of, keys, value, message):
@@ -191,44 +110,29 @@ def test_an_invalid_scene_gives_one_line(scene_of, keys, value, message):
     assert "\n" not in str(problem.value)
 
 
-def test_a_repeated_name_is_rejected(scene_of):
-    with pytest.raises(DataError, match="'a' occurs twice"):
-        scene_of(("trajectory.1", SCENE["trajectory"][0]))
-
-
-def test_a_rig_without_projectors_is_rejected(scene_of):
-    rig = copy.deepcopy(RIG)
-    del rig["lasers"][1]["projector_m"]
-
-    with pytest.raises(DataError, match="laser 'right' has no projector_m"):
-        scene_of(rig=rig)
-
-
-def test_a_missing_rig_is_a_missing_input(scene_of):
+def test_a_rig_that_is_missing_or_has_no_projectors_is_rejected(scene_of):
     with pytest.raises(NoInputError):
         scene_of(("rig", "elsewhere.yaml"))
+    with pytest.raises(DataError, match="laser 'right' has no projector_m"):
+        scene_of(with_projectors=False)
 
 
+SUN = {"irradiance_w_m2": 30, "direction": [0, 0, -1]}
 TARGET = (("ring", None), ("body", None), ("target", {"model": "sinosat2"}))
 
 
 def test_a_target_replaces_ring_and_body(scene_of):
-    scene = scene_of(*TARGET)
+    scene, bare = scene_of(*TARGET), scene_of(*TARGET[:2], ("target", {"model": "bare"}))
 
     assert scene.body is None
     assert len(scene.parts) >= 12
     assert scene.ring.radius_outer_m == pytest.approx(0.5965)
-
-
-def test_views_of_a_target_without_a_ring_show_the_rest(scene_of):
-    scene = scene_of(("ring", None), ("body", None), ("target", {"model": "bare"}))
-
-    assert {view.target for view in (*scene.views, *scene.approaches)} == {"body"}
+    assert {view.target for view in (*bare.views, *bare.approaches)} == {"body"}
 
 
 def test_sun_and_earth_are_in_all_lights_that_have_no_sun_of_their_own(scene_of):
     scene = scene_of(
-        ("sun", {"irradiance_w_m2": 30, "direction": [0, 0, -1]}),
+        ("sun", SUN),
         ("earth", {"direction": [1, 0, 0]}),
         ("lights.dark", {"sun_w_m2": 0}),
     )
@@ -244,12 +148,8 @@ def test_sun_and_earth_are_in_all_lights_that_have_no_sun_of_their_own(scene_of)
     [
         ((("target", {"model": "sinosat2"}), ("body", None)), "ring", "remove one"),
         ((("sun", {"irradiance_w_m2": 30}),), "sun", "direction"),
-        ((("sun", {"irradiance_w_m2": 30, "direction": [0, 0, 0]}),), "sun.direction", "length 0"),
-        (
-            (("sun", {"irradiance_w_m2": 3, "direction": [0, 0, 1], "diameter_rad": 0.53}),),
-            "sun.diameter_rad",
-            "radians",
-        ),
+        ((("sun", SUN | {"direction": [0, 0, 0]}),), "sun.direction", "length 0"),
+        ((("sun", SUN | {"diameter_rad": 0.53}),), "sun.diameter_rad", "radians"),
         ((("earth", {"direction": [0, 0, 1], "orbit_radius_m": 42164}),), "earth.orbit_radius_m", "at least"),
         ((("trajectory.0.center_m", [0, 0, -0.5]),), "trajectory[0].center_m", "behind the camera"),
         ((("ring.gaps", [{"angle_rad": 90, "width_m": 0.1, "depth_m": 0.01}]),), "ring.gaps[0].angle_rad", "degrees"),

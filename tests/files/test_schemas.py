@@ -19,28 +19,19 @@ from ringpose.types.pose import LaserState, PoseFlag
 from ringpose.types.scene import Truth
 from ringpose.types.session import Capture, Session
 
-DETECTION = parsed_record(
-    line_of(detection_record(Detection(shot="a", stamp_s=1.0, break_points=NoBreakPoints.NO_RING))), "x"
-)
-TRUTH = parsed_record(
-    line_of(
-        truth_record(
-            Truth(
-                shot="a",
-                expect="pose",
-                center_m=np.array([0.1, 0.2, 0.5]),
-                normal=np.array([0.0, 0.6, -0.8]),
-                radius_inner_m=0.567,
-                radius_outer_m=0.597,
-                break_points_px=np.array([[[1.0, 2.0], [np.nan, np.nan]]]),
-                stamp_s=3.0,
-                velocity_m_s=np.zeros(3),
-                groups={"rig": "B", "distance_m": 0.5, "foil": True},
-            )
-        )
-    ),
-    "x",
-)
+
+def record_of(values):
+    """The record as it is read from its line."""
+    return parsed_record(line_of(values), "x")
+
+
+DETECTION = record_of(detection_record(Detection(shot="a", stamp_s=1.0, break_points=NoBreakPoints.NO_RING)))
+_TRUTH = Truth(
+    shot="a", expect="pose", center_m=np.array([0.1, 0.2, 0.5]), normal=np.array([0.0, 0.6, -0.8]),
+    radius_inner_m=0.567, radius_outer_m=0.597, break_points_px=np.array([[[1.0, 2.0], [np.nan, np.nan]]]),
+    stamp_s=3.0, velocity_m_s=np.zeros(3), groups={"rig": "B", "distance_m": 0.5, "foil": True},
+)  # fmt: skip
+TRUTH = record_of(truth_record(_TRUTH))
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
@@ -67,43 +58,39 @@ def changed(values: dict, path: tuple, value: object) -> dict:
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
+    ("name", "record", "key", "value"),
     [
-        ("schema", "ringpose/detection/1"),
-        ("reason", None),
-        ("break_points", {}),
-        ("lasers_on", [1, 0]),
-        ("rejected", None),
-        ("ring_edges", {"edge": [2]}),
-        ("stripes", {"piece": [-1]}),
+        *(
+            ("detection", DETECTION | {"more": 1}, key, value)
+            for key, value in (
+                ("schema", "ringpose/detection/1"),
+                ("reason", None),
+                ("break_points", {}),
+                ("lasers_on", [1, 0]),
+                ("rejected", None),
+                ("ring_edges", {"edge": [2]}),
+                ("stripes", {"piece": [-1]}),
+            )
+        ),
+        *(
+            ("truth", TRUTH, key, value)
+            for key, value in (
+                ("shot", ""),
+                ("expect", "poses"),
+                ("center_m", [0.0, 1.0]),
+                ("center_m", None),
+                ("break_points_px", [[[1.0, 2.0]]]),
+                ("groups", {"a": []}),
+                ("frames", [{"stamp_s": 1.0}]),
+            )
+        ),
+        ("truth", record_of(truth_record(Truth(shot="b", expect="no_target"))), "shot", ""),
     ],
 )
-def test_broken_detection_is_refused(key, value):
-    validated(DETECTION | {"more": 1})
+def test_a_broken_record_does_not_fit_its_schema(name, record, key, value):
+    validated(record, name)
 
-    assert refused(DETECTION | {key: value}, "detection")
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("shot", ""),
-        ("expect", "poses"),
-        ("center_m", [0.0, 1.0]),
-        ("center_m", None),
-        ("break_points_px", [[[1.0, 2.0]]]),
-        ("groups", {"a": []}),
-        ("frames", [{"stamp_s": 1.0}]),
-    ],
-)
-def test_broken_truth_is_refused(key, value):
-    validated(TRUTH, "truth")
-
-    assert refused(TRUTH | {key: value}, "truth")
-
-
-def test_truth_without_a_target_has_no_center():
-    validated(parsed_record(line_of(truth_record(Truth(shot="b", expect="no_target"))), "x"), "truth")
+    assert refused(record | {key: value}, name)
 
 
 @pytest.mark.parametrize(
@@ -116,20 +103,12 @@ def test_truth_without_a_target_has_no_center():
         (("captures", 1, "laser_count"), 9),
     ],
 )
-def test_broken_session_is_refused(tmp_path, path, value):
+def test_a_broken_session_does_not_fit_its_schema(tmp_path, path, value):
     full = Capture(
-        camera="sim:scene.yaml",
-        lasers="sim:",
-        sequence="off,1,2,3,off",
-        exposure_s=0.01,
-        rate_hz=10.0,
-        camera_name="drawn",
-        laser_count=3,
-        laser_names=("left", "middle", "right"),
-        state="finished",
-        shots=("a", "b"),
-        provenance={"version": "0"},
-    )
+        camera="sim:scene.yaml", lasers="sim:", sequence="off,1,2,3,off", exposure_s=0.01, rate_hz=10.0,
+        camera_name="drawn", laser_count=3, laser_names=("left", "middle", "right"), state="finished",
+        shots=("a", "b"), provenance={"version": "0"},
+    )  # fmt: skip
     write_session(tmp_path, Session(captures=(Capture(camera="files:x", lasers="none:", shots=("c",)), full)))
     session = yaml.safe_load((tmp_path / "session.yaml").read_text())
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from schemas import validated
 
-from ringpose.errors import DataError, NoInputError
+from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.records.truths import read_truths, truth_record
 from ringpose.types.scene import Truth, TruthFrame
@@ -72,6 +72,7 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
         ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),
         ("centre_m", [0, 0, 0], "unknown key 'centre_m'; did you mean 'center_m'?"),
         ("center_m", [100, 200, 500], "center_m: is 500; give metres; this looks like millimetres"),
+        ("shot", "z", "shot: 'z' occurs twice"),
     ],
 )
 def test_an_invalid_truth_is_rejected_with_its_line(tmp_path, key, value, finding):
@@ -81,18 +82,3 @@ def test_an_invalid_truth_is_rejected_with_its_line(tmp_path, key, value, findin
         list(read_truths(file))
 
     assert str(caught.value).startswith(f"{file}:2: {finding}")
-
-
-def test_a_repeated_shot_is_rejected(tmp_path):
-    with pytest.raises(DataError, match="'a' occurs twice"):
-        list(read_truths(written(tmp_path / "truth.jsonl", LINE, LINE)))
-
-
-def test_a_missing_truth_file_is_a_missing_input(tmp_path):
-    with pytest.raises(NoInputError):
-        list(read_truths(tmp_path / "truth.jsonl"))
-
-
-@pytest.mark.parametrize(("folder", "shots"), [("rig_a", 10), ("rig_b", 24), ("variants_a", 4), ("variants_b", 7)])
-def test_rendered_truths_are_read(shared_data, folder, shots):
-    assert len(list(read_truths(shared_data / "rendered" / folder / "truth.jsonl"))) == shots

@@ -35,25 +35,16 @@ def break_points(position, variance_px2=0.01, flags=0) -> BreakPoints:
     )
 
 
-def test_picture_keeps_the_size_and_shows_the_image_dimmed(rng):
-    image = rng.integers(0, 255, (200, 300), dtype=np.uint8)
-
-    picture = overlay(image, detection())
-
-    np.testing.assert_array_equal(picture[60:, :], np.repeat(image[60:, :, None] // 2, 3, axis=2))
-
-
-def test_image_of_sixteen_bits_is_drawn():
-    assert overlay(np.full((200, 300), 65535, np.uint16), detection())[100, 100].tolist() == [127, 127, 127]
-
-
-def test_image_itself_is_left_alone(rng):
+def test_the_picture_shows_the_dimmed_image_which_is_not_changed(rng):
     image = rng.integers(0, 255, (200, 300), dtype=np.uint8)
     before = image.copy()
 
-    overlay(image, detection(break_points([150.0, 100.0])))
+    picture = overlay(image, detection())
+    overlay(image, detection(break_points([-50.0, 1e4])))  # a point outside is drawn at the border
 
+    np.testing.assert_array_equal(picture[60:, :], np.repeat(image[60:, :, None] // 2, 3, axis=2))
     np.testing.assert_array_equal(image, before)
+    assert overlay(np.full((200, 300), 65535, np.uint16), detection())[100, 100].tolist() == [127, 127, 127]
 
 
 def test_stripes_have_the_colour_of_their_laser():
@@ -90,7 +81,7 @@ def test_break_point_is_marked_where_it_is():
 
 
 @pytest.mark.parametrize("variance_px2", [0.25, np.nan])
-def test_larger_error_has_the_larger_ellipse_and_no_error_none(variance_px2):
+def test_a_larger_error_has_a_larger_ellipse_and_an_unknown_one_none(variance_px2):
     def reach(variance: float) -> int:
         picture = overlay(empty(), detection(break_points([150.0, 100.0], variance)))
         return int(np.flatnonzero(picture[60:, 140:160].any(axis=(1, 2))).max()) + 60
@@ -105,10 +96,6 @@ def test_flags_are_written_beside_the_point():
     changed = np.argwhere((plain != flagged).any(axis=2))
     assert len(changed) > 20
     assert changed[:, 1].min() > 150
-
-
-def test_break_point_outside_the_picture_does_not_crash():
-    assert overlay(empty(), detection(break_points([-50.0, 1e4]))).shape == (200, 300, 3)
 
 
 def test_points_of_the_ring_edges_are_dashes_along_the_edge():

@@ -1,4 +1,4 @@
-"""The page: whole in itself, and nothing in it is taken for markup."""
+"""HTML pages: self-contained, texts escaped."""
 
 import base64
 import re
@@ -13,6 +13,7 @@ import pytest
 from ringpose.errors import UsageError
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, require_matplotlib, verdict_section
+from ringpose.report.poses import pose_report
 from ringpose.types.calibration import Check, Verdict
 
 
@@ -35,13 +36,16 @@ class Tags(HTMLParser):
         self.text += data
 
 
-def test_texts_are_shown_as_they_are():
-    html = page("a < b", [Section(title="c & d", text=["<script>"], table=Table(headings=["<i>"], rows=[["1 < 2"]]))])
+def test_texts_are_escaped_and_nothing_is_loaded():
+    table = Table(headings=["<i>"], rows=[["1 < 2"]])
+    html = page("a < b", [Section(title="c & d", text=["<script>"], points=["first <a>", "second"], table=table)])
 
     parser = Tags()
     parser.feed(html)
     assert parser.open == []
     assert all(text in parser.text for text in ("a < b", "c & d", "<script>", "<i>", "1 < 2"))
+    assert "<ol>\n<li>first &lt;a&gt;</li>\n<li>second</li>\n</ol>" in html
+    assert re.findall(r"https?://|<script|<link", html) == []
 
 
 def test_a_picture_is_inside_the_page():
@@ -57,10 +61,6 @@ def test_a_picture_is_inside_the_page():
     assert image.min() < 200
 
 
-def test_the_page_loads_nothing_from_elsewhere():
-    assert re.findall(r"https?://|<script|<link", page("t", [Section(title="s")])) == []
-
-
 def test_a_verdict_shows_each_number_with_its_limits():
     finding = Check(
         name="tilt_deg", value=5.0, pass_limit=20.0, fail_limit=-np.inf, advice="tilt the board", place="left"
@@ -73,17 +73,11 @@ def test_a_verdict_shows_each_number_with_its_limits():
     assert section.table.rows == [["left tilt_deg", "5", "20", "none", "can be improved"]]
 
 
-def test_a_missing_matplotlib_is_said_with_its_remedy(monkeypatch):
+def test_a_missing_matplotlib_is_reported_with_its_remedy(monkeypatch):
     monkeypatch.setattr("ringpose.report.page.find_spec", lambda name: None)
 
     with pytest.raises(UsageError, match=r"matplotlib is not installed; pip install 'ringpose\[report\]'"):
         require_matplotlib()
-
-
-def test_points_are_a_list_in_their_order():
-    html = page("t", [Section(title="s", points=["first <a>", "second"])])
-
-    assert "<ol>\n<li>first &lt;a&gt;</li>\n<li>second</li>\n</ol>" in html
 
 
 @pytest.mark.parametrize("name", ["caf\udce9", "$x", "$\\frac$", "_hidden", "日本", "two\nlines"])
@@ -103,3 +97,10 @@ def test_a_page_is_imported_without_matplotlib():
     code = "import sys; sys.modules['matplotlib'] = None; import ringpose.report.page, ringpose.cli.calibrate.outputs"
 
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_report_of_no_shots_is_a_page():
+    html = pose_report([], [], "no shots")
+
+    assert html.startswith("<!DOCTYPE html>")
+    assert "no shots" in html

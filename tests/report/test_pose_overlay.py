@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 from ring_scenes import make_scene, pixels_of
 
-from ringpose.report.overlay import (
-    REJECTED_COLOR,
-    RING_COLORS,
-    STATUS_COLORS,
-    WHITE,
-    overlay,
-    picture_of,
-)
+from ringpose.report.overlay import REJECTED_COLOR, RING_COLORS, STATUS_COLORS, WHITE, overlay, picture_of
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import PoseFrame
@@ -62,19 +55,15 @@ def has_color_near(picture, position_px, color, within_px=2):
     return (np.abs(patch - np.array(color)).max(axis=2) < 60).any()
 
 
-def test_edges_are_drawn_where_the_true_edges_project(scene):
+def test_edges_with_a_radius_are_drawn_where_the_true_edges_project(scene):
     picture = drawn(scene, pose_of(scene))
 
     for laser in range(3):
         for edge in range(2):
             assert has_color_near(picture, scene.position_px[laser, edge], RING_COLORS[edge])
-
-
-def test_an_edge_with_unknown_radius_is_not_drawn(scene):
-    picture = drawn(scene, pose_of(scene, radius_inner_m=np.nan))
-
-    assert not has_color_near(picture, scene.position_px[2, 0], RING_COLORS[0])
-    assert has_color_near(picture, scene.position_px[2, 1], RING_COLORS[1])
+    without_inner = drawn(scene, pose_of(scene, radius_inner_m=np.nan))
+    assert not has_color_near(without_inner, scene.position_px[2, 0], RING_COLORS[0])
+    assert has_color_near(without_inner, scene.position_px[2, 1], RING_COLORS[1])
 
 
 def test_grasp_point_lies_where_opencv_projects_it_and_its_ellipse_is_ten_sigmas(scene):
@@ -89,8 +78,6 @@ def test_grasp_point_lies_where_opencv_projects_it_and_its_ellipse_is_ten_sigmas
 
 
 def test_a_pose_in_the_tool_frame_is_drawn_as_in_the_camera_frame(scene):
-    from dataclasses import replace
-
     from ringpose.pose.transform import pose_in_frame
 
     mount = np.eye(4)
@@ -117,7 +104,7 @@ def test_status_has_its_colour(scene, pose, flags, status):
     assert (picture[:60, :400] == STATUS_COLORS[status]).all(axis=2).any()
 
 
-def test_what_was_rejected_is_red(scene):
+def test_rejected_measurements_are_red(scene):
     points = scene.break_points(0.1)
     detection = Detection(shot="a", stamp_s=0.0, break_points=points)
     states = {"left": LaserState.REJECTED, "middle": LaserState.PARTLY, "right": LaserState.USED}

@@ -10,17 +10,17 @@ from ringpose.errors import DataError
 from ringpose.geometry.rays import undistort
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, drawn_common_errors
+from ringpose.simulate.common_errors import FORM_ORDERS, drawn_common_errors
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import target_placement
+from ringpose.types.arrays import EDGES
 from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.rig import ParameterCovariance
 from ringpose.types.target import FreeMotion, Gap, RingForm
 
 EXACT = Deviations(noise=False)
-STILL_FORM = RingForm(radial_m=np.zeros((2, 3, 2)), axial_m=np.zeros((3, 2)))
 
 
 @pytest.fixture
@@ -59,6 +59,7 @@ def test_stamps_are_those_of_each_lasers_frame(switched, view, rng):
     assert np.abs(found(drawn).stamp_s - (shot.stamp_s + shot.exposure_s / 2)[1:]).max() < 1e-6
     assert found(drawn).labelled
     assert drawn.detection.lasers_on.all()
+    assert drawn.detection.ring_edges is None  # without ambient light
 
 
 def test_scatter_of_drawn_features_is_as_stated(switched, view, rng):
@@ -76,7 +77,7 @@ def test_scatter_of_drawn_features_is_as_stated(switched, view, rng):
     assert np.mean(ends[:, 0] * ends[:, 1]) == pytest.approx(-0.5, abs=0.2)  # of a fitted line's two ends
 
 
-def test_more_noise_never_makes_features_more_certain(switched, view, rng):
+def test_more_noise_never_reduces_the_covariance_of_features(switched, view, rng):
     least = found(draw_detection(switched, view, rng)).covariance_px2[..., 0, 0]
     for noisier in (
         replace(switched, speckle=replace(switched.speckle, contrast=0.4)),
@@ -101,13 +102,6 @@ def test_a_stripe_beyond_the_border_is_clipped_and_its_line_remains(switched, vi
     assert drawn.truth.expect == "partial"
 
 
-def test_a_view_without_ring_has_no_break_points(switched, view, rng):
-    drawn = draw_detection(switched, replace(view, target="body"), rng)
-
-    assert drawn.detection.break_points is NoBreakPoints.NO_RING
-    assert drawn.truth.expect == "no_target"
-
-
 def test_motion_displaces_each_lasers_features_by_its_own_time(switched, view, rng):
     moving = draw_detection(
         switched, view, rng, replace(EXACT, motion=MotionPrior(speed_sd_m_s=0.1, rate_sd_rad_s=0.1))
@@ -126,12 +120,8 @@ def test_motion_displaces_each_lasers_features_by_its_own_time(switched, view, r
 
 def test_motion_at_rate_zero_changes_nothing(switched, view):
     still = draw_detection(switched, view, np.random.default_rng(1))
-    moving = draw_detection(
-        switched,
-        view,
-        np.random.default_rng(1),
-        Deviations(motion=MotionPrior(speed_sd_m_s=0.0, rate_sd_rad_s=0.0)),
-    )
+    at_rest = Deviations(motion=MotionPrior(speed_sd_m_s=0.0, rate_sd_rad_s=0.0))
+    moving = draw_detection(switched, view, np.random.default_rng(1), at_rest)
 
     assert np.array_equal(found(still).position_px, found(moving).position_px)
     assert np.array_equal(found(still).face_end_px, found(moving).face_end_px)
@@ -159,22 +149,25 @@ def test_form_has_no_part_that_is_radius_centre_offset_or_tilt(switched, view, r
     assert np.std(form.radial_m) == pytest.approx(1e-3 / np.sqrt(3), rel=0.6)
 
 
-def test_outliers_are_where_the_truth_says(switched, view, rng):
+def test_outliers_are_where_the_truth_has_them(switched, view, rng):
     exact = found(draw_detection(switched, view, rng, EXACT)).position_px
     deviations = replace(EXACT, displaced_share=0.3, displaced_px=(4.0, 6.0), missing_share=0.2)
     for _ in range(20):
         drawn = draw_detection(switched, view, rng, deviations)
+        words = {key: str(drawn.truth.groups.get(key, "")).split(",") for key in ("displaced", "missing")}
+        missing = np.array([laser in words["missing"] for laser in switched.rig.lasers.names])
+        displaced = np.array(
+            [[f"{laser}.{edge}" in words["displaced"] for edge in EDGES] for laser in switched.rig.lasers.names]
+        )
         if isinstance(drawn.detection.break_points, NoBreakPoints):
-            assert drawn.missing.all()
+            assert missing.all()
             continue
         points = found(drawn)
         off_px = np.linalg.norm(points.position_px - exact, axis=-1)
-        assert np.isnan(off_px[drawn.missing]).all()
-        assert (off_px[~drawn.missing & ~drawn.displaced.any(axis=1)] < 1e-9).all()
-        moved_px = off_px[drawn.displaced & ~drawn.missing[:, None]]
+        assert np.isnan(off_px[missing]).all()
+        assert (off_px[~missing & ~displaced.any(axis=1)] < 1e-9).all()
+        moved_px = off_px[displaced & ~missing[:, None]]
         assert ((moved_px > 3.9) & (moved_px < 6.5)).all()
-        named = drawn.truth.groups.get("displaced", "")
-        assert named.count(".") == drawn.displaced.sum()
 
 
 def test_a_stripe_on_the_background_lies_on_a_parallel_plane_behind(switched, view, rng):
@@ -184,7 +177,7 @@ def test_a_stripe_on_the_background_lies_on_a_parallel_plane_behind(switched, vi
 
     behind = replace(view, center_m=view.center_m - 0.05 * view.normal)
     expected = found(draw_detection(switched, behind, rng, EXACT))
-    assert drawn.background.all()
+    assert drawn.truth.groups["background"] == "left,middle,right"
     assert np.abs(found(drawn).position_px - expected.position_px).max() < 1e-6
     assert (
         np.abs(drawn.truth.break_points_px - found(draw_detection(switched, view, rng, EXACT)).position_px).max() < 1e-9
@@ -245,10 +238,16 @@ def test_true_rates_are_those_of_the_tilt_basis(switched, view, rng):
     assert rates.std(axis=0) == pytest.approx(0.05, rel=0.25)
 
 
-def test_common_errors_can_be_given(switched, view, rng):
-    common = CommonErrors(switched.rig, STILL_FORM)
+RADII_M = np.array([0.567, 0.597])
 
-    assert draw_detection(switched, view, rng, EXACT, common).common is common
+
+def radii_m(edges, scene, center_m, normal) -> np.ndarray:
+    """Distances from the centre at which the rays of edge points meet the ring's plane."""
+    camera = scene.rig.camera
+    xy = cv2.undistortPoints(edges.position_px, camera.camera_matrix, camera.distortion_coefficients).reshape(-1, 2)
+    rays = np.column_stack([xy, np.ones(len(xy))])
+    points = rays * ((center_m @ normal) / (rays @ normal))[:, None]
+    return np.linalg.norm(points - center_m, axis=1)
 
 
 @pytest.fixture
@@ -261,15 +260,7 @@ def test_visible_edges_lie_on_the_ring_and_scatter_as_stated(sunlit, rng):
     exact = draw_detection(scene, view, rng, EXACT).detection.ring_edges
     drawn = [draw_detection(scene, view, rng).detection.ring_edges for _ in range(50)]
 
-    # the rays meet the ring's plane on the circles
-    xy = cv2.undistortPoints(
-        exact.position_px, scene.rig.camera.camera_matrix, scene.rig.camera.distortion_coefficients
-    ).reshape(-1, 2)
-    rays = np.column_stack([xy, np.ones(len(xy))])
-    points = rays * ((view.center_m @ view.normal) / (rays @ view.normal))[:, None]
-    radius_m = np.linalg.norm(points - view.center_m, axis=1)
-    assert np.abs(radius_m - np.array([0.567, 0.597])[exact.edge]).max() < 1e-5
-
+    assert np.abs(radii_m(exact, scene, view.center_m, view.normal) - RADII_M[exact.edge]).max() < 1e-5
     off = [((each.position_px - exact.position_px) * exact.normal).sum(axis=1) / exact.sigma_px for each in drawn]
     assert len(exact.edge) > 12
     assert set(exact.edge) == {0, 1}
@@ -293,27 +284,20 @@ def test_edges_move_with_the_ring_by_the_time_of_their_own_frame(sunlit, rng):
     edges = moving.detection.ring_edges
     time_s = edges.stamp_s[0] - moving.detection.stamp_s
     assert time_s < 0  # the frame without lasers comes first
-    rays = cv2.undistortPoints(
-        edges.position_px, scene.rig.camera.camera_matrix, scene.rig.camera.distortion_coefficients
-    ).reshape(-1, 2)
-    rays = np.column_stack([rays, np.ones(len(rays))])
     center_m = view.center_m + time_s * moving.truth.velocity_m_s
-    points = rays * ((center_m @ view.normal) / (rays @ view.normal))[:, None]
-    radius_m = np.linalg.norm(points - center_m, axis=1)
-    assert np.abs(radius_m - np.array([0.567, 0.597])[edges.edge]).max() < 1e-5
+    assert np.abs(radii_m(edges, scene, center_m, view.normal) - RADII_M[edges.edge]).max() < 1e-5
 
 
-def test_without_ambient_light_no_edge_is_visible(switched, view, rng):
-    assert draw_detection(switched, view, rng).detection.ring_edges is None
-
-
-def test_stripes_in_saturating_sunlight_are_not_seen(switched, view, rng):
+def test_a_view_without_ring_or_in_saturating_sunlight_has_no_break_points(switched, view, rng):
     glaring = replace(switched, exposure_s=0.1, stripe_dn=None)
 
     drawn = draw_detection(glaring, replace(view, light="strong"), rng)
 
     assert drawn.detection.break_points is NoBreakPoints.NO_STRIPE
     assert drawn.truth.expect == "pose"  # as of images: the ring is in view
+    without = draw_detection(switched, replace(view, target="body"), rng)
+    assert without.detection.break_points is NoBreakPoints.NO_RING
+    assert without.truth.expect == "no_target"
 
 
 def test_the_pose_holds_at_the_first_frame_with_a_laser_on(switched, view, rng):

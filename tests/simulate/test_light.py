@@ -100,23 +100,17 @@ def test_every_part_shadows_every_other_from_the_sun(plates):
     assert radiance[1] > 0.0
 
 
-def test_earthshine_is_a_220th_of_the_sun_at_full_phase():
+def test_earthshine_is_a_220th_of_the_sun_and_follows_the_phase_of_a_lambert_sphere():
     earth = Earth(direction=np.array([0.0, 0.0, -1.0]))
 
-    full = earthshine_w_m2(earth, SUN_W_M2, np.array([0.0, 0.0, 1.0]))
+    full, half, new = (
+        earthshine_w_m2(earth, SUN_W_M2, np.array(sun)) for sun in ([0.0, 0, 1], [1.0, 0, 0], [0.0, 0, -1])
+    )
 
     assert SUN_W_M2 / full == pytest.approx(220, rel=0.02)
     assert np.degrees(2 * earth.angular_radius_rad) == pytest.approx(17.4, abs=0.05)
-
-
-def test_earthshine_follows_the_phase_of_a_lambert_sphere():
-    earth = Earth(direction=np.array([0.0, 0.0, -1.0]))
-
-    half = earthshine_w_m2(earth, SUN_W_M2, np.array([1.0, 0.0, 0.0]))
-    full = earthshine_w_m2(earth, SUN_W_M2, np.array([0.0, 0.0, 1.0]))
-
     assert half / full == pytest.approx(1 / np.pi)
-    assert earthshine_w_m2(earth, SUN_W_M2, np.array([0.0, 0.0, -1.0])) == pytest.approx(0.0, abs=1e-12)
+    assert new == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_earth_lights_the_side_away_from_the_sun(plates):

@@ -14,7 +14,7 @@ import pytest
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.renderer import layers, pixel_rays
-from ringpose.simulate.target.foil import relief
+from ringpose.simulate.target.parts import relief
 from ringpose.types.scene import LaserLight, Light, RingView
 from ringpose.types.target import MATERIALS, Body, Foil, RingShape
 

@@ -1,8 +1,7 @@
 import numpy as np
 
 from ringpose.kernels.render import NONE, blocked, first_hits
-from ringpose.simulate.target.foil import relief
-from ringpose.simulate.target.parts import body_part, target_tables
+from ringpose.simulate.target.parts import body_part, relief, target_tables
 from ringpose.types.target import Body, Foil
 
 SIZE_M = np.array([2.0, 1.5, 1.0])

@@ -43,6 +43,15 @@ class Bound:
         """Standard deviation of the outer radius."""
         return sqrt(float(self.parameters[6, 6]))
 
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """These three by the names of the errors that they bound."""
+        return {
+            "center_m": self.center_sd_m,
+            "normal_rad": self.normal_sd_rad,
+            "radius_outer_m": self.radius_outer_sd_m,
+        }
+
 
 def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
     """The bound at the ring of a pose from exact features; None if it leaves a parameter of the ring open.
@@ -54,7 +63,9 @@ def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
     if measurement is None or priors is None or priors.regularization is not None:
         return None  # weak priors have moved the ring away from the true one
     count = len(MEASURED_PARAMETERS)
-    root = _prior_root(measurement.nuisance_parameters, rig)
+    names = measurement.nuisance_parameters
+    # R R^T is the prior covariance of the nuisance parameters; rows of those that count as exact are zero
+    root = np.zeros((len(names), 0)) if rig.covariance is None else covariance_root(rig.covariance.of(names))
     rows, errors = measurement.square_root, root.shape[1]
     whitened = np.concatenate([rows[:, :_POSE], rows[:, count:-1] @ root], axis=1)
     information = whitened.T @ whitened
@@ -76,10 +87,3 @@ def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
     at = measurement.linearized_at
     _, center_wrt = normal_and_center(at.normal, at.center_m)
     return Bound(parameters=parameters, center_m2=center_wrt @ parameters[:5, :5] @ center_wrt.T)
-
-
-def _prior_root(names: tuple[str, ...], rig: Rig) -> Float64[Array, "parameter error"]:
-    """R with R R^T the prior covariance of the nuisance parameters; zero rows for those that count as exact."""
-    if rig.covariance is None:
-        return np.zeros((len(names), 0))
-    return covariance_root(rig.covariance.of(names))

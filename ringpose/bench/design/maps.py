@@ -11,7 +11,7 @@ from math import degrees, inf, nan, radians
 
 import numpy as np
 
-from ringpose.bench.design.bounds import Bound, cramer_rao
+from ringpose.bench.design.bounds import cramer_rao
 from ringpose.bench.design.rig_changes import (
     elevations_rad,
     with_baseline,
@@ -32,7 +32,7 @@ from ringpose.simulate.placement import image_ray, ring_rotation
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import NOISE_ONLY, RigStability
 from ringpose.types.detection import BreakPoints
-from ringpose.types.pose import KnownRadii, PoseFlag, PoseLine
+from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.rig import Rig
 from ringpose.types.scene import RingView, Scene
 
@@ -220,9 +220,13 @@ def place_result(scene: Scene, place: Place) -> PlaceResult:
     stripes = int(points.seen.all(axis=1).sum()) if isinstance(points, BreakPoints) else 0
     bound, bound_known = cramer_rao(line, scene.rig), cramer_rao(known, scene.rig)
     sd = dict.fromkeys(QUANTITIES, nan)
-    sd |= {} if bound is None else _sds(bound)
-    sd |= {} if bound_known is None else _sds_known(bound_known)
-    sd["grasp_m"] = _grasp_sd_m(line)
+    if bound is not None:
+        sd |= bound.standard_deviations
+    if bound_known is not None:
+        sd |= {"center_known_m": bound_known.center_sd_m, "normal_known_rad": bound_known.normal_sd_rad}
+    grasp_m2 = None if line.pose is None else line.pose.covariance_grasp_m2
+    if grasp_m2 is not None and np.isfinite(grasp_m2).all():
+        sd["grasp_m"] = standard_deviation(grasp_m2)
     return PlaceResult(
         place=place,
         stripes=stripes,
@@ -280,24 +284,6 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
             if near and beyond.max() > BEYOND_LEVEL * on_face.max():
                 return True
     return False
-
-
-def _sds(bound: Bound) -> dict[str, float]:
-    return {
-        "center_m": bound.center_sd_m,
-        "normal_rad": bound.normal_sd_rad,
-        "radius_outer_m": bound.radius_outer_sd_m,
-    }
-
-
-def _sds_known(bound: Bound) -> dict[str, float]:
-    return {"center_known_m": bound.center_sd_m, "normal_known_rad": bound.normal_sd_rad}
-
-
-def _grasp_sd_m(line: PoseLine) -> float:
-    """In the direction in which it is largest, by the estimator's own covariance."""
-    covariance = None if line.pose is None else line.pose.covariance_grasp_m2
-    return nan if covariance is None or not np.isfinite(covariance).all() else standard_deviation(covariance)
 
 
 HEADINGS = (

@@ -33,7 +33,7 @@ _ABOVE_BOUND = {"center_known_m": "above_bound_known"}
 def design_report(found: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
     """HTML page: what was chosen, tables, maps, curves and sketches."""
     shown = _shown(found, chosen, quantity)
-    label = UNITS[quantity][0]
+    label, (heading, *rows) = UNITS[quantity][0], design_rows(found)
     sections = [
         Section(
             title="Result",
@@ -50,7 +50,7 @@ def design_report(found: Sequence[Design], chosen: Design | None, quantity: str,
             title="Maps", pictures=[_maps(shown, name) for name in dict.fromkeys((quantity, "normal_rad", "grasp_m"))]
         ),
         Section(title="Fields of view and stripes", points=summary_lines(found)),
-        Section(title="Medians by distance", table=_table(found)),
+        Section(title="Medians by distance", table=Table(headings=heading, rows=rows)),
         Section(title="Provenance", text=[f"{key}: {value}" for key, value in provenance.items()]),
     ]
     return page("Rig design", sections)
@@ -64,11 +64,6 @@ def _shown(found: Sequence[Design], chosen: Design | None, quantity: str) -> lis
         key=lambda design: (design is not chosen, design.median(quantity)),
     )
     return [found[0], *others[: MAX_MAPS - 1 - len(references)], *references]
-
-
-def _table(found: Sequence[Design]) -> Table:
-    heading, *rows = design_rows(found)
-    return Table(headings=heading, rows=rows)
 
 
 def _curves(shown: Sequence[Design]) -> Picture:

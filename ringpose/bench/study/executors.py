@@ -58,6 +58,7 @@ class Done(NamedTuple):
 def software() -> dict[str, str]:
     """Versions on which results depend, and the hash of the installed code."""
     import platform
+    from importlib.metadata import version
 
     import cv2
     import numpy as np
@@ -65,18 +66,12 @@ def software() -> dict[str, str]:
     from ringpose import __file__ as package
 
     return {
-        "version": _version(),
+        "version": version("ringpose"),
         "code_sha256": _code_sha256(Path(str(package)).parent),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-
-
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("ringpose")
 
 
 @lru_cache(maxsize=1)

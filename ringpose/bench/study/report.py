@@ -254,7 +254,7 @@ def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> P
     for place, method in enumerate(methods):
         share = (place + 0.5 + rng.uniform(-0.35, 0.35, len(columns[method]["distance_m"]))) / len(methods) - 0.5
         x, y = columns[method]["distance_m"] + width_m * share, columns[method]["center_m"]
-        color, size = _color(methods, method), _marker_size(study)
+        color, size = _color(methods, method), 7.0 if study.shots < 300 else 3.0
         axis.plot(1e3 * x, 1e3 * y, ".", markersize=size, color=color, alpha=0.6, label=drawn(method))
     for each_m in np.unique(distance_m) if 0 < len(steps) < 20 else ():
         bound_mm = 1e3 * np.nanmedian(columns[methods[0]]["bound_center_m"][distance_m == each_m])
@@ -266,11 +266,6 @@ def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> P
     axis.grid(alpha=0.3, which="both")
     figure.legend(loc="outside upper center", ncols=5, fontsize=8, markerscale=2)
     return Picture(png=png_of(figure), caption="Each shot; black: median of the bounds for its places and lights.")
-
-
-def _marker_size(study: Study) -> float:
-    """Smaller points for more shots."""
-    return 7.0 if study.shots < 300 else 3.0
 
 
 # Consistency

@@ -216,7 +216,12 @@ def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
     start_s = perf_counter()
-    *before, detection = (_detection(source, rig, options) for source in (*shot.before, shot.source))
+    *before, detection = (
+        source
+        if isinstance(source, Detection)
+        else detect(source, rig, assumptions=options.about_shot(rig.stability, still=source.still))
+        for source in (*shot.before, shot.source)
+    )
     detect_s = perf_counter() - start_s
     radii = _radii(
         shot.scene, RADIUS_SD_M * float(np.random.default_rng([_RADII, study.seed, index]).standard_normal())
@@ -246,14 +251,10 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         pose_s = perf_counter() - start_s
         # the grasp point of a track moves with the ring, also out of the arc that the stripes of the last shot span
         scored = score(truth, estimate, method.value, None if method is StudyMethod.TRACK else rig.camera)
-        row = {**empty, **common, **_scored(scored, estimate, truth, reason), **_bound(bound), "pose_s": pose_s}
+        row = {**empty, **common, **_scored(scored, estimate, truth, reason), "pose_s": pose_s}
+        if bound is not None:
+            row |= {f"bound_{name}": value for name, value in bound.standard_deviations.items()}
         yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
-
-
-def _detection(source: Shot | Detection, rig: Rig, options: AssumptionOptions) -> Detection:
-    if isinstance(source, Detection):
-        return source
-    return detect(source, rig, assumptions=options.about_shot(rig.stability, still=source.still))
 
 
 def measured_line(
@@ -330,13 +331,3 @@ def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, reason: str | N
 
 def _root(variance: Any) -> float | None:
     return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
-
-
-def _bound(bound: Bound | None) -> Row:
-    if bound is None:
-        return {}
-    return {
-        "bound_center_m": bound.center_sd_m,
-        "bound_normal_rad": bound.normal_sd_rad,
-        "bound_radius_outer_m": bound.radius_outer_sd_m,
-    }

@@ -161,7 +161,7 @@ def _view_findings(calibration: CameraCalibration, images: int) -> list[Check]:
     if different < used:
         more_views = f"only {different} of the {used} views differ: move or tilt the board before each of ten or more"
     worst = max(calibration.used, key=lambda view: view.pose.residual_rms_px).name
-    not_used = "many images were of no use: the reasons stand beside their names"
+    not_used = "many images could not be used: the reasons are listed with their names"
     inexact = f"the corners are inexact ({worst} most): focus, more light, a flat board held still"
     return [
         check(CAMERA_LIMITS, "views_used", float(different), more_views),
@@ -222,7 +222,7 @@ def _validation_findings(assessment: CameraAssessment) -> list[Check]:
         "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
         "that all images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner"
     )
-    alone = f"the result hangs on {view.name}: add views like it, or leave it out"
+    alone = f"the result depends mainly on {view.name}: add views like it, or leave it out"
     halves = "half of the views give another camera than the rest: add views of every kind"
     checks = [
         check(CAMERA_LIMITS, "view_disagreement", assessment.disagreement, disagree),

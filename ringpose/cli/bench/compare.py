@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -10,11 +10,9 @@ from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_line
 from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
-    from ringpose.bench.assumptions import AssumedRadii, StatedAssumptions
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
-    from ringpose.files.schema import Fields
 
 ResultA = Annotated[
     str,
@@ -54,7 +52,7 @@ def compare(
     from ringpose.bench.compare_report import comparison_record, comparison_text, worse_sentences
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.errors import NO_POSE, UsageError
+    from ringpose.errors import NO_POSE, DataError, UsageError
     from ringpose.files import records
     from ringpose.files.io import provenance, write_result
 
@@ -62,7 +60,8 @@ def compare(
         raise UsageError("", "both results are read from standard input", "write one of them into a file")
     batch = Batch()
     result_a, result_b = (_read(name, truth, rig, batch) for name in (a, b))
-    _require_same_truth(result_a, result_b)
+    if result_a.truths and result_b.truths and result_a.truths != result_b.truths:
+        raise DataError(b, f"was scored against another truth than {a}", "score both against one truth")
     paired = pairs(*_of_methods(result_a, result_b, methods))
     _require_pairs(result_a, result_b, paired, allow_other_rig)
     names = group_names(result_a.scores, by)
@@ -124,81 +123,13 @@ def _read_study(name: str) -> _Result:
 
 
 def _read_table(name: str) -> _Result:
-    from ringpose.bench.report import SCHEMA, SCHEMA_2
-    from ringpose.errors import DataError
+    from ringpose.bench.report import recorded_scores
     from ringpose.files.io import read_bytes
     from ringpose.files.records import parsed_record
     from ringpose.files.schema import Fields
 
     fields = Fields(name, parsed_record(read_bytes(Path(name)), name))
-    schema = fields.values.get("ringpose")
-    if schema not in (SCHEMA, SCHEMA_2):
-        found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
-        raise DataError(
-            name, f"{found}, must be {SCHEMA!r}", "give the output of bench --json, or pose records (.jsonl)"
-        )
-    scores = [_score_of(shot, schema == SCHEMA_2) for shot in fields.each("shots")]
-    return _Result(name, scores, list(fields.texts("truths")))
-
-
-def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
-    """A shot of a table; all poses of version 2 have the same assumptions, which are the default."""
-    from ringpose.bench.assumptions import StatedAssumptions
-    from ringpose.bench.score import Judgement, Outcome, Score
-
-    def numbers(key: str) -> dict[str, float]:
-        part = fields.fields(key)
-        return {name: part.number(name) for name in part.values}
-
-    judgements = fields.fields("judgements")
-    return Score(
-        shot=fields.text("shot"),
-        method=str(fields.values.get("method") or ""),
-        outcome=Outcome(fields.choice("outcome", tuple(Outcome))),
-        status=cast(
-            Literal["ok", "degraded", "none", "lost"], fields.choice("status", ("ok", "degraded", "none", "lost"))
-        ),
-        has_target=fields.boolean("has_target"),
-        groups=dict(fields.fields("groups").values),
-        errors=numbers("errors"),
-        judgements={name: Judgement(judgements.choice(name, tuple(Judgement))) for name in map(str, judgements.values)},
-        distances=numbers("distances"),
-        gross=fields.texts("gross"),
-        assumptions=StatedAssumptions() if of_version_2 else _assumptions(fields),
-        latency_s=fields.number("latency_s", least=0) if fields.has("latency_s") else None,
-        rig=fields.text("rig") if fields.has("rig") else "",
-    )
-
-
-def _assumptions(fields: "Fields") -> "StatedAssumptions | None":
-    from ringpose.bench.assumptions import StatedAssumptions
-    from ringpose.files.records.poses import motion_prior
-    from ringpose.files.rigs import rig_stability
-
-    if not fields.has("assumptions"):
-        return None
-    values = fields.fields("assumptions")
-    return StatedAssumptions(
-        motion=motion_prior(values),
-        radii=_assumed_radii(values.fields("radii")) if values.has("radii") else None,
-        ring_tolerance_m=values.number("ring_tolerance_m", least=0),
-        stability=rig_stability(values.fields("stability")),
-    )
-
-
-def _assumed_radii(values: "Fields") -> "AssumedRadii":
-    from ringpose.bench.assumptions import AssumedRadii
-
-    numbers = values.given(("inner_m", "outer_m", "sd_m"), lambda key: values.number(key, least=0))
-    source = cast(Literal["given", "catalogue"], values.choice("source", ("given", "catalogue")))
-    return AssumedRadii(source=source, **numbers)
-
-
-def _require_same_truth(a: _Result, b: _Result) -> None:
-    from ringpose.errors import DataError
-
-    if a.truths and b.truths and a.truths != b.truths:
-        raise DataError(b.name, f"was scored against another truth than {a.name}", "score both against one truth")
+    return _Result(name, recorded_scores(fields), list(fields.texts("truths")))
 
 
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
@@ -229,7 +160,8 @@ def _require_pairs(
     members = [pair for _, of_method in paired for pair in of_method]
     if not members:
         raise DataError(b.name, f"has no shot and method in common with {a.name}", "give results of the same shots")
-    differing = [(one, two) for one, two in members if not _same_assumptions(one, two)]
+    stated = [pair for pair in members if None not in (pair[0].assumptions, pair[1].assumptions)]
+    differing = [(one, two) for one, two in stated if one.assumptions != two.assumptions]
     if differing:
         one, two = differing[0]
         texts = [assumptions_text(score.assumptions) for score in (one, two) if score.assumptions is not None]
@@ -246,10 +178,6 @@ def _require_pairs(
             f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})",
             "use one rig.yaml, or --allow-other-rig to compare rigs",
         )
-
-
-def _same_assumptions(a: "Score", b: "Score") -> bool:
-    return a.assumptions is None or b.assumptions is None or a.assumptions == b.assumptions
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:

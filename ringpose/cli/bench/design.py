@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import CsvFile, Force, Quiet, Report, finite
+from ringpose.cli.options.common import CsvFile, Force, Quiet, Report, finite, numbers
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.types.options import Minimized
 
 if TYPE_CHECKING:
-    from ringpose.bench.design.maps import Design
     from ringpose.types.scene import Scene
 
 MAX_DESIGNS = 500
@@ -93,8 +92,8 @@ def design(
 
     sweep = _sweep(vary or [])
     where = places(
-        _numbers("--distances", distances, (0.02, 5.0)),
-        _numbers("--offsets", offsets, (-0.5, 0.5)),
+        sorted(set(numbers(distances, "--distances", "such as 0.3,0.5,1", (0.02, 5.0)))),
+        sorted(set(numbers(offsets, "--offsets", "such as -0.3,0,0.3", (-0.5, 0.5)))),
         radians(pitch),
         radians(yaw),
     )
@@ -107,13 +106,11 @@ def design(
     chosen = best(found, QUANTITY[minimize], min_coverage)
     batch = Batch()
     if csv != STDOUT:
-        lines = [
-            *aligned(design_rows(found), 1),
-            "",
-            *summary_lines(found),
-            "",
-            _choice(chosen, minimize, min_coverage),
-        ]
+        name = "none" if chosen is None else f"{chosen.name},"
+        best_line = (
+            f"best by {minimize.value}: {name} with all stripes in view at {100 * min_coverage:g} % of the places"
+        )
+        lines = [*aligned(design_rows(found), 1), "", *summary_lines(found), "", best_line]
         records.write_text("\n".join(lines) + "\n")
     if csv is not None:
         write_result(csv, csv_text(csv_rows(found)), force=force)
@@ -142,15 +139,10 @@ def _check_outputs(output: Path | None, report: Path | None, force: bool) -> Non
         require_matplotlib()
 
 
-def _choice(chosen: "Design | None", minimize: Minimized, min_coverage: float) -> str:
-    covered = f"with all stripes in view at {100 * min_coverage:g} % of the places"
-    if chosen is None:
-        return f"best by {minimize.value}: none {covered}"
-    return f"best by {minimize.value}: {chosen.name}, {covered}"
-
-
 def _sweep(words: list[str]) -> dict[str, list[float]]:
     """Names and values of --vary."""
+    from math import prod
+
     from ringpose.bench.design.maps import SWEPT
     from ringpose.errors import UsageError
     from ringpose.files.schema import hint
@@ -167,27 +159,13 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
         name, _, values = word.partition("=")
         if name not in SWEPT or name in sweep:
             raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(SWEPT)}", hint(name, SWEPT))
-        sweep[name] = _numbers(f"--vary {name}", values, bounds[name])
+        sweep[name] = sorted(set(numbers(values, f"--vary {name}", "such as 0.3,0.5,1", bounds[name])))
         if name == "lasers" and any(value != round(value) for value in sweep[name]):
             raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
-    number = 1
-    for tried in sweep.values():
-        number *= len(tried)
+    number = prod(map(len, sweep.values()))
     if number > MAX_DESIGNS:
         raise UsageError("--vary", f"gives {number} rigs, at most {MAX_DESIGNS} are tried", "give fewer values")
     return sweep
-
-
-def _numbers(option: str, text: str, bounds: tuple[float, float]) -> list[float]:
-    from ringpose.errors import UsageError
-
-    try:
-        numbers = sorted({float(word) for word in text.split(",")})
-    except ValueError:
-        raise UsageError(option, f"{text!r} is not a list of numbers", "such as 0.3,0.5,1") from None
-    if not all(bounds[0] <= number <= bounds[1] for number in numbers):
-        raise UsageError(option, f"{text!r} must be from {bounds[0]:g} to {bounds[1]:g}")
-    return numbers
 
 
 def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_outer_m: float | None) -> "Scene":

@@ -153,8 +153,9 @@ def scores_of_lines(
 
     sets = [(_truths(file), _camera(rig or file.with_name("rig.yaml"), rig is not None)) for file in truth_files]
     truths = [truth for of_set, _ in sets for truth in of_set]
-    if twice := _first_repeated([truth.shot for truth in truths]):
-        raise DataError(twice, "stands in two truth files", "give data sets whose shots have different names")
+    names = Counter(truth.shot for truth in truths)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
     estimates = _estimates_in(inputs, truths, batch)
     if since_s > -inf:
         estimates = [estimate for estimate in estimates if estimate.shot_stamp_s >= since_s]
@@ -202,10 +203,6 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
                 )  # rejects time stamps of another clock
             estimates.append(estimate)
     return estimates
-
-
-def _first_repeated(names: list[str]) -> str | None:
-    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def _truths(file: Path) -> "list[Truth]":

@@ -27,7 +27,7 @@ class BoardImages:
 
     def __init__(self, board: Board, overlay: Path | None, *, channel: str | None, force: bool) -> None:
         if board.dictionary is not None:
-            marker_dictionary(board)  # a name that OpenCV does not know is refused once, not with every image
+            marker_dictionary(board)  # a name that OpenCV does not know is rejected once, not with every image
         self.board = board
         self.overlay = None if overlay is None else make_folder(overlay)
         self.channel = channel
@@ -51,7 +51,7 @@ class BoardImages:
             reject_inputs((*self.outputs, self.overlay and self.overlay / f"{item.stem}.png"), [item])
         shot = read_shot(path_of_input(item), self.channel)
         self._check_size(shot)
-        self._refuse_known(shot)
+        self._reject_repeated(shot)
         image = board_image(shot)
         found = self._board_in(image, shot.name, item)
         if isinstance(item, Path):
@@ -97,7 +97,7 @@ class BoardImages:
         besides = find_board(board_image(read_shot(path_of_input(item))), self.board, name)
         return found if isinstance(besides, NoBoard) else besides
 
-    def _refuse_known(self, shot: Shot) -> None:
+    def _reject_repeated(self, shot: Shot) -> None:
         """Reject repeated images, which would reduce the uncertainty, and repeated names of overlay files."""
         digest = sha256(shot.images.tobytes()).hexdigest()
         if digest in self.names:

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given, numbers
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given
 from ringpose.cli.options.common import (
     BoardFile,
     Force,
@@ -15,13 +15,14 @@ from ringpose.cli.options.common import (
     Quiet,
     Report,
     Verbose,
+    numbers,
 )
 from ringpose.types.options import DistortionModel
 
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]
 FixK3 = Annotated[bool, typer.Option("--fix-k3", help="Hold k3 at zero: for few views or little distortion.")]
 ZeroTangential = Annotated[bool, typer.Option("--zero-tangential", help="Hold p1 and p2 at zero.")]
-KeepAll = Annotated[bool, typer.Option("--keep-all", help="Leave out no view and no corner, and let all count alike.")]
+KeepAll = Annotated[bool, typer.Option("--keep-all", help="Use all views and corners, with equal weights.")]
 Compare = Annotated[bool, typer.Option("--compare", help="Solve with the other distortion model too, and compare.")]
 Distances = Annotated[
     str, typer.Option("--distances", metavar="METRES", help="Where the uncertainty is given in mm, comma between.")
@@ -66,13 +67,13 @@ def calibrate_camera(
     from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
-    from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
+    from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.ros import write_camera
     from ringpose.files.io import write_page
 
     output = given(output, "--output")
-    refuse_existing_outputs(output, report, force, [board])
+    reject_existing_outputs(output, report, force, [board])
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
@@ -92,5 +93,5 @@ def calibrate_camera(
 
             page = camera_report(calibration, assessment, verdict, images.without_board)
             write_page(report, page, force=force)
-        batch.record_status(say_verdict(verdict, camera_summary(calibration, assessment, verdict), quiet=quiet))
+        batch.record_status(report_verdict(verdict, camera_summary(calibration, assessment, verdict), quiet=quiet))
     batch.finish()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ringpose.types.calibration import Verdict
 
 
-def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
+def reject_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
     """Reject, before the computation, outputs that exist or are inputs, and a report without matplotlib."""
     from ringpose.errors import UsageError
     from ringpose.files.atomic import reject_existing, reject_inputs
@@ -26,7 +26,7 @@ def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read
         reject_existing(report, force)
 
 
-def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
+def report_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
     """Write the summary to stderr and return the exit status; `quiet` does not suppress the verdict `redo`."""
     from ringpose.calibrate.acceptance import verdict_lines
     from ringpose.cli import messages
@@ -84,29 +84,16 @@ def given(value: _Given | None, name: str) -> _Given:
     return value
 
 
-def numbers(words: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
-    """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
-    from ringpose.errors import UsageError
-
-    try:
-        found = [float(word) for word in words.split(",")] if words is not None else []
-    except ValueError:
-        raise UsageError(option, f"{words!r} is not a list of numbers", remedy) from None
-    if not all(limits[0] <= number <= limits[1] for number in found):
-        raise UsageError(option, f"{words!r} are not all from {limits[0]:g} to {limits[1]:g}", remedy)
-    return found
-
-
 PRINTING = frozenset(("print_board", "board", "force", "verbose", "quiet"))
-"""What goes together with `--print-board`."""
+"""Options that are allowed with `--print-board`."""
 
 CHECKING = frozenset(
     ("check", "inputs", "board", "laser_order", "surround", "overlay", "channel", "force", "verbose", "quiet")
 )
-"""What goes together with `--check`."""
+"""Options that are allowed with `--check`."""
 
 UPDATING = (CHECKING - {"check"}) | {"update", "output"}
-"""What goes together with `--update`."""
+"""Options that are allowed with `--update`."""
 
 _MODES = {
     "print_board": ("--print-board", "only draws the board", PRINTING),
@@ -124,8 +111,8 @@ class CommandWithModes(TyperCommand):
         """Run the command."""
         from ringpose.errors import UsageError
 
-        for mode, (name, found, welcome) in _MODES.items():
-            others = [words for key, words in _given(ctx).items() if key not in welcome]
+        for mode, (name, found, allowed) in _MODES.items():
+            others = [words for key, words in _given(ctx).items() if key not in allowed]
             if ctx.params.get(mode) is not None and others:
                 raise UsageError(name, found, f"leave out {', '.join(others)}")
         return super().invoke(ctx)

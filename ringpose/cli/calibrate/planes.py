@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given, numbers
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given
 from ringpose.cli.options.common import (
     Force,
     ImageChannel,
@@ -17,6 +17,7 @@ from ringpose.cli.options.common import (
     Report,
     Verbose,
     finite,
+    numbers,
 )
 from ringpose.types.options import PlanesMethod
 
@@ -101,17 +102,6 @@ class _Inputs(NamedTuple):
     quiet: bool
 
 
-class _Outputs(NamedTuple):
-    """Options by which a calibration is assessed and written."""
-
-    output: Path
-    camera: Path
-    mount: Path | None
-    report: Path | None
-    expected_rad: list[float]
-    working_m: float | None
-
-
 @app.command("calibrate-planes", cls=CommandWithModes)
 def calibrate_planes(
     board: OptionalBoard = None,
@@ -155,33 +145,35 @@ def calibrate_planes(
         _check(shots, update, options, given(output, "--output"))
         return
     angles_deg = numbers(expected_angles, "--expected-angles", "give degrees, as 10,10", (0.0, 180.0))
-    angles_rad = [radians(angle) for angle in angles_deg]
-    outputs = _Outputs(
-        given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad, working_distance
-    )
-    _calibrate(shots, options, outputs, method, free_camera)
+    _calibrate(
+        shots, options, given(output, "--output"), given(camera, "--camera"), mount, report, method=method,
+        free_camera=free_camera, expected_rad=[radians(angle) for angle in angles_deg], working_m=working_distance,
+    )  # fmt: skip
 
 
-def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: PlanesMethod, free_camera: bool) -> None:
+def _calibrate(
+    shots: list[str], options: _Inputs, output: Path, camera: Path, mount: Path | None, report: Path | None,
+    *, method: PlanesMethod, free_camera: bool, expected_rad: list[float], working_m: float | None,
+) -> None:  # fmt: skip
+    """Estimate the light planes, and write the rig with its mount, and the report."""
     from dataclasses import replace
 
     from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality, planes_summary
     from ringpose.calibrate.planes.shots import check_method
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
+    from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.io import write_page
     from ringpose.files.rigs import read_mount, write_rig
 
-    board = given(options.board, "--board")
-    files = [board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
-    refuse_existing_outputs(outputs.output, outputs.report, options.force, files)
-    mount = None if outputs.mount is None else read_mount(outputs.mount)
+    files = [given(options.board, "--board"), camera, *([mount] if mount else [])]
+    reject_existing_outputs(output, report, options.force, files)
+    mounting = None if mount is None else read_mount(mount)
     batch = Batch()
-    images, stripes = _sources(options, read_camera(outputs.camera))
-    images.outputs = (outputs.output, outputs.report)
+    images, stripes = _sources(options, read_camera(camera))
+    images.outputs = (output, report)
     check_method(method, free_camera, stripes.board, stripes.camera)
     _read(shots, options, images, stripes, batch)
     batch.record_status(NO_POSE if stripes.any_without_stripe else 0)
@@ -190,9 +182,7 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
         batch.finish()
     with batch.guarded():
         try:
-            assessment = stripes.assessment(
-                method, free_camera, outputs.expected_rad, outputs.working_m, images.without_board
-            )
+            assessment = stripes.assessment(method, free_camera, expected_rad, working_m, images.without_board)
         except DataError:  # what each shot lacks is the reason
             for view in stripes.views:
                 for remark in view.remarks:
@@ -201,20 +191,20 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
         for shot, found in assessment.calibration.contradicting:
             with batch.guarded():
                 raise DataError(shot, found)  # reported like any other unusable shot
-        rig = replace(calibrated_rig(assessment.calibration), mount=mount)
+        rig = replace(calibrated_rig(assessment.calibration), mount=mounting)
         quality = planes_quality(assessment)
-        write_rig(outputs.output, rig, extra=quality, force=options.force, inputs=[*files, *images.paths])
-        if outputs.report is not None:
+        write_rig(output, rig, extra=quality, force=options.force, inputs=[*files, *images.paths])
+        if report is not None:
             from ringpose.report.planes import planes_report
 
-            write_page(outputs.report, planes_report(assessment), force=options.force)
+            write_page(report, planes_report(assessment), force=options.force)
         if not options.quiet:
-            _say_number(stripes)
-        batch.record_status(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
+            _report_inferred_lasers(stripes)
+        batch.record_status(report_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
 
 
-def _say_number(stripes: "StripeShots") -> None:
+def _report_inferred_lasers(stripes: "StripeShots") -> None:
     """The number of lasers if it is small and only the masks determine it: another one may be dark or unwired."""
     from ringpose.calibrate.planes.stripes.labels import THREE
     from ringpose.cli import messages
@@ -230,13 +220,13 @@ def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | N
     from ringpose.calibrate.planes.recheck.update import checked_shots, evidence_lines, moved_lasers
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibrate.outputs import refuse_existing_outputs
+    from ringpose.cli.calibrate.outputs import reject_existing_outputs
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.rigs import read_rig
 
     rig = read_rig(rig_file)
     if output is not None:
-        refuse_existing_outputs(output, None, options.force, [rig_file])
+        reject_existing_outputs(output, None, options.force, [rig_file])
     batch = Batch()
     boards = options.board is not None
     if boards:

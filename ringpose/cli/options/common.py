@@ -28,6 +28,19 @@ def finite(value: float | None) -> float | None:
     return value
 
 
+def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
+    """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
+    from ringpose.errors import UsageError
+
+    try:
+        found = [float(word) for word in text.split(",")] if text is not None else []
+    except ValueError:
+        raise UsageError(option, f"{text!r} is not a list of numbers", remedy) from None
+    if not all(limits[0] <= number <= limits[1] for number in found):
+        raise UsageError(option, f"{text!r} are not all from {limits[0]:g} to {limits[1]:g}", remedy)
+    return found
+
+
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
 Inputs = Annotated[
     list[str],

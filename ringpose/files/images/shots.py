@@ -62,8 +62,7 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     optional |= {key: _masks(archive, key, frames) for key in _MASKS if key in archive}
     if "frame_id" in archive:
         optional["frame_id"] = archive.integers("frame_id", (frames,))
-    stamp_s, exposure_s = (_times(archive, key, frames) for key in ("stamp_s", "exposure_s"))
-    _check_times(archive, stamp_s, exposure_s)
+    stamp_s, exposure_s = _times(archive, frames)
     shot = Shot(
         name=archive.path.stem,
         images=images,
@@ -112,20 +111,22 @@ def _masks(archive: Archive, key: str, frames: int) -> UInt8[Array, "frame"]:
     return masks.astype(np.uint8)
 
 
-def _times(archive: Archive, key: str, frames: int) -> Float64[Array, "frame"]:
-    times: Float64[Array, "frame"] = archive.numbers(key, (frames,))
-    if times.min() < 0:
-        raise archive.problem(key, f"is {times.min():g} in frame {times.argmin()}, must not be negative")
-    return times
+def _times(archive: Archive, frames: int) -> tuple[Float64[Array, "frame"], Float64[Array, "frame"]]:
+    """Stamps and exposures, which must fit between the stamps.
 
-
-def _check_times(archive: Archive, stamp_s: Float64[Array, "frame"], exposure_s: Float64[Array, "frame"]) -> None:
-    """Exposures must fit between the stamps; equal stamps, of frames without own ones, and any order are accepted."""
+    Equal stamps, of frames without own ones, and any order are accepted.
+    """
+    times: list[Float64[Array, "frame"]] = [archive.numbers(key, (frames,)) for key in ("stamp_s", "exposure_s")]
+    for key, values in zip(("stamp_s", "exposure_s"), times, strict=True):
+        if values.min() < 0:
+            raise archive.problem(key, f"is {values.min():g} in frame {values.argmin()}, must not be negative")
+    stamp_s, exposure_s = times
     apart_s = np.diff(np.sort(stamp_s))
     least_s, longest_s = apart_s[apart_s > 0].min(initial=np.inf), exposure_s.max()
     if longest_s > MAX_EXPOSURE * least_s:
         found = f"is {longest_s:g} s, but frames are {least_s:g} s apart"
         raise archive.problem("exposure_s", found, "give both in seconds")
+    return stamp_s, exposure_s
 
 
 def _meta(archive: Archive) -> dict[str, Any]:

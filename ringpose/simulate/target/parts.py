@@ -1,19 +1,25 @@
-"""The parts of a target as the tables of the ray caster."""
+"""The parts of a target, with the height field of crinkled foil, as the tables of the ray caster."""
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.kernels.render import BOX, MAX_PARTS, MAX_POINTS, NONE, REVOLUTION, TEXELS, TargetTables
-from ringpose.simulate.target.foil import relief
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float32, Float64
 from ringpose.types.scene import RingView, Scene
-from ringpose.types.target import Body, Box, Foil, Gap, Material, Part, Revolution, RingForm, RingShape
+from ringpose.types.target import Body, Box, Foil, Material, Part, Revolution, RingShape
 
 BODY, RING = "body", "ring"
 """Names of the parts that the keys `body` and `ring` of a scene describe."""
+
+
+_CRINKLES = 16
+"""Number of the largest crinkles along one period."""
+
+_OCTAVES = 3
 
 
 def view_target(scene: Scene, view: RingView) -> TargetTables:
@@ -108,8 +114,11 @@ def target_tables(parts: Sequence[Part]) -> TargetTables:
         row = _Row(part, len(material_of), sum(map(len, points)), len(gaps), len(forms), foils)
         rows.append(row.numbers)
         points.append(row.profile_m)
-        gaps += [_gap(gap, row.top_m) for gap in part.gaps]
-        forms += [] if part.form is None else [_form(part.form, row.profile_m)]
+        for gap in part.gaps:
+            gaps.append([np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, row.top_m - gap.depth_m])
+        if part.form is not None:  # deviations are interpolated between the least and the greatest radius
+            radii_m = row.profile_m[:, 0].min(), row.profile_m[:, 0].max()
+            forms.append([*part.form.radial_m.ravel(), *part.form.axial_m.ravel(), *radii_m])
         material_of += [materials.setdefault(material, len(materials)) for material in _materials(part)]
     reliefs = [relief(foil) for foil in foils]
     return TargetTables(
@@ -133,7 +142,10 @@ class _Row:
 
     def __init__(self, part: Part, surface: int, point: int, gap: int, form: int, foils: dict[Foil, int]) -> None:
         self.profile_m = part.shape.profile_m if isinstance(part.shape, Revolution) else np.empty((0, 2))
-        margin_m = 0.0 if part.form is None else _largest_deviation_m(part.form)
+        margin_m = 0.0
+        if part.form is not None:  # the largest deviation
+            radial_m, axial_m = np.abs(part.form.radial_m), np.abs(part.form.axial_m)
+            margin_m = float(max(radial_m.sum(axis=(1, 2)).max(), axial_m.sum()))
         if isinstance(part.shape, Box):
             low, high = part.shape.low_m, part.shape.high_m
             self.top_m = float(high[2])
@@ -172,23 +184,42 @@ def _materials(part: Part) -> tuple[Material, ...]:
     return (*part.materials, *[part.materials[-1]] * faces)[:faces]
 
 
-def _gap(gap: Gap, top_m: float) -> list[float]:
-    return [np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, top_m - gap.depth_m]
-
-
-def _form(form: RingForm, profile_m: Float64[Array, "point 2"]) -> list[float]:
-    """Deviations are interpolated between the least and the greatest radius of the profile."""
-    radii_m = profile_m[:, 0].min(), profile_m[:, 0].max()
-    return [*form.radial_m.ravel(), *form.axial_m.ravel(), *radii_m]
-
-
-def _largest_deviation_m(form: RingForm) -> float:
-    return float(max(np.abs(form.radial_m).sum(axis=(1, 2)).max(), np.abs(form.axial_m).sum()))
-
-
 def _material(material: Material) -> list[float]:
     coating = [material.diffuse, material.specular, material.roughness]
     grid = material.grid
     if grid is None:
         return [*coating, *coating, 0.0, 0.0, 0.0, 0.0]
     return [*coating, grid.diffuse, grid.specular, grid.roughness, *grid.cell_m, grid.line_m, 0.0]
+
+
+class Relief(NamedTuple):
+    """Height and slopes on a periodic grid, in rows along the first axis of a face."""
+
+    texel_m: float
+    height_m: Float32[Array, "row column"]
+    slope: Float32[Array, "row column uv=2"]
+
+
+@lru_cache(maxsize=4)
+def relief(foil: Foil) -> Relief:
+    """The height field of a foil: ridged noise, each octave finer and lower than the one before.
+
+    Folding smooth noise at zero gives the sharp creases between smooth facets that crinkled foil has.
+    """
+    texel_m = foil.crinkle_m * _CRINKLES / TEXELS
+    generator = np.random.default_rng(foil.seed)
+    height = sum(_ridges(generator, _CRINKLES * 2**octave) / 2.2**octave for octave in range(_OCTAVES))
+    height = np.asarray(height - np.mean(height))
+    height *= foil.rms_m / height.std()
+    slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * texel_m) for axis in (1, 0)]
+    return Relief(texel_m, height.astype(np.float32), np.stack(slopes, axis=-1).astype(np.float32))
+
+
+def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "row column"]:
+    """Smooth periodic noise with about this number of bumps along a side, folded at zero."""
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(TEXELS, 1 / TEXELS), np.fft.fftfreq(TEXELS, 1 / TEXELS)))
+    band = np.exp(-(((frequency - crinkles / 2) / (crinkles / 4)) ** 2))
+    noise = np.fft.ifft2(band * np.fft.fft2(generator.standard_normal((TEXELS, TEXELS)))).real
+    noise /= noise.std()
+    ridges: Float64[Array, "row column"] = -np.sqrt(noise**2 + 0.02)
+    return ridges

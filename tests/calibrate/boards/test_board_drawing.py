@@ -18,15 +18,10 @@ def test_the_default_boards_fit_on_a4(board):
     assert (drawing.width_m, drawing.height_m) == (0.297, 0.21)
 
 
-def test_a_larger_board_is_drawn_on_the_smallest_page_that_holds_it():
+def test_a_board_is_drawn_on_the_smallest_page_that_holds_it_or_on_one_of_its_own_size():
+    drawing = board_drawing(Board(kind="chessboard", squares_x=10, squares_y=10, square_m=0.2))
+
     assert board_drawing(CHESSBOARD).page == "A3 lying"
-
-
-def test_a_board_larger_than_a0_is_drawn_on_a_page_of_its_own_size():
-    board = Board(kind="chessboard", squares_x=10, squares_y=10, square_m=0.2)
-
-    drawing = board_drawing(board)
-
     assert drawing.page == "of its own size"
     assert drawing.width_m > 2.0
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID
+from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
 from ringpose.calibrate.boards.layout import marker_corners, marker_layout, marker_size_findings
 from ringpose.calibrate.boards.patterns.markers import Markers
@@ -15,10 +15,11 @@ MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}
 
 
 @pytest.mark.parametrize("board", MARKED.values(), ids=MARKED)
-def test_markers_have_their_size_with_a_correct_board_file(board, drawn_board):
+def test_markers_have_their_size_with_a_correct_board_file(board):
     findings = marker_size_findings([find_board(drawn_board(board), board, "true")])
 
     assert [finding.grade for finding in findings] == [Grade.GOOD]
+    assert marker_size_findings([find_board(drawn_board(CHESSBOARD), CHESSBOARD, "without markers")]) == ()
 
 
 @pytest.mark.parametrize(
@@ -30,31 +31,27 @@ def test_markers_have_their_size_with_a_correct_board_file(board, drawn_board):
         (GRID, replace(GRID, gap_m=0.02)),
     ],
 )
-def test_a_wrong_marker_size_advises_to_measure_the_print(drawn, said, drawn_board):
+def test_a_wrong_marker_size_advises_to_measure_the_print(drawn, said):
     (finding,) = marker_size_findings([find_board(drawn_board(drawn), said, "wrong")])
 
     assert finding.grade is Grade.REDO
     assert "times as wide and 1." in finding.advice
 
 
-def test_a_wrong_board_width_changes_only_the_width_of_the_markers(drawn_board):
+def test_a_wrong_board_width_changes_only_the_width_of_the_markers():
     view = find_board(drawn_board(FOUR), replace(FOUR, width_m=0.35), "wide")
 
     # middles are 0.22 m apart on the print, 0.27 m in the file
     assert view.marker_size_ratio == pytest.approx((0.27 / 0.22, 1.0), abs=0.01)
 
 
-def test_a_board_without_markers_has_no_check_of_their_size(drawn_board):
-    assert marker_size_findings([find_board(drawn_board(CHESSBOARD), CHESSBOARD, "chessboard")]) == ()
-
-
-@pytest.mark.parametrize(("side_px", "told"), [(27.0, 1.0), (270.0, 1.0), (27.0, 0.9), (270.0, 0.97)])
-def test_a_size_ratio_is_reported_only_beyond_the_bias_of_the_corners(side_px, told):
+@pytest.mark.parametrize(("side_px", "ratio"), [(27.0, 1.0), (270.0, 1.0), (27.0, 0.9), (270.0, 0.97)])
+def test_a_size_ratio_is_reported_only_beyond_the_bias_of_the_corners(side_px, ratio):
     """Corners of small markers are found up to half a pixel inside, which must not be reported as a wrong size."""
     place = marker_corners(GRID)[..., :2]
     middle = place.mean(axis=1, keepdims=True)
-    share = told if told < 1 else 1 - 0.9 / side_px
+    share = ratio if ratio < 1 else 1 - 0.9 / side_px
     corners_px = 50 + (middle + share * (place - middle)) * side_px / GRID.marker_m
     seen = Markers(ids=np.arange(len(place)), corners_px=corners_px)
 
-    assert marker_layout(GRID, seen).size_ratio == pytest.approx((told, told), abs=1e-6)
+    assert marker_layout(GRID, seen).size_ratio == pytest.approx((ratio, ratio), abs=1e-6)

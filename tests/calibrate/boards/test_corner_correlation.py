@@ -10,7 +10,7 @@ SQUARE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
 
 
 @pytest.mark.parametrize("left_out", [0.02, 0.1])
-def test_ends_of_parabolas_through_noise_err_as_alike_as_said(left_out, rng):
+def test_errors_at_the_ends_of_parabolas_have_the_predicted_correlation(left_out, rng):
     t = np.linspace(left_out, 1 - left_out, 200)
     fitted = np.polynomial.polynomial.polyfit(t, rng.standard_normal((200, 4000)), 2)
 
@@ -25,13 +25,8 @@ def test_the_fitted_length_of_a_side_follows_from_the_correlation_at_its_ends(le
 
 
 def view(corners_px: np.ndarray, end_correlation: float) -> BoardView:
-    return BoardView(
-        name="marker",
-        ids=np.arange(4),
-        points_board_m=np.zeros((4, 3)),
-        points_px=corners_px,
-        end_correlation=end_correlation,
-    )
+    common = {"name": "marker", "ids": np.arange(4), "points_board_m": np.zeros((4, 3))}
+    return BoardView(**common, points_px=corners_px, end_correlation=end_correlation)
 
 
 def meeting(first, first_to, second, second_to) -> np.ndarray:
@@ -61,7 +56,7 @@ def test_corners_where_moved_sides_meet_become_independent(lean, rng):
     assert np.cov(independent) == pytest.approx(np.eye(8), abs=0.16)
 
 
-def test_corners_that_were_found_one_by_one_stay_as_they_are(rng):
+def test_corners_with_independent_errors_are_not_changed(rng):
     rows = rng.standard_normal((8, 3))
 
     assert whiten(rows, view(SQUARE, 0.0)) is rows

@@ -44,17 +44,11 @@ def test_ellipse_centres_are_not_biased_by_a_brightness_gradient(axes_px, slope,
     assert np.abs(start - MIDDLE_PX).max() < 0.015
 
 
-def test_an_ellipse_at_the_rim_of_the_image_is_unchanged(lit_ellipse):
-    rim = np.array([[3.0, 3.0]])
+@pytest.mark.parametrize(("place", "contrast"), [((3.0, 3.0), True), ((40.0, 40.0), False)])
+def test_an_ellipse_at_the_rim_of_the_image_or_without_contrast_is_unchanged(place, contrast, lit_ellipse):
+    image = lit_ellipse((10.0, 10.0), (0.0, 0.0)) if contrast else np.full((80, 80), 90, np.uint8)
+    start = np.array([place])
 
-    found = refined_ellipse_centers(lit_ellipse((10.0, 10.0), (0.0, 0.0)), rim, conic((10.0, 10.0), rim[0])[None])
+    found = refined_ellipse_centers(image, start, conic((10.0, 10.0), start[0])[None])
 
-    assert found.tolist() == rim.tolist()
-
-
-def test_an_ellipse_without_contrast_is_unchanged():
-    place = np.array([[40.0, 40.0]])
-
-    found = refined_ellipse_centers(np.full((80, 80), 90, np.uint8), place, conic((10.0, 10.0), place[0])[None])
-
-    assert found.tolist() == place.tolist()
+    assert found.tolist() == start.tolist()

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
+from known_views import board_view, true_poses
 
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import bow_finding, camera_assessment
@@ -18,7 +19,7 @@ NOISE_PX = 0.02
 
 
 @pytest.fixture
-def views(rng, board_view, true_poses):
+def views(rng):
     """Views of a board of these heights in the middle of its width, taken for flat."""
 
     def seen(heights_m: Sequence[float]) -> list[BoardView]:
@@ -37,13 +38,13 @@ def solved(boards: Sequence[BoardView]) -> CameraSolution:
     return camera_solution(boards, calibrate_camera(boards, 1600, 1200).camera, PLUMB_BOB)
 
 
-def test_a_flat_board_is_not_called_bowed(views):
+def test_a_flat_board_is_not_reported_as_bowed(views):
     flat = views([0.0] * 10)
 
     assert bow_finding(flat, solved(flat), PLUMB_BOB).grade is Grade.GOOD
 
 
-def test_a_bowed_board_is_called_so_with_its_height(views):
+def test_a_bowed_board_is_reported_with_its_height(views):
     bowed = views([1e-4] * 10)
 
     finding = bow_finding(bowed, solved(bowed), PLUMB_BOB)
@@ -53,7 +54,7 @@ def test_a_bowed_board_is_called_so_with_its_height(views):
     assert height_mm == pytest.approx(0.1, abs=0.03)
 
 
-def test_a_board_that_bends_otherwise_in_each_view_is_not_said_to_have_one_bow(views):
+def test_a_board_that_bends_differently_in_each_view_is_not_reported_as_bowed(views):
     """The mean of ten bows is significant against the corners' noise, but not against the views' disagreement."""
     bending = views([1e-4, -1e-4, 3e-5, -6e-5, 8e-5, 1e-4, -4e-5, -7e-5, 9e-5, -5e-5])
     found = calibrate_camera(bending, 1600, 1200)

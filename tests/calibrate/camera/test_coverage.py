@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.camera.assessment import coverage
 from ringpose.types.board import BoardPose, BoardView
@@ -9,7 +10,7 @@ from ringpose.types.calibration import CameraCalibration, CameraView
 
 
 @pytest.fixture
-def covered(true_camera):
+def covered():
     """Makes the coverage of views with given pixels, tilt about x, and distance."""
 
     def made(*views: tuple[np.ndarray, float, float], bad: int = -1):
@@ -34,7 +35,7 @@ def covered(true_camera):
                     rejected="bad" if index == bad else "",
                 )
             )
-        calibration = CameraCalibration(camera=true_camera, rms_px=0.1, sigma_px=0.1, views=tuple(judged))
+        calibration = CameraCalibration(camera=TRUE_CAMERA, rms_px=0.1, sigma_px=0.1, views=tuple(judged))
         return coverage(calibration, boards)
 
     return made
@@ -45,16 +46,14 @@ def grid_px(left: float, right: float, top: float, bottom: float) -> np.ndarray:
     return np.stack([column.ravel(), row.ravel()], axis=1)
 
 
-def test_corners_everywhere_leave_no_bare_region(covered):
-    found = covered((grid_px(0, 1599, 0, 1199), 0.0, 0.5))
+@pytest.mark.parametrize(
+    ("left_px", "share", "bare"), [(0, 1.0, ()), (560, None, ("upper left", "left", "lower left"))]
+)
+def test_regions_without_corners_are_named(covered, left_px, share, bare):
+    found = covered((grid_px(left_px, 1599, 0, 1199), 0.0, 0.5))
 
-    assert (found.share, found.bare_regions) == (1.0, ())
-
-
-def test_regions_without_corners_are_named(covered):
-    found = covered((grid_px(560, 1599, 0, 1199), 0.0, 0.5))
-
-    assert found.bare_regions == ("upper left", "left", "lower left")
+    assert found.bare_regions == bare
+    assert share is None or found.share == share
 
 
 def test_every_corner_is_counted_once(covered):
@@ -72,19 +71,12 @@ def test_rejected_views_do_not_count_for_coverage(covered):
     assert found.distance_m == (0.9,)
 
 
-def test_tilt_is_the_angle_between_board_and_image_plane(covered):
-    px = grid_px(0, 100, 0, 100)
-
-    found = covered((px, 0.1, 0.5), (px, -0.4, 0.5))
-
-    assert found.tilt_rad == pytest.approx((0.1, 0.4))
-
-
-def test_boards_tilted_about_one_axis_have_no_spread_across_it(covered):
+def test_tilts_are_the_angles_between_board_and_image_plane_with_their_spread_about_either_axis(covered):
     px = grid_px(0, 100, 0, 100)
 
     found = covered(*((px, tilt, 0.5) for tilt in (-0.4, -0.2, 0.1, 0.4)))
 
     along, across = found.tilt_spread_rad
+    assert found.tilt_rad == pytest.approx((0.4, 0.2, 0.1, 0.4))
     assert along > 0.3
     assert across == pytest.approx(0.0, abs=1e-9)

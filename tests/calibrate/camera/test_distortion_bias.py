@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.boards.corner_errors import endpoint_correlation
 from ringpose.calibrate.boards.patterns.circles import seen_offsets
@@ -17,8 +18,8 @@ LEFT_OUT = 0.05
 
 
 @pytest.fixture
-def bent_camera(true_camera):
-    return replace(true_camera, distortion_coefficients=np.array([-0.2, 0.3, 0.0, 0.0, 0.0]))
+def bent_camera():
+    return replace(TRUE_CAMERA, distortion_coefficients=np.array([-0.2, 0.3, 0.0, 0.0, 0.0]))
 
 
 def bent_px(points_m: np.ndarray, camera) -> np.ndarray:

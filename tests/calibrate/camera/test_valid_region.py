@@ -59,7 +59,7 @@ def middle_views(rng):
 
 
 @pytest.mark.slow
-def test_a_rational_lens_errs_as_told_where_it_is_known(middle_views):
+def test_a_rational_lens_has_the_reported_errors_where_it_is_known(middle_views):
     ratios = []
     for _ in range(6):
         boards = middle_views(10)
@@ -72,7 +72,7 @@ def test_a_rational_lens_errs_as_told_where_it_is_known(middle_views):
     assert 0.4 < np.mean(ratios) < 1.8
 
 
-def test_what_is_not_known_of_a_lens_is_said(middle_views):
+def test_the_share_of_the_image_in_which_the_lens_is_unknown_is_reported(middle_views):
     boards = middle_views(5)
     found = calibrate_camera(boards, 800, 600, MODEL)
     assessed = camera_assessment(found, boards, MODEL)

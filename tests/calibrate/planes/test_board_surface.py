@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.planes.stripes.board_surface import BoardSurface, board_surface, triangulated
 from ringpose.geometry.rays import project
@@ -10,11 +11,11 @@ from ringpose.types.image import Shot
 
 
 @pytest.fixture
-def surface(true_camera) -> BoardSurface:
+def surface() -> BoardSurface:
     """Half a metre away and facing the camera: 0.28 mm a pixel."""
     pose = BoardPose(name="b", rotation=np.eye(3), translation_m=np.array([-0.1, -0.1, 0.5]), residual_rms_px=0.0)
     board = Board(kind="chessboard", squares_x=6, squares_y=5, square_m=0.03)
-    return BoardSurface(board=board, pose=pose, camera=true_camera)
+    return BoardSurface(board=board, pose=pose, camera=TRUE_CAMERA)
 
 
 def usable_at(surface, project_px, place_m) -> bool:
@@ -34,8 +35,8 @@ def usable_at(surface, project_px, place_m) -> bool:
         ((0.2, 0.015), False),  # beside the board
     ],
 )
-def test_only_light_squares_away_from_their_edges_are_used(place_m, usable, surface, true_camera):
-    assert usable_at(surface, lambda point: project(point, true_camera), place_m) is usable
+def test_only_light_squares_away_from_their_edges_are_used(place_m, usable, surface):
+    assert usable_at(surface, lambda point: project(point, TRUE_CAMERA), place_m) is usable
 
 
 def seen(surface, lasers, first_is_dark) -> Shot:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_views import TRUE_CAMERA, stripe_views
 
 from ringpose.calibrate.planes.joint_adjustment import joint_data
 
@@ -20,12 +21,12 @@ def distorted_px(straight_px: np.ndarray, camera) -> np.ndarray:
 
 
 @pytest.fixture
-def wide_camera(true_camera):
-    return replace(true_camera, distortion_coefficients=np.array([-0.3, 0.4, 0.0, 0.0, 0.3]))
+def wide_camera():
+    return replace(TRUE_CAMERA, distortion_coefficients=np.array([-0.3, 0.4, 0.0, 0.0, 0.3]))
 
 
 @pytest.fixture
-def independent_view(stripe_views, wide_camera, rng):
+def independent_view(wide_camera, rng):
     """A view with lines across the image, above and below its middle, whose centres have independent errors."""
     turn, place = np.eye(3), np.array([-0.15, -0.12, 0.5])
     (view,) = stripe_views([(turn, place)], rng)
@@ -36,7 +37,7 @@ def independent_view(stripe_views, wide_camera, rng):
     return replace(view, stripes_px=tuple(seen))
 
 
-def test_what_the_lens_bends_is_not_taken_for_likeness_of_neighbours(independent_view, wide_camera):
+def test_distortion_is_not_taken_for_correlated_errors(independent_view, wide_camera):
     data = joint_data([independent_view], wide_camera, corner_px=np.array([0.02]))
 
     assert data.center_px[0] == pytest.approx(NOISE_PX, rel=0.15)

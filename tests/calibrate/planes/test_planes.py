@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_views import DISTANCES_M, NORMALS, TRUE_CAMERA, stripe_views, true_poses
 from scipy.stats import chi2
 
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
@@ -19,10 +20,10 @@ SEPARATE = replace(MODEL, method=PlanesMethod.TOTAL_LEAST_SQUARES)
 NOTHING = np.empty((0, 2))
 
 
-def errors(found, true_planes) -> np.ndarray:
+def errors(found) -> np.ndarray:
     """Tilts and distance of the true planes as seen from the estimate, nine numbers."""
     parts = []
-    for laser, normal, distance_m in zip(found.lasers, *true_planes, strict=True):
+    for laser, normal, distance_m in zip(found.lasers, NORMALS, DISTANCES_M, strict=True):
         along = normal @ laser.normal
         parts += [*(tilt_basis(laser.normal) @ normal / along), distance_m * np.sign(along) - laser.distance_m]
     return np.array(parts)
@@ -30,134 +31,140 @@ def errors(found, true_planes) -> np.ndarray:
 
 @pytest.mark.parametrize("model", [MODEL, PAPER], ids=lambda model: model.method.value)
 @pytest.mark.parametrize("number", [3, 6])
-def test_exact_views_give_the_exact_planes(model, number, rng, stripe_views, true_poses, true_planes, true_camera):
-    found = calibrate_planes(stripe_views(true_poses(rng, number), rng), true_camera, model)
+def test_exact_views_give_the_exact_planes(model, number, rng):
+    found = calibrate_planes(stripe_views(true_poses(rng, number), rng), TRUE_CAMERA, model)
 
-    assert np.abs(errors(found, true_planes)).max() < 1e-5
+    assert np.abs(errors(found)).max() < 1e-5
     assert max(laser.rms_m for laser in found.lasers) < 1e-7
 
 
-def test_two_parallel_boards_at_two_depths_suffice(rng, stripe_views, true_planes, true_camera):
+def test_two_parallel_boards_at_two_depths_suffice(rng):
     facing = [(np.eye(3), np.array([-0.15, -0.12, depth])) for depth in (0.45, 0.55)]
 
-    found = calibrate_planes(stripe_views(facing, rng), true_camera, MODEL)
+    found = calibrate_planes(stripe_views(facing, rng), TRUE_CAMERA, MODEL)
 
-    assert np.abs(errors(found, true_planes)).max() < 1e-5
+    assert np.abs(errors(found)).max() < 1e-5
 
 
-def test_one_view_is_one_line_and_is_refused(rng, stripe_views, true_poses, true_camera):
+def test_views_on_one_line_are_rejected_with_the_views_to_add(rng):
+    with pytest.raises(DataError, match="two or more distances"):
+        calibrate_planes([], TRUE_CAMERA, MODEL)
+    (pose,) = true_poses(rng, 1)
     with pytest.raises(DataError, match=r"one line.*add a view of the board 50 mm or more nearer or farther"):
-        calibrate_planes(stripe_views(true_poses(rng, 1), rng), true_camera, MODEL)
-
-
-def test_the_same_view_three_times_is_one_line_and_is_refused(rng, stripe_views, true_poses, true_camera):
-    same = 3 * true_poses(rng, 1)
-
+        calibrate_planes(stripe_views([pose], rng), TRUE_CAMERA, MODEL)
     with pytest.raises(DataError, match="3 views lie on one line"):
-        calibrate_planes(stripe_views(same, rng, 0.02, 0.05), true_camera, MODEL)
+        calibrate_planes(stripe_views(3 * [pose], rng, 0.02, 0.05), TRUE_CAMERA, MODEL)
 
 
-def test_a_laser_that_is_seen_once_is_named(rng, stripe_views, true_poses, true_camera):
+UNSEEN = {
+    "never seen": ({0, 1, 2}, 2, {}, 'laser "right": no stripe on the board in any of the 4 shots whose frames have'),
+    "never on": ({0, 1}, 2, {}, 'laser "right": on in no frame of any shot; light it'),
+    "fewer stripes": (
+        {0, 1, 2},
+        0,
+        {"max_stripes": 2},
+        r"no frame shows more than 2 stripes on the board, there are 3 lasers \(left, mid",
+    ),
+    "no stripe": (set(), 0, {}, "no shot shows a stripe on the board; see that the lasers are lit"),
+}
+
+
+@pytest.mark.parametrize(("lit", "seen", "changes", "finding"), UNSEEN.values(), ids=UNSEEN)
+def test_lasers_without_stripes_are_named(lit, seen, changes, finding, rng):
+    views = [
+        replace(view, stripes_px=(*view.stripes_px[:seen], *(3 - seen) * [NOTHING]), lit=frozenset(lit), **changes)
+        for view in stripe_views(true_poses(rng, 4), rng)
+    ]
+    model = replace(MODEL, order=(2, 1, 0)) if changes else MODEL
+
+    with pytest.raises(DataError, match=finding):
+        calibrate_planes(views, TRUE_CAMERA, model)
+
+
+def test_a_laser_that_is_seen_once_is_named(rng):
     views = stripe_views(true_poses(rng, 4), rng)
     hidden = [views[0], *(replace(view, stripes_px=(*view.stripes_px[:2], NOTHING)) for view in views[1:])]
 
     with pytest.raises(DataError, match='laser "right"'):
-        calibrate_planes(hidden, true_camera, MODEL)
+        calibrate_planes(hidden, TRUE_CAMERA, MODEL)
 
 
-def test_the_required_views_are_reported_if_there_are_none(true_camera):
-    with pytest.raises(DataError, match="two or more distances"):
-        calibrate_planes([], true_camera, MODEL)
-
-
-def test_stripes_on_no_common_plane_are_refused(rng, stripe_views, true_poses, true_camera):
+def test_stripes_without_a_common_plane_are_rejected(rng):
     first, *others = stripe_views(true_poses(rng, 3), rng)
     mixed = [replace(first, stripes_px=first.stripes_px[2:])]
     mixed += [replace(view, stripes_px=view.stripes_px[:1]) for view in others]
 
     with pytest.raises(DataError, match="lie on no common plane"):
-        calibrate_planes(mixed, true_camera, PlanesModel(names=("red",)))
+        calibrate_planes(mixed, TRUE_CAMERA, PlanesModel(names=("red",)))
 
 
-def test_a_stripe_beside_its_plane_is_left_out_by_name(rng, stripe_views, true_poses, true_planes, true_camera):
+def test_a_stripe_beside_its_plane_is_left_out_by_name(rng):
     views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.05)
     views[2] = replace(views[2], stripes_px=(views[2].stripes_px[0] + [0.0, 8.0], *views[2].stripes_px[1:]))
 
-    found = calibrate_planes(views, true_camera, MODEL)
+    found = calibrate_planes(views, TRUE_CAMERA, MODEL)
 
     assert [(name, reason[:23]) for name, reason in found.remarks] == [("v2", "stripe of left left out")]
-    assert np.abs(errors(found, true_planes)).max() < 1e-3
+    assert np.abs(errors(found)).max() < 1e-3
 
 
 def unlabelled(view, order):
     return replace(view, stripes_px=(NOTHING,) * 3, unlabelled_px=tuple(view.stripes_px[laser] for laser in order))
 
 
-def test_stripes_seen_together_are_told_apart_by_the_planes_of_the_others(
-    rng, stripe_views, true_poses, true_planes, true_camera
-):
+def test_stripes_seen_together_are_assigned_by_the_planes_of_the_other_views(rng):
     views = stripe_views(true_poses(rng, 6), rng, 0.02, 0.05)
     mixed = [*views[:3], *(unlabelled(view, (2, 1, 0)) for view in views[3:])]
 
-    found = calibrate_planes(mixed, true_camera, MODEL)
+    found = calibrate_planes(mixed, TRUE_CAMERA, MODEL)
 
     assert [len(laser.views) for laser in found.lasers] == [6, 6, 6]
-    assert np.abs(errors(found, true_planes)).max() < 1e-3
+    assert np.abs(errors(found)).max() < 1e-3
 
 
-def test_stripes_seen_together_alone_need_their_order(rng, stripe_views, true_poses, true_camera):
+def test_stripes_seen_together_are_labelled_by_their_order(rng):
     together = [unlabelled(view, (2, 1, 0)) for view in stripe_views(true_poses(rng, 3), rng)]
 
     with pytest.raises(DataError, match="--laser-order"):
-        calibrate_planes(together, true_camera, MODEL)
+        calibrate_planes(together, TRUE_CAMERA, MODEL)
+    found = calibrate_planes(together, TRUE_CAMERA, replace(MODEL, order=(2, 1, 0)))
+    assert np.abs(errors(found)).max() < 1e-5
 
 
-def test_stripes_seen_together_are_labelled_by_their_order(rng, stripe_views, true_poses, true_planes, true_camera):
-    together = [unlabelled(view, (2, 1, 0)) for view in stripe_views(true_poses(rng, 3), rng)]
-
-    found = calibrate_planes(together, true_camera, replace(MODEL, order=(2, 1, 0)))
-
-    assert np.abs(errors(found, true_planes)).max() < 1e-5
-
-
-def test_held_out_error_is_unknown_with_two_views(rng, stripe_views, true_poses, true_camera):
-    found = calibrate_planes(stripe_views(true_poses(rng, 2), rng, 0.02, 0.05), true_camera, MODEL)
+def test_held_out_error_is_unknown_with_two_views(rng):
+    found = calibrate_planes(stripe_views(true_poses(rng, 2), rng, 0.02, 0.05), TRUE_CAMERA, MODEL)
 
     assert np.isnan([laser.held_out_rms_m for laser in found.lasers]).all()
 
 
-def test_the_joint_covariance_holds_the_cameras(rng, stripe_views, true_poses, true_camera, camera_covariance):
-    camera = replace(true_camera, covariance=camera_covariance)
+def test_the_joint_covariance_contains_that_of_the_camera(rng, camera_covariance):
+    camera = replace(TRUE_CAMERA, covariance=camera_covariance)
 
-    found = calibrate_planes(stripe_views(true_poses(rng, 5), rng, 0.02, 0.05), camera, MODEL)
+    views = stripe_views(true_poses(rng, 5), rng, 0.02, 0.05)
+
+    found = calibrate_planes(views, camera, MODEL)
 
     count = len(camera_covariance.parameters)
     assert found.covariance.parameters[:count] == camera_covariance.parameters
     assert found.covariance.data[:count, :count] == pytest.approx(camera_covariance.data)
     assert np.linalg.eigvalsh(found.covariance.data).min() > -1e-12
     assert np.abs(found.covariance.data[:count, count:]).max() > 0
-
-
-def test_the_papers_method_claims_no_covariance(rng, stripe_views, true_poses, true_camera):
-    views = stripe_views(true_poses(rng, 4), rng, 0.02, 0.05)
-
-    assert calibrate_planes(views, true_camera, PAPER).covariance is None
+    assert found.camera is camera
+    assert calibrate_planes(views, camera, PAPER).covariance is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("free_camera", [False, True])
-def test_errors_of_calibrations_have_the_joint_covariance_that_is_reported(
-    free_camera, rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
-):
+def test_errors_of_calibrations_have_the_joint_covariance_that_is_reported(free_camera, rng, camera_covariance):
     """Every run has a camera drawn from its covariance, new noise and new boards."""
     runs = 20
     normalised = []
     for _ in range(runs):
         wrong = rng.multivariate_normal(np.zeros(9), camera_covariance.data)
-        camera = wrong_camera(true_camera, wrong, camera_covariance)
+        camera = wrong_camera(TRUE_CAMERA, wrong, camera_covariance)
         views = stripe_views(true_poses(rng, 7), rng, 0.05, 0.1)
         found = calibrate_planes(views, camera, replace(MODEL, free_camera=free_camera))
-        error = errors(found, true_planes)
+        error = errors(found)
         normalised.append(error @ np.linalg.solve(found.covariance.data[9:, 9:], error))
 
     low, high = chi2.ppf([0.025, 0.975], 9 * runs)
@@ -174,40 +181,30 @@ def wrong_camera(camera, wrong, covariance):
     )
 
 
-def test_a_free_camera_comes_nearer_to_the_truth(
-    rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
-):
+def test_a_free_camera_comes_nearer_to_the_truth(rng, camera_covariance):
     wide = replace(camera_covariance, data=100 * camera_covariance.data)
-    camera = wrong_camera(true_camera, np.array([3.0, 3.0, 2.0, -2.0, 0, 0, 0, 0, 0]), wide)
+    camera = wrong_camera(TRUE_CAMERA, np.array([3.0, 3.0, 2.0, -2.0, 0, 0, 0, 0, 0]), wide)
     views = stripe_views(true_poses(rng, 8), rng, 0.01, 0.05)
 
     held = calibrate_planes(views, camera, MODEL)
     freed = calibrate_planes(views, camera, replace(MODEL, free_camera=True))
 
-    assert np.abs(freed.camera.camera_matrix - true_camera.camera_matrix).max() < 0.7
-    assert np.abs(errors(freed, true_planes)).max() < 0.5 * np.abs(errors(held, true_planes)).max()
+    assert np.abs(freed.camera.camera_matrix - TRUE_CAMERA.camera_matrix).max() < 0.7
+    assert np.abs(errors(freed)).max() < 0.5 * np.abs(errors(held)).max()
 
 
-def test_a_held_camera_stays_as_it_is(rng, stripe_views, true_poses, true_camera, camera_covariance):
-    camera = replace(true_camera, covariance=camera_covariance)
-
-    found = calibrate_planes(stripe_views(true_poses(rng, 4), rng, 0.02, 0.05), camera, MODEL)
-
-    assert found.camera is camera
-
-
-def test_stripes_mend_boards_of_which_a_corner_is_wrong(rng, stripe_views, true_poses, true_planes, true_camera):
+def test_stripes_correct_boards_with_a_wrong_corner(rng):
     views = stripe_views(true_poses(rng, 6), rng, 0.01, 0.05)
     for index in range(6):
         moved = views[index].board.points_px + 0.4 * (np.arange(16) == index)[:, None]
         views[index] = replace(views[index], board=replace(views[index].board, points_px=moved))
 
-    joint, separate = (calibrate_planes(views, true_camera, model) for model in (MODEL, SEPARATE))
+    joint, separate = (calibrate_planes(views, TRUE_CAMERA, model) for model in (MODEL, SEPARATE))
 
-    assert np.linalg.norm(errors(joint, true_planes)) < 0.6 * np.linalg.norm(errors(separate, true_planes))
+    assert np.linalg.norm(errors(joint)) < 0.6 * np.linalg.norm(errors(separate))
 
 
-def test_a_bent_board_widens_the_covariance(rng, stripe_views, true_poses, true_camera):
+def test_a_bent_board_widens_the_covariance(rng):
     poses = true_poses(rng, 6)
     flat = stripe_views(poses, rng, 0.02, 0.05)
     bent = [
@@ -215,20 +212,20 @@ def test_a_bent_board_widens_the_covariance(rng, stripe_views, true_poses, true_
         for index, view in enumerate(flat)
     ]
 
-    found = [calibrate_planes(views, true_camera, MODEL) for views in (flat, bent)]
+    found = [calibrate_planes(views, TRUE_CAMERA, MODEL) for views in (flat, bent)]
 
     assert found[0].excess == 1.0
     assert found[1].excess > 3.0
 
 
-def test_the_laser_that_disagrees_stands_out(rng, stripe_views, true_poses, true_camera):
+def test_the_laser_that_disagrees_stands_out(rng):
     views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.05)
     views = [
         replace(view, stripes_px=(*view.stripes_px[:2], view.stripes_px[2] + [0.0, 0.5 * (-1.0) ** index]))
         for index, view in enumerate(views)
     ]
 
-    found = calibrate_planes(views, true_camera, MODEL)
+    found = calibrate_planes(views, TRUE_CAMERA, MODEL)
 
     disagreement = [laser.disagreement for laser in found.lasers]
     assert disagreement[2] > 3 * max(disagreement[:2])

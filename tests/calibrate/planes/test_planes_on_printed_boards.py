@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from drawn_boards import drawn_board
 from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
@@ -98,7 +99,7 @@ def nees(found) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO, FOUR_MARKERS], ids=lambda board: board.kind)
-def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng, drawn_board):
+def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng):
     """NEES of the three kinds of boards together within its 95 % interval."""
     runs = 8
     drawn = drawn_board(board)

@@ -5,6 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from drawn_boards import FOUR
+from known_views import DISTANCES_M, NORMALS, true_poses
 from scipy.stats import chi2
 
 from ringpose.calibrate.boards.layout import corner_points
@@ -46,9 +48,9 @@ def rational_px(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def drawn_views(rng, true_poses, true_planes, plane_board):
+def drawn_views(rng):
     """Makes views of boards that the three light planes cross, with noise."""
-    points_m = corner_points(plane_board)
+    points_m = corner_points(FOUR)
 
     def stripe_px(turn, place, normal, distance_m) -> np.ndarray:
         x = np.linspace(0.02, 0.28, 120)
@@ -61,7 +63,7 @@ def drawn_views(rng, true_poses, true_planes, plane_board):
         for index, (turn, place) in enumerate(true_poses(rng, number)):
             corners = rational_px(points_m @ turn.T + place) + CORNER_PX * rng.standard_normal((16, 2))
             board = BoardView(name=f"v{index}", ids=np.arange(16), points_board_m=points_m, points_px=corners)
-            stripes = tuple(stripe_px(turn, place, *plane) for plane in zip(*true_planes, strict=True))
+            stripes = tuple(stripe_px(turn, place, *plane) for plane in zip(NORMALS, DISTANCES_M, strict=True))
             made.append(StripeView(board=board, stripes_px=stripes))
         return made
 
@@ -74,10 +76,10 @@ def given(rng) -> Camera:
     return replace(camera_with(parameters_of(CAMERA) + wrong, CAMERA), covariance=PRIOR)
 
 
-def errors(found, true_planes) -> np.ndarray:
+def errors(found) -> np.ndarray:
     """Camera's parameters and planes' tilts and distances less the true ones."""
     parts = [parameters_of(found.camera) - parameters_of(CAMERA)]
-    for laser, normal, distance_m in zip(found.lasers, *true_planes, strict=True):
+    for laser, normal, distance_m in zip(found.lasers, NORMALS, DISTANCES_M, strict=True):
         along = normal @ laser.normal
         tilts = -tilt_basis(laser.normal) @ normal / along
         parts.append(np.array([*tilts, laser.distance_m - distance_m * np.sign(along)]))
@@ -113,13 +115,13 @@ def test_true_points_of_a_rational_camera_are_those_of_opencv(rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("free_camera", [False, True])
-def test_errors_with_a_rational_camera_are_as_large_as_reported(free_camera, rng, drawn_views, true_planes):
+def test_errors_with_a_rational_camera_are_as_large_as_reported(free_camera, rng, drawn_views):
     """The variances of a free camera may be up to a quarter too large: errors common to all views are never zero."""
     runs = 15
     normalised = []
     for _ in range(runs):
         found = calibrate_planes(drawn_views(6), given(rng), replace(MODEL, free_camera=free_camera))
-        error = errors(found, true_planes)
+        error = errors(found)
         normalised.append(error @ np.linalg.solve(found.covariance.data, error))
 
     low, high = chi2.ppf([0.025, 0.975], 21 * runs)

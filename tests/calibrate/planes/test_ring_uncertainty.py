@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m
 from ringpose.types.rig import LaserPlanes, ParameterCovariance
@@ -48,20 +49,17 @@ def seen_center_m(points: np.ndarray, wrong: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("depth_m", [0.5, 1.0])
-def test_a_ring_s_centre_errs_by_as_much_as_told(depth_m, rng, lasers, true_camera):
+def test_the_centre_of_a_ring_has_the_predicted_errors(depth_m, rng, lasers):
     points = break_points_m(depth_m)
     drawn = np.array([seen_center_m(points, (SD * rng.standard_normal(9)).reshape(3, 3)) for _ in range(DRAWS)])
 
-    predicted = ring_center_sd_m(true_camera, lasers, planes_covariance(), depth_m)
+    predicted = ring_center_sd_m(TRUE_CAMERA, lasers, planes_covariance(), depth_m)
 
     assert predicted == pytest.approx(np.std(drawn, axis=0), rel=0.15)
+    assert np.isnan(ring_center_sd_m(TRUE_CAMERA, lasers, planes_covariance(), 0.1)).all()  # it misses a stripe
 
 
-def test_the_uncertainty_of_a_ring_that_misses_a_stripe_is_nan(lasers, true_camera):
-    assert np.isnan(ring_center_sd_m(true_camera, lasers, planes_covariance(), 0.1)).all()
-
-
-def test_the_camera_s_share_is_what_the_planes_follow_it_by(rng):
+def test_the_share_of_the_camera_is_the_covariance_by_which_the_planes_follow_it(rng):
     camera = np.diag([0.1, 0.2, 1e-4]) ** 2
     follow = rng.standard_normal((9, 3)) * [1e-4, 1e-4, 0.1]
     cross = follow @ camera
@@ -70,9 +68,6 @@ def test_the_camera_s_share_is_what_the_planes_follow_it_by(rng):
     found = of_camera(ParameterCovariance(parameters=("fx", "fy", "k1", *PLANES), data=data)).data
 
     assert found[3:, 3:] == pytest.approx(cross @ follow.T, rel=1e-6, abs=1e-18)
-
-
-def test_the_camera_causes_no_covariance_of_planes_alone():
     assert not of_camera(planes_covariance()).data.any()
 
 

@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 import pytest
 import scipy.io
+from drawn_boards import FOUR
+from known_views import TRUE_CAMERA
 
 from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.calibrate.camera.parameters import CameraModel
@@ -48,19 +50,11 @@ def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def rendered(rendered_plane_views, plane_board):
+def rendered(rendered_plane_views):
     """Planes of the rendered views by either method, with the true camera."""
-    camera = Camera(
-        camera_name="rig_b",
-        image_width=1600,
-        image_height=1200,
-        camera_matrix=np.array([[1781.3, 0, 803.7], [0, 1780.6, 596.2], [0, 0, 1]]),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0]),
-    )
-    views = [stripe_view(shot, found, plane_board, camera, 3) for shot, found in rendered_plane_views]
+    views = [stripe_view(shot, found, FOUR, TRUE_CAMERA, 3) for shot, found in rendered_plane_views]
     model = PlanesModel(names=("left", "middle", "right"))
-    return {method: calibrate_planes(views, camera, replace(model, method=method)) for method in PlanesMethod}
+    return {method: calibrate_planes(views, TRUE_CAMERA, replace(model, method=method)) for method in PlanesMethod}
 
 
 @pytest.mark.slow
