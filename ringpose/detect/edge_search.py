@@ -296,24 +296,51 @@ MIN_SIGMA_PX = 0.1
 """Minimum standard deviation of a single step, before that factor."""
 
 
-def significant_steps(steps: EdgeSteps) -> Bool[Array, "n"]:
-    """Which steps stand out of the noise."""
-    known = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
-    return known & (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
+MOSTLY_VISIBLE = 0.5
+"""Share of places with a step above which what is behind differs from the face, so that it does not hide the edge."""
+
+SOFT = 1.5
+"""Ratio of the blur of a soft step to that of the ring's edges ..."""
+
+SOFT_GAIN = 2.0
+"""... and by how much, in residual variances, the sum of squares of a soft step is smaller with that blur."""
+
+STEP_NUMBERS = 4
+"""Numbers that are fitted to a profile: two levels, place and blur."""
 
 
-def steps_along(frame: EdgeImage, trace: EdgeTrace, reach_px: int) -> EdgeSteps:
-    """The steps within `reach_px` of the places of a trace, under the assumption of a blur of `BLUR_PX`."""
+class ClearSteps(NamedTuple):
+    """Those places of a trace at which an edge of the ring may have been found, and the steps there."""
+
+    trace: EdgeTrace
+    steps: EdgeSteps
+
+
+def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, blur_px: float | None = BLUR_PX) -> ClearSteps:
+    """The steps within `reach_px` of the places of a trace that stand out of the noise; `blur_px`: None to estimate it.
+
+    The face hides what is behind it, so that its edge is as sharp as the lens images it. Where the foil behind is as
+    bright as the face, the next step is a facet of the foil beyond the edge, and most of these are softer: if most
+    places show no step, soft ones are left out.
+    """
     profiles = edge_profiles(frame.image, trace.position_px, trace.normal, reach_px, frame.saturation_dn)
-    return edge_steps(profiles, reach_px, BLUR_PX)
+    steps = edge_steps(profiles, reach_px, estimated_blur_px(profiles, reach_px) if blur_px is None else blur_px)
+    clear = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
+    clear &= (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
+    if 0 < np.count_nonzero(clear) < MOSTLY_VISIBLE * len(clear):
+        blur_px = estimated_blur_px(profiles, reach_px)
+        there = Profiles(*(each[clear] for each in profiles))
+        sharp, soft = (edge_steps(there, reach_px, round(each, 2)).cost for each in (blur_px, SOFT * blur_px))
+        misfit = np.maximum(soft / (there.value.shape[1] - STEP_NUMBERS), 1.0)
+        clear[clear] = sharp - soft < SOFT_GAIN * misfit
+    return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))
 
 
-def edge_observations(trace: EdgeTrace, steps: EdgeSteps) -> Edges:
-    """The significant steps as measurements of the ring's edges, without common errors."""
-    clear = significant_steps(steps)
-    sigma_px = CLUTTER * np.hypot(steps.sigma_px[clear], MIN_SIGMA_PX)
-    trace = trace.selected(clear)
-    point = rays_beside(trace, steps.offset_px[clear])
+def edge_observations(found: ClearSteps) -> Edges:
+    """The steps as measurements of the ring's edges, without common errors."""
+    trace, steps = found
+    sigma_px = CLUTTER * np.hypot(steps.sigma_px, MIN_SIGMA_PX)
+    point = rays_beside(trace, steps.offset_px)
     ray = point / point[:, 2:]
     step_m = (sigma_px * trace.metres_per_px)[:, None] * trace.outward
     return Edges(

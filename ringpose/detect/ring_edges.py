@@ -16,23 +16,21 @@ from ringpose.detect.break_points import curved, straight
 from ringpose.detect.edge_points import ring_edge_points
 from ringpose.detect.edge_search import (
     ALONG_PX,
+    MOSTLY_VISIBLE,
     EdgeImage,
     EdgeTrace,
+    clear_steps,
     edge_observations,
-    edge_profiles,
-    edge_steps,
     edge_trace,
-    estimated_blur_px,
     outside_stripes,
-    significant_steps,
-    steps_along,
+    rays_beside,
     stripe_mask,
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, refine_ring
-from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs
+from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import (
     BreakPointFlag,
@@ -123,21 +121,71 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     if stripes is None or tracked is None:
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
-    profiles = edge_profiles(frame.image, trace.position_px, trace.normal, REACH_PX, frame.saturation_dn)
-    steps = edge_steps(profiles, REACH_PX, estimated_blur_px(profiles, REACH_PX))
-    refined = stripes.fitted(tracked.arcs, edge_observations(trace, steps), rig)
+    found = clear_steps(frame, trace, REACH_PX, blur_px=None)
+    refined = stripes.fitted(tracked.arcs, edge_observations(found), rig)
     if refined is None:
         return None
-    clear = significant_steps(steps)
-    points = ring_edge_points(refined.arcs, trace.selected(clear), steps.offset_px[clear], steps.sigma_px[clear])
+    points = ring_edge_points(refined.arcs, found.trace, found.steps.offset_px, found.steps.sigma_px)
     if points is None:
         return None
-    curvature, curvature_sd = refined.arcs.curvature, float(np.sqrt(refined.covariance[CURVATURE, CURVATURE]))
+    wider = 1.0
+    if len(found.trace.edge_sign) < MOSTLY_VISIBLE * len(trace.edge_sign):
+        wider = uncertainty_factor(points, refined.arcs, stripes, break_points, frame, rig)
+        points = replace(points, sigma_px=wider * points.sigma_px)
+    curvature, curvature_sd = refined.arcs.curvature, wider * math.sqrt(refined.covariance[CURVATURE, CURVATURE])
     if len(stripes.measured.lines.laser) == ONE_STRIPE:
         both = np.bincount(points.edge, minlength=2).min() >= MIN_OF_BOTH
         if not both or not (curved(curvature, curvature_sd) or straight(curvature, curvature_sd)):
             return None
     return FoundEdges(points, curvature / curvature_sd, straight(curvature, curvature_sd))
+
+
+WIDE_REACH_PX = 6
+"""Half width of the search for other places of the edges than those found."""
+
+STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.3, 7.0
+"""Standard deviation of a step on the edge from the ring, and the density of these steps at the edge over that of the
+steps of what is behind: a third of the steps are on the edge."""
+
+INDEPENDENT_STEPS = 2.0
+"""Neighbouring steps that err together: a facet of foil."""
+
+CURVATURES = np.linspace(-5.0, 5.0, 101)
+"""Inverse hyperbolic sines of the alternative curvatures, in standard deviations: close to the one found and far."""
+
+
+def uncertainty_factor(
+    points: RingEdgePoints,
+    arcs: RingArcs,
+    stripes: "StripeEvidence",
+    break_points: BreakPoints,
+    frame: EdgeImage,
+    rig: Rig,
+) -> float:
+    """By how much the points' standard deviations are too small where the edges may as well be somewhere else.
+
+    The stripes leave mainly one number of the ring open, its curvature with the centre that follows from it. If most
+    steps are on foil as bright as the face, other curvatures explain about as many steps as the one that the tracking
+    arrived at. The likelihood of the curvature, with steps on the edge and steps of what is behind (a mixture), shows
+    how well it is known; its second moment about the curvature found is the variance that the points must have.
+    """
+    covariance = stripes.start.covariance
+    direction = covariance[:, CURVATURE] / math.sqrt(covariance[CURVATURE, CURVATURE])
+    edges = measurements_of(break_points, rig, points).edges
+    at = edge_distances(arcs, edges.ray, 2.0 * edges.edge - 1.0)
+    slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
+    information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))
+    trace = outside_stripes(frame, edge_trace(arcs, np.zeros_like(covariance), rig, ALONG_PX, np.inf))
+    trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, blur_px=None)
+    at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
+    residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
+    slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px
+    away = np.sinh(CURVATURES) / math.sqrt(information)
+    on_edge = np.exp(-0.5 * ((residual_px + away[:, None] * slope_px) / STEP_ON_EDGE_PX) ** 2)
+    logarithm = np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1) / INDEPENDENT_STEPS
+    weight = np.exp(logarithm - logarithm.max()) * np.cosh(CURVATURES)
+    variance = float(weight @ away**2 / weight.sum())
+    return max(1.0, math.sqrt(variance * information))
 
 
 def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:
@@ -197,7 +245,7 @@ def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> Predi
             break
         tracked_px = len(trace.edge_sign) * spacing_px
         trace = outside_stripes(frame, trace)
-        observations = edge_observations(trace, steps_along(frame, trace, reach_px))
+        observations = edge_observations(clear_steps(frame, trace, reach_px))
         if len(observations.edge) < MIN_SHARE * len(trace.edge_sign):
             return None
         ring = stripes.fitted(ring.arcs, observations, rig)
@@ -237,14 +285,13 @@ def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
         tables.append(table)
     trace = outside_stripes(frame, EdgeTrace(np.concatenate(tables)))  # its `number` is the candidate direction
 
-    steps = steps_along(frame, trace, START_REACH_PX)
-    count = np.bincount(trace.number.astype(np.int64), significant_steps(steps), minlength=len(tables))
+    found = clear_steps(frame, trace, START_REACH_PX)
+    count = np.bincount(found.trace.number.astype(np.int64), minlength=len(tables))
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
         return no_edges()
-    trace = trace.selected(trace.number == best)
-    return edge_observations(trace, steps_along(frame, trace, START_REACH_PX))
+    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX))
 
 
 # Fit of the ring to stripes and tracked edge points

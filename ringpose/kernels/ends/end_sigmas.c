@@ -161,6 +161,16 @@ static double intensity_variance(const Columns *columns, const Edge *edge, const
            speckle_variance(columns, &shapes, influence, correlation);
 }
 
+double second_order_bias(const Columns *columns, const Edge *edge, double variance) {
+    Shapes shapes;
+    double influence[MAX_COLUMNS] = {0}, curvature = 0, square = edge->width * edge->width;
+    fill_shapes(columns, edge, &shapes);
+    fill_influence(columns, &shapes, edge->outside > 0, influence);
+    for (int i = 0; i < columns->count; i++)
+        curvature += influence[i] * shapes.slope[i] * (columns->along[i] - edge->position) / square;
+    return -0.5 * fmin(variance, square) * curvature;
+}
+
 /* u^T V u, and the contributions of background, width and blur model. */
 double edge_variance(const Columns *columns, const Edge *edge, double correlation, double information,
                      const EndParams *params) {

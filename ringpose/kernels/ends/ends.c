@@ -89,6 +89,7 @@ static double combine_widths(const Columns *columns, const EdgeFit *fit, double 
         *edge = (Edge){fit->position[k], WIDTH[k] * sigma, fit->outside[k], 0};
     }
     double variance = edge_variance(columns, edge, pooled->correlation, width.information, params);
+    if (!blunt && !columns->clipped) edge->position -= second_order_bias(columns, edge, variance);
     variance = variance_over_places(columns, fit, edge, variance, pooled->correlation);
     double clipped = clipped_error(columns, edge, params);
     variance += clipped * clipped;
