@@ -441,7 +441,7 @@ def at_reference_time(
     if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
         return measured, arcs
     residuals = ring_residuals(arcs, measured, observations, Prior())
-    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0).wrt_rates[:, :3]
+    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
     weight = (rows * rows).sum(axis=1)
     if not 0.0 < float(weight.sum()) < np.inf:
         return measured, arcs
