@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.residuals import PARAMETERS, Estimate
+from ringpose.estimate.residuals import PARAMETERS
+from ringpose.estimate.solver import Estimate
 from ringpose.geometry.ring import (
     CURVATURE,
     HALF_BAND,
@@ -83,7 +84,7 @@ def quantities(estimate: Estimate) -> Quantities:
     depth_wrt_step = np.zeros(PARAMETERS)
     depth_wrt_step[[TILT_INWARD, TILT_ALONG, LIFT]] = -offset[0], -offset[1], 1.0
     mean_wrt_ray = depth_m * (np.eye(3) - np.outer(mean_ray, arcs.normal) / float(mean_ray @ arcs.normal))
-    y_wrt_step = residuals.stripes.y_wrt_step[residuals.ends :].mean(axis=0)
+    y_wrt_step = residuals.stripes.y_wrt_step[residuals.ends :, :PARAMETERS].mean(axis=0)
     mean_wrt_step = np.outer(mean_ray, depth_wrt_step / float(mean_ray @ arcs.normal)) + np.outer(
         mean_wrt_ray[:, 1], y_wrt_step
     )

@@ -30,12 +30,13 @@ from ringpose.estimate.covariance import (
     ring_velocity,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
+from ringpose.estimate.residuals import PARAMETERS, Prior
 from ringpose.estimate.solver import (
     DECISION_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
+    Estimate,
     at_reference_time,
     estimate_ring,
     precise_ring,
@@ -143,14 +144,14 @@ class Search(NamedTuple):
     rig: Rig
     labelled: bool
     edges_named: bool
-    step_sigmas: float
-    """Length of the last step of the estimate from all measurements, in standard deviations."""
-    other_sigmas: float
+    max_left: float
+    """Length of the steps that are left at the end of the estimate from all measurements, in standard deviations."""
+    max_left_of_others: float
     """The same of all other explanations."""
 
     def for_others(self) -> "Search":
         """The search of an explanation with other edges or radii."""
-        return self._replace(step_sigmas=self.other_sigmas)
+        return self._replace(max_left=self.max_left_of_others)
 
 
 class Solved(NamedTuple):
@@ -208,7 +209,7 @@ def explain(
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         return best._replace(estimate=estimate)
     # the shorter iteration had ended near a saddle point
-    return _decided(measured, prior, guess, search._replace(other_sigmas=PRECISE_SIGMAS))
+    return _decided(measured, prior, guess, search._replace(max_left_of_others=PRECISE_SIGMAS))
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
@@ -280,16 +281,16 @@ def _explained(
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     rig, edges_seen = search.rig, len(measured.edges.edge) > 0
-    first_sigmas = DECISION_SIGMAS if edges_seen else search.step_sigmas
-    estimate = estimate_ring(measured, rig, prior, guess=guess, step_sigmas=first_sigmas)
+    first_left = DECISION_SIGMAS if edges_seen else search.max_left
+    estimate = estimate_ring(measured, rig, prior, guess=guess, max_left=first_left)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        estimate = estimate_ring(measured, rig, prior, estimate.arcs, guess=guess, step_sigmas=search.step_sigmas)
+        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=search.max_left)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, everything, _single_stripes(everything, rig))
     hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, step_sigmas=search.other_sigmas)
+    solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left_of_others)
     tried = _possibly_best(hypotheses, solved, inf if everything is None else min(everything.score, max_score))
     if everything is None and not tried:
         return None
@@ -322,9 +323,9 @@ def _possibly_best(
     return tried
 
 
-def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, step_sigmas: float) -> Solved | None:
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, max_left: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
-    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, step_sigmas=step_sigmas)
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, max_left=max_left)
     if estimate is None or not (_is_ring(estimate) or hypothesis.both):
         return None
     wider = 0.0
@@ -442,7 +443,7 @@ def single_stripe_estimates(
         alone = measured.without_laser(laser)
         if not len(alone.points.x):
             continue
-        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), step_sigmas=DECISION_SIGMAS)
+        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), max_left=DECISION_SIGMAS)
         if estimate is not None:
             yield laser, alone, estimate
 

@@ -9,12 +9,13 @@ and the common errors of the points of a visible edge (`Edges.common`) are treat
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.residuals import FixedColumns, Prior, Residuals
+from ringpose.estimate.residuals import Prior, Residuals
 from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
@@ -137,15 +138,31 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     return root
 
 
-def fixed_columns(
-    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
-) -> FixedColumns:
+class FixedColumns(NamedTuple):
+    """Derivatives by common errors that are evaluated once, near the solution."""
+
+    rig: Float64[Array, "row parameter"] | None
+    """In the parameters' own units; None if the rig counts as exact."""
+    form: Float64[Array, "row amplitude"] | None
+    """In metres; None for a perfect ring."""
+    camera: Float64[Array, "row parameter"]
+    """By the mount's parameters, in their own units."""
+    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
+    """By the rig's errors, in standard deviations: of the mean of the predicted break points, for a fixed ring."""
+    columns: Float64[Array, "row error"]
+    """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
+    edge_errors: int
+    """Number of those of visible edges, the last ones."""
+
+
+def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior, rig: Rig) -> FixedColumns:
     """Derivatives by the errors of rig, form, mount and visible edges."""
+    measured = observations.measured
     by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
     mean_ray = np.zeros((2, 0))
     errors = rig_errors(rig, prior.assumptions.stability)
     if errors is not None:
-        by_rig, mean_ray = _wrt_rig(residuals, measured, observations, errors, rig)
+        by_rig, mean_ray = _wrt_rig(residuals, observations, errors, rig)
         mean_ray = mean_ray @ errors.root
         columns.append(by_rig @ errors.root)
     if prior.assumptions.ring_tolerance_m > 0.0:
@@ -163,21 +180,22 @@ def fixed_columns(
 
 
 def rig_jacobian(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+    residuals: Residuals, observations: Observations, errors: RigErrors, rig: Rig
 ) -> Float64[Array, "row parameter"]:
     """Derivatives of the residuals with respect to the rig's parameters, in their own units; 0 for the prior."""
-    return _wrt_rig(residuals, measured, observations, errors, rig)[0]
+    return _wrt_rig(residuals, observations, errors, rig)[0]
 
 
 def _wrt_rig(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+    residuals: Residuals, observations: Observations, errors: RigErrors, rig: Rig
 ) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
     """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
 
     Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
     points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
     """
-    ends, stripes, samples = residuals.ends, residuals.stripes, len(observations.view.rays)
+    measured, ends, stripes = observations.measured, residuals.ends, residuals.stripes
+    samples = len(observations.view.rays)
     rays = _rays_wrt_rig(np.concatenate([observations.view.rays, observations.view.visible_rays]), errors, rig)
     ray, edge_ray = rays[:samples], rays[samples:]
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])

@@ -19,7 +19,8 @@ from ringpose.estimate.nuisance import (
     rig_jacobian,
     total_covariance,
 )
-from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate
+from ringpose.estimate.residuals import PARAMETERS
+from ringpose.estimate.solver import RIDGE, Estimate
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
@@ -224,7 +225,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
     residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
     of_rig = estimate.mean_ray_wrt_nuisance.shape[1]
     own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
-    by_rig = rig_jacobian(residuals, measured, measured.observations(rig.lasers), errors, rig)
+    by_rig = rig_jacobian(residuals, measured.observations(rig.lasers), errors, rig)
     rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))
