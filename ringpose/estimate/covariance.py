@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.residuals import PARAMETERS
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.residuals import PARAMETERS, Estimate
 from ringpose.geometry.ring import (
     CURVATURE,
     HALF_BAND,

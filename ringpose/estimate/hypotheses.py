@@ -30,13 +30,12 @@ from ringpose.estimate.covariance import (
     ring_velocity,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.residuals import PARAMETERS, Prior
+from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
 from ringpose.estimate.solver import (
     DECISION_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
-    Estimate,
     at_reference_time,
     estimate_ring,
     precise_ring,

@@ -7,8 +7,7 @@ import numpy as np
 
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors, edge_jacobian
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.residuals import Estimate, Prior
 from ringpose.geometry.ring import normal_and_center, public_wrt_rates, public_wrt_step
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64

@@ -9,13 +9,12 @@ and the common errors of the points of a visible edge (`Edges.common`) are treat
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.residuals import Prior, Residuals
+from ringpose.estimate.residuals import FixedColumns, Prior, Residuals
 from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
@@ -136,23 +135,6 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     kept = variance > _NEGLIGIBLE * (float(variance[-1]) if len(variance) else 0.0)
     root: Float64[Array, "n error"] = scale[:, None] * axes[:, kept] * np.sqrt(variance[kept])
     return root
-
-
-class FixedColumns(NamedTuple):
-    """Derivatives by common errors that are evaluated once, near the solution."""
-
-    rig: Float64[Array, "row parameter"] | None
-    """In the parameters' own units; None if the rig counts as exact."""
-    form: Float64[Array, "row amplitude"] | None
-    """In metres; None for a perfect ring."""
-    camera: Float64[Array, "row parameter"]
-    """By the mount's parameters, in their own units."""
-    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
-    """By the rig's errors, in standard deviations: of the mean of the predicted break points, for a fixed ring."""
-    columns: Float64[Array, "row error"]
-    """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
-    edge_errors: int
-    """Number of those of visible edges, the last ones."""
 
 
 def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior, rig: Rig) -> FixedColumns:

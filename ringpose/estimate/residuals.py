@@ -1,10 +1,14 @@
-"""The residuals of one shot, from which its ring is estimated, and the initial guess (ringpose-method(7), section 5).
+"""The estimation of one shot's ring as a linearised problem: prior, residuals, estimate and initial guess.
 
 All residuals are in units of their standard deviations, in this order: the lines of the stripes (residual a), the
 break points along their lines (b), the ordinates of break points without a line, the visible edges (c), and the prior
-(d). The ring is described by `ringpose.geometry.ring`.
+(d) (ringpose-method(7), section 5). They are evaluated in `ringpose.estimate.solver`; the ring is described by
+`ringpose.geometry.ring`.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -12,18 +16,11 @@ import numpy as np
 from ringpose.estimate.measurements import Measurements, Observations, Points
 from ringpose.geometry.ring import (
     CURVATURE,
-    EDGE_SIGN,
-    HALF_BAND,
-    MIN_RATE,
     STEP,
-    TILT_ALONG,
-    TILT_INWARD,
-    TURN,
     EdgeDistances,
     Rates,
     RingArcs,
     StripePrediction,
-    predicted_view,
 )
 from ringpose.geometry.rotations import cross
 from ringpose.types.arrays import Array, Float64, Int64
@@ -31,6 +28,11 @@ from ringpose.types.assumptions import Assumptions
 from ringpose.types.pose import KnownRadii
 
 PARAMETERS = len(STEP)
+
+RIDGE = 1e-7
+"""Added to the diagonal of the normal matrix (m, rad, 1/m), so that undetermined parameters keep their values."""
+
+RIDGE_MATRIX = RIDGE * np.eye(PARAMETERS)
 
 EXPECTED_CURVATURE, CURVATURE_SD = 1.5, 1.5
 """Weak prior in 1/m (a radius of 0.3 m has 3.3; the largest ring in launcher manuals has 0.76)."""
@@ -79,8 +81,16 @@ class Residuals(NamedTuple):
     """Standard deviations of the rates by their prior; empty if the ring is still or all rows are of one instant."""
     rate_deviations: Float64[Array, "rate"]
     """The rates in these standard deviations."""
-    rows: Float64[Array, "row column"]
-    """The residuals r, and their derivatives by the ring's step (J), by its rates, and by the mount's parameters."""
+    system: Float64[Array, "row 8"]
+    """[r J]: the residuals r, and their derivatives J by the ring's step ..."""
+    residual: Float64[Array, "row"]
+    jacobian: Float64[Array, "row step=7"]
+    """... and both as parts of it."""
+    wrt_rates: Float64[Array, "row rate"]
+    """Derivatives by the rates: velocity of the ring's centre, and angular velocities about its inward axis and about
+    the axis along its face. No columns for a still ring."""
+    wrt_camera: Float64[Array, "row error"]
+    """Derivatives by the mount's parameters (`Mount.uncertain`); no columns for a camera at rest."""
     ends: int
     """Number of the lines' ends: their residuals and predictions come before those of the break points."""
     stripe_rows: int
@@ -103,104 +113,134 @@ class Residuals(NamedTuple):
     """1 / standard deviation of that distance."""
     ordinates: OrdinateScale
 
-    @property
-    def residual(self) -> Float64[Array, "row"]:
-        """The residuals r."""
-        residual: Float64[Array, "row"] = self.rows[:, 0]
-        return residual
+
+class FixedColumns(NamedTuple):
+    """Derivatives by common errors that are evaluated once, near the solution."""
+
+    rig: Float64[Array, "row parameter"] | None
+    """In the parameters' own units; None if the rig counts as exact."""
+    form: Float64[Array, "row amplitude"] | None
+    """In metres; None for a perfect ring."""
+    camera: Float64[Array, "row parameter"]
+    """By the mount's parameters, in their own units."""
+    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
+    """By the rig's errors, in standard deviations: of the mean of the predicted break points, for a fixed ring."""
+    columns: Float64[Array, "row error"]
+    """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
+    edge_errors: int
+    """Number of those of visible edges, the last ones."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """A maximum-likelihood ring, and the linearised problem at the solution."""
+
+    residuals: Residuals
+    arcs: RingArcs
+    """The ring at the reference time of the measurements."""
+    rates: Rates
+    """Its motion."""
+    weights: Float64[Array, "row"]
+    """1 for a residual that was used, 0 for a rejected edge point."""
+    fixed: FixedColumns
+    nuisance: Float64[Array, "row error"]
+    """Derivatives of the residuals by common errors of unit variance: rates, rig, form of the ring, visible edges."""
+    nuisance_step: Float64[Array, "error"]
+    """The estimated common errors, in their standard deviations; 0 for the rates, which the residuals contain."""
+    normal_matrix: Float64[Array, "7 7"]
+    """Inverse covariance of the ring's step, the common errors marginalised."""
+    inverse: Float64[Array, "7 7"]
+    """Of the normal matrix with `RIDGE`."""
+    prior: Prior
+    """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
+    remaining: Float64[Array, "row"]
+    """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
+    chi2: float
+    """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
+    left_sigmas: float
+    """About the length of the steps that were left at the end of the iteration, in standard deviations."""
 
     @property
-    def jacobian(self) -> Float64[Array, "row step=7"]:
-        """Their derivatives J by the ring's step."""
-        jacobian: Float64[Array, "row step=7"] = self.rows[:, 1 : 1 + PARAMETERS]
-        return jacobian
+    def regularized(self) -> bool:
+        """Whether parameters that the shot leaves open were held by weak priors."""
+        return self.prior.regularize_about is not None
 
     @property
-    def wrt_rates(self) -> Float64[Array, "row rate"]:
-        """Their derivatives by the rates; no columns for a still ring.
+    def degrees_of_freedom(self) -> int:
+        """Numbers of stripes, break points and radii less the parameters.
 
-        Velocity of the ring's centre, and angular velocities about its inward axis and about the axis along its face.
+        Rows of weak priors count like measurements.
         """
-        wrt_rates: Float64[Array, "row rate"] = self.rows[:, 1 + PARAMETERS :][:, : len(self.rate_sds)]
-        return wrt_rates
+        prior_rows = len(self.residuals.residual) - self.residuals.data_rows
+        return max(self.residuals.stripe_numbers + prior_rows - PARAMETERS, 0)
 
     @property
-    def wrt_camera(self) -> Float64[Array, "row error"]:
-        """Their derivatives by the mount's parameters (`Mount.uncertain`); no columns for a camera at rest."""
-        wrt_camera: Float64[Array, "row error"] = self.rows[:, 1 + PARAMETERS + len(self.rate_sds) :]
-        return wrt_camera
+    def mean_ray_wrt_nuisance(self) -> Float64[Array, "xy=2 error"]:
+        """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
+        residuals, count = self.residuals, len(self.residuals.rate_sds)
+        wrt_rates = np.zeros((2, count))
+        y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
+        wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
+        return np.concatenate([wrt_rates, self.fixed.mean_ray_wrt_rig], axis=1)
+
+    @property
+    def edge_residuals(self) -> Float64[Array, "visible"]:
+        """Residuals of the visible edge points, less common errors, in standard deviations."""
+        return self.remaining[self.residuals.stripe_rows : self.residuals.data_rows]
+
+    @property
+    def edge_weights(self) -> Float64[Array, "visible"]:
+        """1 for visible edge points that were used."""
+        return self.weights[self.residuals.stripe_rows : self.residuals.data_rows]
+
+    @cached_property
+    def joint_information(self) -> Float64[Array, "n n"]:
+        """Information on the ring's step and the common errors, with their priors and the ridge."""
+        jacobian = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)
+        information: Float64[Array, "n n"] = (jacobian.T * self.weights) @ jacobian
+        diagonal = np.ones(len(information))
+        diagonal[:PARAMETERS] = RIDGE
+        information[range(len(information)), range(len(information))] += diagonal
+        return information
+
+    @property
+    def log_determinant(self) -> float:
+        """Of the information on ring and common errors: how much wider their priors are than the result."""
+        return float(np.linalg.slogdet(self.joint_information)[1])
+
+    @property
+    def largest_reduction(self) -> float:
+        """Largest decrease of chi-squared by leaving out one row of a stripe or break point.
+
+        r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
+        """
+        count = self.residuals.stripe_rows
+        rows = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)[:count]
+        leverage = (np.linalg.solve(self.joint_information, rows.T) * rows.T).sum(axis=0)
+        free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
+        return float((self.remaining[:count][free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
+
+    @property
+    def curvature_alone(self) -> tuple[float, float]:
+        """The curvature by the shot alone, without the prior, and its standard deviation.
+
+        From the normal equations without the rows of the prior, whose gradient balances that of the data.
+        """
+        prior = self.residuals.jacobian[self.residuals.data_rows :]
+        information = self.normal_matrix - prior.T @ prior + RIDGE_MATRIX
+        try:
+            covariance = np.linalg.inv(information)
+        except np.linalg.LinAlgError:
+            return 0.0, inf
+        step = covariance @ (prior.T @ self.residuals.residual[self.residuals.data_rows :])
+        variance = float(covariance[CURVATURE, CURVATURE])
+        return self.arcs.curvature + float(step[CURVATURE]), sqrt(variance) if variance > 0 else inf
 
 
-def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rates: Rates = STILL) -> Residuals:
-    """The residuals of a ring at the reference time.
-
-    With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
-    """
-    measured, view = observations.measured, observations.view
-    motion = prior.assumptions.motion if observations.moving else None
-    sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
-    stripes, points, edges = predicted_view(arcs, view, rates if len(sds) else None)
-    ends, samples = view.ends, len(view.rays)
-    stripe_rows = samples + observations.isolated
-    data_rows = stripe_rows + len(view.visible_rays)
-    of_prior = _prior_rows(arcs, prior)
-    rows = np.zeros((data_rows + len(of_prior), 1 + stripes.y_wrt_step.shape[1]))
-
-    # a: whitened distances of the lines' ends from the predicted lines
-    above = view.rays[:, 1] - stripes.rays[:, 1]
-    rows[:ends, 0] = observations.whitening @ above[:ends]
-    rows[:ends, 1:] = -observations.whitening @ stripes.y_wrt_step[:ends]
-
-    # b: distances of the break points from their edges, along the predicted lines
-    slope, y_wrt_step = stripes.slope[ends:], stripes.y_wrt_step[ends:]
-    wrt_step = points.wrt_step + points.wrt_ray[:, 1:] * y_wrt_step  # the point moves with its line
-    distance_wrt_x = points.wrt_ray[:, 0] + slope * points.wrt_ray[:, 1]
-    distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
-    scale = 1.0 / (np.abs(distance_wrt_x) * measured.points.sigma_x)
-    rows[ends:samples, 0] = scale * points.distance_m
-    rows[ends:samples, 1:] = scale[:, None] * wrt_step
-
-    ordinates = _ordinate_scale(measured.points, slope, distance_wrt_x)
-    if observations.isolated:
-        which, share, ordinate_scale = ordinates
-        rows[samples:stripe_rows, 0] = ordinate_scale * (above[ends:][which] - share * points.distance_m[which])
-        rows[samples:stripe_rows, 1:] = -ordinate_scale[:, None] * (
-            y_wrt_step[which] + share[:, None] * wrt_step[which]
-        )
-
-    # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    sigma_m = np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1))
-    edge_scale = 1.0 / np.maximum(sigma_m, np.finfo(float).tiny)
-    rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
-    rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
-
-    rows[data_rows:, : 1 + PARAMETERS] = of_prior  # d
-    return Residuals(
-        arcs=arcs,
-        rates=rates,
-        rate_sds=sds,
-        rate_deviations=rates_along(arcs, rates) / sds if len(sds) else sds,
-        rows=rows,
-        ends=ends,
-        stripe_rows=stripe_rows,
-        data_rows=data_rows,
-        stripe_numbers=observations.stripe_numbers,
-        stripes=stripes,
-        points=points,
-        edges=edges,
-        edge_scale=edge_scale,
-        distance_wrt_x=distance_wrt_x,
-        distance_scale=scale,
-        ordinates=ordinates,
-    )
+NO_ORDINATES = OrdinateScale(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 
-def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:
-    """The velocity, and the angular velocities about the inward axis and about the axis along the face."""
-    return np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
-
-
-def _ordinate_scale(
+def ordinate_scale(
     points: Points, slope: Float64[Array, "point"], distance_wrt_x: Float64[Array, "point"]
 ) -> OrdinateScale:
     """Weights of the ordinates of points without a line.
@@ -209,41 +249,12 @@ def _ordinate_scale(
     remainder after regression on the abscissa (`share`) is independent of it and has the standard deviation 1 / scale.
     """
     which = np.flatnonzero(points.isolated)
-    if not len(which):
-        return OrdinateScale(which, np.empty(0), np.empty(0))
     covariance, slope = points.covariance[which], slope[which]
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     cross_covariance = xy - slope * xx
     remainder = yy - 2.0 * slope * xy + slope**2 * xx - cross_covariance**2 / xx
     scale = 1.0 / np.sqrt(np.maximum(remainder, 1e-12 * xx))
     return OrdinateScale(which, cross_covariance / xx / distance_wrt_x[which], scale)
-
-
-def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
-    """Residuals d and their derivatives by the step; `rows` holds each value with its nonzero derivatives."""
-    rows: list[tuple[float, dict[int, float]]] = []
-    if prior.radii is not None:
-        for sign, radius_m, assumed_m, sd_m in zip(
-            EDGE_SIGN, arcs.radius_m.tolist(), prior.radii.radius_m.tolist(), prior.radii.sd_m.tolist(), strict=True
-        ):
-            if assumed_m == assumed_m:
-                derivatives = {CURVATURE: -(arcs.mean_radius_m**2) / sd_m, HALF_BAND: sign / sd_m}
-                rows.append(((radius_m - assumed_m) / sd_m, derivatives))
-    if prior.regularize_about is not None:
-        inward, along, normal = arcs.axes
-        rows += [
-            ((arcs.curvature - EXPECTED_CURVATURE) / CURVATURE_SD, {CURVATURE: 1.0 / CURVATURE_SD}),
-            (float(inward @ prior.regularize_about.axes[1]) / TURN_SD_RAD, {TURN: 1.0 / TURN_SD_RAD}),
-        ]
-        for axis in range(2):
-            derivatives = {TILT_INWARD: inward[axis] / TILT_SD_RAD, TILT_ALONG: along[axis] / TILT_SD_RAD}
-            rows.append((float(normal[axis]) / TILT_SD_RAD, derivatives))
-    if prior.single_edge:
-        rows.append(((arcs.half_band_m - EXPECTED_HALF_BAND_M) / HALF_BAND_SD_M, {HALF_BAND: 1.0 / HALF_BAND_SD_M}))
-    found = np.zeros((len(rows), 1 + PARAMETERS))
-    for row, (value, derivatives) in zip(found, rows, strict=True):
-        row[0], row[1:][list(derivatives)] = value, list(derivatives.values())
-    return found
 
 
 # Initial guess

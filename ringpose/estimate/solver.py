@@ -1,28 +1,51 @@
 """Maximum-likelihood ring by Gauss-Newton (ringpose-method(7), section 5).
 
-The residuals are those of `ringpose.estimate.residuals`. Huber weights bring the iteration near the solution; from
-there on visible edge points count fully or not at all, and break points fully: outliers among them are judged by
-`ringpose.estimate.hypotheses`.
+The residuals are evaluated here, in the order of `ringpose.estimate.residuals`. Huber weights bring the iteration near
+the solution; from there on visible edge points count fully or not at all, and break points fully: outliers among them
+are judged by `ringpose.estimate.hypotheses`.
 """
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from math import inf, isfinite, sqrt
 
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.nuisance import FixedColumns, fixed_columns
-from ringpose.estimate.residuals import PARAMETERS, Prior, Residuals, initial_guess, rates_along, ring_residuals
-from ringpose.geometry.ring import CURVATURE, TILT_ALONG, TILT_INWARD, TURN, Rates, RingArcs, motion_derivatives
+from ringpose.estimate.nuisance import fixed_columns
+from ringpose.estimate.residuals import (
+    CURVATURE_SD,
+    EXPECTED_CURVATURE,
+    EXPECTED_HALF_BAND_M,
+    HALF_BAND_SD_M,
+    NO_ORDINATES,
+    PARAMETERS,
+    RIDGE_MATRIX,
+    STILL,
+    TILT_SD_RAD,
+    TURN_SD_RAD,
+    Estimate,
+    FixedColumns,
+    Prior,
+    Residuals,
+    initial_guess,
+    ordinate_scale,
+)
+from ringpose.geometry.ring import (
+    CURVATURE,
+    EDGE_SIGN,
+    HALF_BAND,
+    MIN_RATE,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    Rates,
+    RingArcs,
+    motion_derivatives,
+    predicted_view,
+)
 from ringpose.geometry.robust import huber_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import LaserPlanes, Rig
-
-RIDGE = 1e-7
-"""Added to the diagonal of the normal matrix (m, rad, 1/m), so that undetermined parameters keep their values."""
-
-RIDGE_MATRIX = RIDGE * np.eye(PARAMETERS)
 
 HUBER_SIGMAS = 3.0
 """Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
@@ -61,118 +84,6 @@ MAX_TILT_RAD = 0.7
 """Largest tilt in one iteration."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
-    """A maximum-likelihood ring, and the linearised problem at the solution."""
-
-    residuals: Residuals
-    weights: Float64[Array, "row"]
-    """1 for a residual that was used, 0 for a rejected edge point."""
-    fixed: FixedColumns
-    nuisance: Float64[Array, "row error"]
-    """Derivatives of the residuals by common errors of unit variance: rates, rig, form of the ring, visible edges."""
-    nuisance_step: Float64[Array, "error"]
-    """The estimated common errors, in their standard deviations; 0 for the rates, which the residuals contain."""
-    normal_matrix: Float64[Array, "7 7"]
-    """Inverse covariance of the ring's step, the common errors marginalised."""
-    inverse: Float64[Array, "7 7"]
-    """Of the normal matrix with `RIDGE`."""
-    prior: Prior
-    """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
-    remaining: Float64[Array, "row"]
-    """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
-    chi2: float
-    """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
-    left_sigmas: float
-    """About the length of the steps that were left at the end of the iteration, in standard deviations."""
-
-    @property
-    def arcs(self) -> RingArcs:
-        """The ring at the reference time of the measurements."""
-        return self.residuals.arcs
-
-    @property
-    def rates(self) -> Rates:
-        """Its motion."""
-        return self.residuals.rates
-
-    @property
-    def regularized(self) -> bool:
-        """Whether parameters that the shot leaves open were held by weak priors."""
-        return self.prior.regularize_about is not None
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Numbers of stripes, break points and radii less the parameters.
-
-        Rows of weak priors count like measurements.
-        """
-        prior_rows = len(self.residuals.residual) - self.residuals.data_rows
-        return max(self.residuals.stripe_numbers + prior_rows - PARAMETERS, 0)
-
-    @property
-    def mean_ray_wrt_nuisance(self) -> Float64[Array, "xy=2 error"]:
-        """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
-        residuals, count = self.residuals, len(self.residuals.rate_sds)
-        wrt_rates = np.zeros((2, count))
-        y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
-        wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
-        return np.concatenate([wrt_rates, self.fixed.mean_ray_wrt_rig], axis=1)
-
-    @property
-    def edge_residuals(self) -> Float64[Array, "visible"]:
-        """Residuals of the visible edge points, less common errors, in standard deviations."""
-        return self.remaining[self.residuals.stripe_rows : self.residuals.data_rows]
-
-    @property
-    def edge_weights(self) -> Float64[Array, "visible"]:
-        """1 for visible edge points that were used."""
-        return self.weights[self.residuals.stripe_rows : self.residuals.data_rows]
-
-    @cached_property
-    def joint_information(self) -> Float64[Array, "n n"]:
-        """Information on the ring's step and the common errors, with their priors and the ridge."""
-        jacobian = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)
-        information: Float64[Array, "n n"] = (jacobian.T * self.weights) @ jacobian
-        diagonal = np.ones(len(information))
-        diagonal[:PARAMETERS] = RIDGE
-        information[range(len(information)), range(len(information))] += diagonal
-        return information
-
-    @property
-    def log_determinant(self) -> float:
-        """Of the information on ring and common errors: how much wider their priors are than the result."""
-        return float(np.linalg.slogdet(self.joint_information)[1])
-
-    @property
-    def largest_reduction(self) -> float:
-        """Largest decrease of chi-squared by leaving out one row of a stripe or break point.
-
-        r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
-        """
-        count = self.residuals.stripe_rows
-        rows = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)[:count]
-        leverage = (np.linalg.solve(self.joint_information, rows.T) * rows.T).sum(axis=0)
-        free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
-        return float((self.remaining[:count][free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
-
-    @property
-    def curvature_alone(self) -> tuple[float, float]:
-        """The curvature by the shot alone, without the prior, and its standard deviation.
-
-        From the normal equations without the rows of the prior, whose gradient balances that of the data.
-        """
-        prior = self.residuals.jacobian[self.residuals.data_rows :]
-        information = self.normal_matrix - prior.T @ prior + RIDGE_MATRIX
-        try:
-            covariance = np.linalg.inv(information)
-        except np.linalg.LinAlgError:
-            return 0.0, inf
-        step = covariance @ (prior.T @ self.residuals.residual[self.residuals.data_rows :])
-        variance = float(covariance[CURVATURE, CURVATURE])
-        return self.arcs.curvature + float(step[CURVATURE]), sqrt(variance) if variance > 0 else inf
-
-
 def estimate_ring(
     measured: Measurements,
     rig: Rig,
@@ -203,8 +114,8 @@ def estimate_ring(
         if guess is None and start is None:
             guess = initial_guess(observations, prior)
         first: RingArcs | Estimate | None = guess if start is None else start
-        few_stripes = len(measured.stripes) < STRIPES_OF_A_PLANE
-        if start is None and guess is not None and len(measured.edges.edge) and few_stripes:
+        edges_needed = start is None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE
+        if guess is not None and edges_needed:
             regularized = solve(guess, prior._replace(regularize_about=guess), NEAR_SIGMAS)
             first = guess if regularized is None else regularized.arcs
         if first is None:
@@ -219,6 +130,29 @@ def estimate_ring(
         if estimate is not None and estimate.arcs.curvature < 0 and side_open:
             estimate = solve(estimate.arcs.with_center_opposite(), prior) or estimate
     return estimate
+
+
+def at_reference_time(
+    measured: Measurements, planes: LaserPlanes, prior: Prior
+) -> tuple[Measurements, RingArcs | None]:
+    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
+
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
+    ring, None if there is none.
+    """
+    stamp_s, observations = measured.stamp_s, measured.observations(planes)
+    arcs = initial_guess(observations, prior)
+    first = float(stamp_s.min(initial=np.inf))
+    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
+        return measured, arcs
+    residuals = ring_residuals(arcs, observations, Prior())
+    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
+    weight = (rows * rows).sum(axis=1)
+    if not 0.0 < float(weight.sum()) < np.inf:
+        return measured, arcs
+    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
+    covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
+    return (moved if covered else measured), arcs
 
 
 def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estimate | None:
@@ -266,6 +200,8 @@ def _gauss_newton(
     common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
     return Estimate(
         residuals=residuals,
+        arcs=residuals.arcs,
+        rates=residuals.rates,
         weights=weights,
         fixed=fixed,
         nuisance=nuisance,
@@ -397,12 +333,11 @@ def solve_normal_equations(
     S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
     that are estimated already, the rates, which come first; the others are 0 there.
     """
-    system = residuals.rows[:, : 1 + PARAMETERS]  # [r J]
-    reduced = (residuals.jacobian.T * weights) @ system
+    reduced = (residuals.jacobian.T * weights) @ residuals.system
     solution = np.zeros((0, 1 + PARAMETERS))
     if nuisance.shape[1]:
         weighted_nuisance = nuisance.T * weights  # B^T W
-        cross_information = weighted_nuisance @ system
+        cross_information = weighted_nuisance @ residuals.system  # B^T W [r J]
         cross_information[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
         information = weighted_nuisance @ nuisance
         information.ravel()[:: len(information) + 1] += 1.0
@@ -440,6 +375,108 @@ def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) ->
     )
 
 
+# Residuals
+
+
+def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rates: Rates = STILL) -> Residuals:
+    """The residuals of a ring at the reference time.
+
+    With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
+    """
+    measured, view = observations.measured, observations.view
+    motion = prior.assumptions.motion if observations.moving else None
+    sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
+    stripes, points, edges = predicted_view(arcs, view, rates if len(sds) else None)
+    ends, samples = view.ends, len(view.rays)
+    stripe_rows = samples + observations.isolated
+    data_rows = stripe_rows + len(view.visible_rays)
+    of_prior = _prior_rows(arcs, prior)
+    rows = np.zeros((data_rows + len(of_prior), 1 + stripes.y_wrt_step.shape[1]))
+
+    # a: whitened distances of the lines' ends from the predicted lines
+    above = view.rays[:, 1] - stripes.rays[:, 1]
+    rows[:ends, 0] = observations.whitening @ above[:ends]
+    rows[:ends, 1:] = -observations.whitening @ stripes.y_wrt_step[:ends]
+
+    # b: distances of the break points from their edges, along the predicted lines
+    slope, y_wrt_step = stripes.slope[ends:], stripes.y_wrt_step[ends:]
+    wrt_step = points.wrt_step + points.wrt_ray[:, 1:] * y_wrt_step  # the point moves with its line
+    distance_wrt_x = points.wrt_ray[:, 0] + slope * points.wrt_ray[:, 1]
+    distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
+    scale = 1.0 / (np.abs(distance_wrt_x) * measured.points.sigma_x)
+    rows[ends:samples, 0] = scale * points.distance_m
+    rows[ends:samples, 1:] = scale[:, None] * wrt_step
+
+    ordinates = NO_ORDINATES
+    if observations.isolated:
+        ordinates = ordinate_scale(measured.points, slope, distance_wrt_x)
+        which, share, scale_y = ordinates
+        rows[samples:stripe_rows, 0] = scale_y * (above[ends:][which] - share * points.distance_m[which])
+        rows[samples:stripe_rows, 1:] = -scale_y[:, None] * (y_wrt_step[which] + share[:, None] * wrt_step[which])
+
+    # c: distances of the visible edge points from their edges, along the edges' normals in the image
+    sigma_m = np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1))
+    edge_scale = 1.0 / np.maximum(sigma_m, np.finfo(float).tiny)
+    rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
+    rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
+
+    rows[data_rows:, : 1 + PARAMETERS] = of_prior  # d
+    return Residuals(
+        arcs=arcs,
+        rates=rates,
+        rate_sds=sds,
+        rate_deviations=rates_along(arcs, rates) / sds if len(sds) else sds,
+        system=rows[:, : 1 + PARAMETERS],
+        residual=rows[:, 0],
+        jacobian=rows[:, 1 : 1 + PARAMETERS],
+        wrt_rates=rows[:, 1 + PARAMETERS : 1 + PARAMETERS + len(sds)],
+        wrt_camera=rows[:, 1 + PARAMETERS + len(sds) :],
+        ends=ends,
+        stripe_rows=stripe_rows,
+        data_rows=data_rows,
+        stripe_numbers=observations.stripe_numbers,
+        stripes=stripes,
+        points=points,
+        edges=edges,
+        edge_scale=edge_scale,
+        distance_wrt_x=distance_wrt_x,
+        distance_scale=scale,
+        ordinates=ordinates,
+    )
+
+
+def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:
+    """The velocity, and the angular velocities about the inward axis and about the axis along the face."""
+    return np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
+
+
+def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
+    """Residuals d and their derivatives by the step; `rows` holds each value with its nonzero derivatives."""
+    rows: list[tuple[float, dict[int, float]]] = []
+    if prior.radii is not None:
+        for sign, radius_m, assumed_m, sd_m in zip(
+            EDGE_SIGN, arcs.radius_m.tolist(), prior.radii.radius_m.tolist(), prior.radii.sd_m.tolist(), strict=True
+        ):
+            if assumed_m == assumed_m:
+                derivatives = {CURVATURE: -(arcs.mean_radius_m**2) / sd_m, HALF_BAND: sign / sd_m}
+                rows.append(((radius_m - assumed_m) / sd_m, derivatives))
+    if prior.regularize_about is not None:
+        inward, along, normal = arcs.axes
+        rows += [
+            ((arcs.curvature - EXPECTED_CURVATURE) / CURVATURE_SD, {CURVATURE: 1.0 / CURVATURE_SD}),
+            (float(inward @ prior.regularize_about.axes[1]) / TURN_SD_RAD, {TURN: 1.0 / TURN_SD_RAD}),
+        ]
+        for axis in range(2):
+            derivatives = {TILT_INWARD: inward[axis] / TILT_SD_RAD, TILT_ALONG: along[axis] / TILT_SD_RAD}
+            rows.append((float(normal[axis]) / TILT_SD_RAD, derivatives))
+    if prior.single_edge:
+        rows.append(((arcs.half_band_m - EXPECTED_HALF_BAND_M) / HALF_BAND_SD_M, {HALF_BAND: 1.0 / HALF_BAND_SD_M}))
+    found = np.zeros((len(rows), 1 + PARAMETERS))
+    for row, (value, derivatives) in zip(found, rows, strict=True):
+        row[0], row[1:][list(derivatives)] = value, list(derivatives.values())
+    return found
+
+
 def moved_residuals(
     residuals: Residuals,
     step: Float64[Array, "step=7"],
@@ -463,26 +500,3 @@ def moved_residuals(
         along = rates_along(arcs, rates) + rate_step * residuals.rate_sds
         rates = Rates(along[:3], along[3:] @ moved.axes[:2])
     return ring_residuals(moved, observations, prior, rates)
-
-
-def at_reference_time(
-    measured: Measurements, planes: LaserPlanes, prior: Prior
-) -> tuple[Measurements, RingArcs | None]:
-    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
-
-    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
-    ring, None if there is none.
-    """
-    stamp_s, observations = measured.stamp_s, measured.observations(planes)
-    arcs = initial_guess(observations, prior)
-    first = float(stamp_s.min(initial=np.inf))
-    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
-        return measured, arcs
-    residuals = ring_residuals(arcs, observations, Prior())
-    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
-    weight = (rows * rows).sum(axis=1)
-    if not 0.0 < float(weight.sum()) < np.inf:
-        return measured, arcs
-    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
-    covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
-    return (moved if covered else measured), arcs

@@ -22,8 +22,7 @@ from ringpose.estimate.hypotheses import RADIUS_SIGMAS, Explanation, explain
 from ringpose.estimate.information import prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.residuals import Estimate, Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN

@@ -18,7 +18,7 @@ from ringpose.estimate.covariance import (
     standard_deviation,
 )
 from ringpose.estimate.hypotheses import Explanation
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.residuals import Estimate
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag, RingPose

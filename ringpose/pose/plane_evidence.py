@@ -19,8 +19,7 @@ from ringpose.estimate.nuisance import (
     rig_jacobian,
     total_covariance,
 )
-from ringpose.estimate.residuals import PARAMETERS
-from ringpose.estimate.solver import RIDGE, Estimate
+from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior, ring_residuals
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import ring_residuals
 from ringpose.geometry.ring import ring_arcs
 from ringpose.types.pose import KnownRadii
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior, initial_guess, ring_residuals
-from ringpose.estimate.solver import estimate_ring
+from ringpose.estimate.residuals import Prior, initial_guess
+from ringpose.estimate.solver import estimate_ring, ring_residuals
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import KnownRadii, NoPose, RingPose
 from ringpose.types.rig import ParameterCovariance
