@@ -13,13 +13,14 @@ from ringpose.estimate.covariance import (
     Quantities,
     difference_from,
     joint_covariance,
+    prior_rows,
     quantities,
+    ring_measurement,
     ring_velocity,
     second_order_bias_m,
     with_second_order,
 )
 from ringpose.estimate.hypotheses import RADIUS_SIGMAS, Explanation, explain
-from ringpose.estimate.information import prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior
