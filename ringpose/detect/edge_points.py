@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.edge_search import EdgeTrace, rays_beside
+from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances
-from ringpose.geometry.robust import STD_PER_MAD
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import RingEdgePoints
 

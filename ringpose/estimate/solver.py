@@ -30,6 +30,7 @@ from ringpose.estimate.residuals import (
     initial_guess,
     ordinate_scale,
 )
+from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.ring import (
     CURVATURE,
     EDGE_SIGN,
@@ -43,7 +44,6 @@ from ringpose.geometry.ring import (
     motion_derivatives,
     predicted_view,
 )
-from ringpose.geometry.robust import huber_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import LaserPlanes, Rig
 
