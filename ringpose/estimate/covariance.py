@@ -52,6 +52,13 @@ The centre follows from the height of the arc, and its distance is the inverse o
 within 5 of the first-order standard deviations in all but one of 30 000 cases, at 10 % in all but one of 2000.
 """
 
+UNKNOWN_FROM = 0.5
+"""Relative standard deviation of the curvature from which the centre is not determined at all: the inverse of a
+curvature that may be zero within two standard deviations has no finite error."""
+
+GRASP_UNKNOWN_FROM_M = 0.01
+"""Standard deviation of the grasp point, or of the band's width, from which the grasp point is not determined."""
+
 
 class Quantities(NamedTuple):
     """The quantities of a pose, and their derivatives with respect to the ring's step."""
