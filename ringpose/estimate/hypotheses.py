@@ -11,8 +11,8 @@ common are determined (`Explanation.differing`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import permutations, product
 from math import inf, nan, sqrt
 from typing import NamedTuple
@@ -143,14 +143,10 @@ class Search(NamedTuple):
     rig: Rig
     labelled: bool
     edges_named: bool
-    max_left: float
-    """Length of the steps that are left at the end of the estimate from all measurements, in standard deviations."""
-    max_left_of_others: float
-    """The same of all other explanations."""
-
-    def for_others(self) -> "Search":
-        """The search of an explanation with other edges or radii."""
-        return self._replace(max_left=self.max_left_of_others)
+    for_pose: bool
+    """Whether a pose follows, which needs all comparable explanations."""
+    max_left: float = DECISION_SIGMAS
+    """Length of the steps that are left at the end of each estimate, in standard deviations."""
 
 
 class Solved(NamedTuple):
@@ -166,7 +162,8 @@ class Solved(NamedTuple):
         return total + EDGE_NUMBERS * max(_edge_mean_square(self.estimate) - 1.0, 0.0)
 
 
-class Explanation(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explanation:
     """The best explanation of a shot."""
 
     measured: Measurements
@@ -183,11 +180,17 @@ class Explanation(NamedTuple):
     edges_exchanged: bool = False
     """Whether the inner edges are those that were given as outer ones."""
     competing: tuple[Estimate, ...] = ()
-    """The rings of other explanations that are comparable."""
+    """The rings of other explanations that are comparable ..."""
+    other_side: Estimate | None = None
+    """... and the one with inner and outer edges exchanged, if the shot does not determine which are the inner ones."""
     everything: tuple[Measurements, Estimate] | None = None
     """All measurements with the ring that fits them best; None if the iteration diverges."""
-    differing: frozenset[str] = frozenset()
-    """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
+
+    @cached_property
+    def differing(self) -> frozenset[str]:
+        """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
+        rivals = (*self.competing, *([] if self.other_side is None else [self.other_side]))
+        return frozenset[str]().union(*(differing_quantities(self.estimate, each) for each in rivals))
 
 
 def explain(
@@ -199,16 +202,17 @@ def explain(
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
     whether the ring is needed to the precision of a pose, and not only the decision.
     """
-    measured, guess = at_reference_time(measured, rig.lasers, prior)
-    search = Search(rig, labelled, edges_named, PRECISE_SIGMAS if precise else DECISION_SIGMAS, DECISION_SIGMAS)
+    guess, search = None, Search(rig, labelled, edges_named, for_pose=precise)
+    if precise:  # the decision is the same at any time
+        measured, guess = at_reference_time(measured, rig.lasers, prior)
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
     estimate = precise_ring(best.estimate, best.measured, rig)
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
-        return best._replace(estimate=estimate)
+        return replace(best, estimate=estimate)
     # the shorter iteration had ended near a saddle point
-    return _decided(measured, prior, guess, search._replace(max_left_of_others=PRECISE_SIGMAS))
+    return _decided(measured, prior, guess, search._replace(max_left=PRECISE_SIGMAS))
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
@@ -217,10 +221,11 @@ def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, searc
     if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
         return best
     # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
-    alone = _better_side(measured, prior._replace(radii=None), None, search.for_others())
+    alone = _better_side(measured, prior._replace(radii=None), None, search)
     if alone is None or not _contradicts(alone.estimate, prior.radii):
         return best
-    return alone._replace(
+    return replace(
+        alone,
         flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
         remark=RADIUS_REMARK,
         rejected=(*alone.rejected, Rejection(what="radius")),
@@ -256,15 +261,15 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
     max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
-    other = _explained(measured.with_edges_exchanged(), prior, search.for_others(), max_score=max_score)
-    other = None if other is None else other._replace(edges_exchanged=True)
+    other = _explained(measured.with_edges_exchanged(), prior, search, max_score=max_score)
+    other = None if other is None else replace(other, edges_exchanged=True)
     if best is None or other is None:
         only = best or other
-        return None if only is None else only._replace(side_known=False)
+        return None if only is None else replace(only, side_known=False)
     first, second = sorted((best, other), key=_side_score)
     clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
-    differing = first.differing if clear else first.differing | differing_quantities(first.estimate, second.estimate)
-    return first._replace(side_known=clear and not (edges_named and first.edges_exchanged), differing=differing)
+    side_known = clear and not (edges_named and first.edges_exchanged)
+    return replace(first, side_known=side_known, other_side=None if clear else second.estimate)
 
 
 def _side_score(explanation: Explanation) -> float:
@@ -280,16 +285,16 @@ def _explained(
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     rig, edges_seen = search.rig, len(measured.edges.edge) > 0
-    first_left = DECISION_SIGMAS if edges_seen else search.max_left
-    estimate = estimate_ring(measured, rig, prior, guess=guess, max_left=first_left)
+    estimate = estimate_ring(measured, rig, prior, guess=guess, max_left=search.max_left)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=search.max_left)
+        max_left = PRECISE_SIGMAS if search.for_pose else search.max_left
+        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=max_left)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
-        return _explanation(everything, everything, _single_stripes(everything, rig))
+        return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
     hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left_of_others)
+    solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left)
     tried = _possibly_best(hypotheses, solved, inf if everything is None else min(everything.score, max_score))
     if everything is None and not tried:
         return None
@@ -355,10 +360,7 @@ def _select(
 
 def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solved]) -> Explanation:
     hypothesis = best.hypothesis
-    differing = frozenset[str]().union(*(differing_quantities(best.estimate, each.estimate) for each in rivals))
-    reduction = nan
-    if everything is not None:
-        reduction = everything.estimate.chi2 - best.estimate.chi2
+    reduction = nan if everything is None else everything.estimate.chi2 - best.estimate.chi2
     flag = hypothesis.flag
     for each in rivals:  # another assignment of the lasers is possible
         flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
@@ -373,7 +375,6 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
         side_known=True,
         competing=tuple(each.estimate for each in rivals),
         everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
-        differing=differing,
     )
 
 

@@ -106,7 +106,7 @@ def estimate_ring(
 
     def solve(start: RingArcs | Estimate, prior: Prior, max_left: float = max_left) -> Estimate | None:
         try:
-            return _gauss_newton(observations, rig, start, prior, max_left)
+            return _gauss_newton(_linearized(start, observations, rig, prior), observations, rig, prior, max_left)
         except np.linalg.LinAlgError:
             return None
 
@@ -159,23 +159,30 @@ def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estima
     """An estimate that may have ended earlier, to the precision of a pose; None if it diverges."""
     if estimate.left_sigmas < PRECISE_SIGMAS:
         return estimate
+    observations, residuals = measured.observations(rig.lasers), estimate.residuals
     try:
-        return _gauss_newton(measured.observations(rig.lasers), rig, estimate, estimate.prior)
+        fixed = fixed_columns(residuals, observations, estimate.prior, rig)
+        return _gauss_newton((residuals, fixed, estimate.remaining), observations, rig, estimate.prior, PRECISE_SIGMAS)
     except np.linalg.LinAlgError:
         return None
 
 
 def _gauss_newton(
-    observations: Observations, rig: Rig, start: RingArcs | Estimate, prior: Prior, max_left: float = PRECISE_SIGMAS
+    linearized: tuple[Residuals, FixedColumns | None, Float64[Array, "row"]],
+    observations: Observations,
+    rig: Rig,
+    prior: Prior,
+    max_left: float,
 ) -> Estimate:
-    """Iteratively reweighted Gauss-Newton; LinAlgError if it diverges, or is far from being determined.
+    """Iteratively reweighted Gauss-Newton from `_linearized`; LinAlgError if it diverges.
 
-    From a ring, or from an estimate, whose motion and common errors are then near the solution, too.
+    The derivatives by common errors that are not given are evaluated after the first step: from there they hardly
+    change.
     """
-    residuals, fixed, predicted = _linearized(start, observations, rig, prior)
+    residuals, fixed, predicted = linearized
     nuisance, count, robust, steps = _nuisance(residuals, fixed), len(residuals.rate_sds), None, _Steps()
     for iteration in range(MAX_ITERATIONS):
-        if iteration == 1 and fixed is None:  # these derivatives hardly change from here
+        if iteration == 1 and fixed is None:
             fixed = fixed_columns(residuals, observations, prior, rig)
             nuisance = _nuisance(residuals, fixed)
         # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
@@ -218,7 +225,7 @@ def _gauss_newton(
 def _linearized(
     start: RingArcs | Estimate, observations: Observations, rig: Rig, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The residuals at the start, if this is an estimate also the fixed columns, and what they leave of the residuals.
+    """The residuals at a ring or at an estimate nearby, fixed columns at the latter, and what these leave of residuals.
 
     LinAlgError if parameters are so far from being determined that the iteration is useless without weak priors.
     """
