@@ -17,7 +17,7 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
-from ringpose.estimate.hypotheses import explain
+from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion

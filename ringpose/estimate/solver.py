@@ -2,7 +2,7 @@
 
 The residuals are evaluated here, in the order of `ringpose.estimate.residuals`. Huber weights bring the iteration near
 the solution; from there on visible edge points count fully or not at all, and break points fully: outliers among them
-are judged by `ringpose.estimate.hypotheses`.
+are judged by `ringpose.estimate.explanation`.
 """
 
 from dataclasses import replace
@@ -180,11 +180,11 @@ def _gauss_newton(
     change.
     """
     residuals, fixed, predicted = linearized
-    nuisance, count, robust, steps = _nuisance(residuals, fixed), len(residuals.rate_sds), None, _Steps()
+    nuisance, count, robust, steps = nuisance_columns(residuals, fixed), len(residuals.rate_sds), None, _Steps()
     for iteration in range(MAX_ITERATIONS):
         if iteration == 1 and fixed is None:
             fixed = fixed_columns(residuals, observations, prior, rig)
-            nuisance = _nuisance(residuals, fixed)
+            nuisance = nuisance_columns(residuals, fixed)
         # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
         if robust is None:
             weights = _robust_weights(predicted, residuals)
@@ -192,7 +192,7 @@ def _gauss_newton(
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
         factor = steps.factor(step, normal_matrix, extrapolate=robust is not None)
         residuals = moved_residuals(residuals, factor * step, factor * nuisance_step[:count], observations, prior)
-        nuisance = _nuisance(residuals, fixed)
+        nuisance = nuisance_columns(residuals, fixed)
         if robust is None and fixed is not None and steps.sigmas < NEAR_SIGMAS:
             robust, weights = weights, _inlier_weights(predicted, residuals)
             if not np.array_equal(weights, robust):
@@ -232,7 +232,7 @@ def _linearized(
     if isinstance(start, Estimate):
         residuals = ring_residuals(start.arcs, observations, prior, start.rates)
         fixed: FixedColumns | None = fixed_columns(residuals, observations, prior, rig)
-        nuisance = _nuisance(residuals, fixed)
+        nuisance = nuisance_columns(residuals, fixed)
         comparable = nuisance.shape[1] == len(start.nuisance_step)
         predicted = residuals.residual + nuisance @ start.nuisance_step if comparable else residuals.residual
     else:
@@ -272,29 +272,10 @@ class _Steps:
         return 1.0 / (1.0 - ratio)
 
 
-def _nuisance(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
+def nuisance_columns(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
     """B: derivatives by the rates, then by the other common errors, in standard deviations of their priors."""
     by_rates = residuals.wrt_rates * residuals.rate_sds
     return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
-
-
-def predicted_residuals(
-    estimate: Estimate, measured: Measurements, rig: Rig
-) -> tuple[Float64[Array, "row"], Float64[Array, "row row"]]:
-    """Residuals of stripes and break points at a ring that was estimated without some of them, and their covariance.
-
-    1 + [J B] C [J B]^T, with the joint covariance C of ring and common errors.
-    """
-    observations = measured.observations(rig.lasers)
-    residuals = ring_residuals(estimate.arcs, observations, estimate.prior, estimate.rates)
-    fixed = fixed_columns(residuals, observations, estimate.prior, rig)
-    jacobian = np.concatenate([residuals.jacobian, _nuisance(residuals, fixed)], axis=1)
-    step = np.concatenate([np.zeros(PARAMETERS), estimate.nuisance_step])
-    covariance = np.linalg.inv(estimate.joint_information)
-    rows = slice(residuals.data_rows)
-    return (residuals.residual + jacobian @ step)[rows], (
-        np.eye(residuals.data_rows) + jacobian[rows] @ covariance @ jacobian[rows].T
-    )
 
 
 def refine_ring(
@@ -314,7 +295,9 @@ def refine_ring(
         for _ in range(iterations):
             weights = np.ones(len(residuals.residual))
             weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
-            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, _nuisance(residuals, fixed))
+            normal_matrix, step, nuisance_step = solve_normal_equations(
+                residuals, weights, nuisance_columns(residuals, fixed)
+            )
             rate_step = nuisance_step[: len(residuals.rate_sds)]
             residuals = moved_residuals(residuals, step, rate_step, observations, prior)
         return residuals.arcs, _inverse(normal_matrix)

@@ -31,7 +31,7 @@ from ringpose.estimate.covariance import (
     standard_deviation,
     with_second_order,
 )
-from ringpose.estimate.hypotheses import RADIUS_SIGMAS, Explanation, explain
+from ringpose.estimate.explanation import RADIUS_SIGMAS, Explanation, explain
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior

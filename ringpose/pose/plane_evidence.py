@@ -11,7 +11,7 @@ from math import degrees, hypot, sqrt
 
 import numpy as np
 
-from ringpose.estimate.hypotheses import chi2_quantile
+from ringpose.estimate.explanation import chi2_quantile
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import (
     light_plane_bases,

@@ -16,7 +16,7 @@ from ringpose.estimate.covariance import (
     relinearized,
     solve_measurement,
 )
-from ringpose.estimate.hypotheses import explain
+from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.nuisance import total_covariance
 from ringpose.estimate.residuals import Prior
