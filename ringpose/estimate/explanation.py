@@ -245,11 +245,19 @@ def _explained(
         max_left = PRECISE_SIGMAS if search.for_pose else search.max_left
         estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=max_left)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
-    if everything is not None and not _is_suspicious(everything):
+    if everything is not None and not _is_suspicious(everything.estimate):
         return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
     hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
     solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left)
-    tried = _possibly_best(hypotheses, solved, inf if everything is None else min(everything.score, max_score))
+    tried: list[Solved] = []
+    lowest = inf if everything is None else min(everything.score, max_score)
+    for hypothesis in hypotheses:
+        if hypothesis.penalty > lowest + CLEARLY:  # of this one and all that follow
+            break
+        found = solved(hypothesis)
+        if found is not None:
+            tried.append(found)
+            lowest = min(lowest, found.score)
     if everything is None and not tried:
         return None
 
@@ -263,28 +271,14 @@ def _explained(
     return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
-def _possibly_best(
-    hypotheses: Sequence[Hypothesis], solved: Callable[[Hypothesis], Solved | None], lowest: float
-) -> list[Solved]:
-    """The hypotheses that may be the best one or comparable to it: the penalty of the others alone exceeds its score.
-
-    `hypotheses`: in the order of their penalties. `lowest`: score of the best explanation that is known.
-    """
-    tried: list[Solved] = []
-    for hypothesis in hypotheses:
-        if hypothesis.penalty > lowest + CLEARLY:
-            break
-        found = solved(hypothesis)
-        if found is not None:
-            tried.append(found)
-            lowest = min(lowest, found.score)
-    return tried
-
-
 def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, max_left: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
     estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, max_left=max_left)
-    if estimate is None or not (_is_ring(estimate) or hypothesis.both):
+    if estimate is None:
+        return None
+    curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
+    is_ring = estimate.arcs.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
+    if not is_ring and not hypothesis.both:
         return None
     wider = 0.0
     if everything is not None and hypothesis.flag & WIDER:
@@ -297,7 +291,8 @@ def _select(
     everything: Solved | None, tried: list[Solved], both_ends: Callable[[int], Solved | None]
 ) -> tuple[Solved, list[Solved]]:
     """The best of the explanations, and its comparable rivals."""
-    near = _nearly_best([*([] if everything is None else [everything]), *tried])
+    ranked = sorted([*([] if everything is None else [everything]), *tried], key=lambda each: each.score)
+    near = [each for each in ranked if each.score < ranked[0].score + CLEARLY]
     best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
     if _contradicts_itself(best.estimate):
@@ -385,18 +380,6 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     return found
 
 
-def _is_ring(estimate: Estimate) -> bool:
-    """Whether the curvature is positive within its errors, and the inner edge is inside the outer one."""
-    curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
-    return estimate.arcs.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
-
-
-def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
-    """The best explanation, and those that it does not beat clearly, in order of their scores."""
-    ranked = sorted(tried, key=lambda each: each.score)
-    return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
-
-
 def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:
     """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
     points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
@@ -428,30 +411,25 @@ def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | N
     return best if sd_without < CONFIRMED_BELOW * sd else without
 
 
-def _is_suspicious(solved: Solved) -> bool:
+def _is_suspicious(estimate: Estimate) -> bool:
     """Whether the measurements contradict each other, or the ring would fit much better without one of its numbers."""
-    estimate = solved.estimate
     return _contradicts_itself(estimate) or estimate.largest_reduction > SUSPICIOUS_REDUCTION
 
 
 def _contradicts_itself(estimate: Estimate) -> bool:
-    """Whether stripes and break points do not fit one ring, or the visible edges do not fit it."""
-    return fails_chi2_test(estimate) or _edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
+    """Whether stripes and break points fail the chi-squared test of one ring, or the visible edges do not fit it.
+
+    Visible edges are too many, and their errors too correlated, to be added to the few numbers of the former.
+    """
+    dof = estimate.degrees_of_freedom
+    fails_test = dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
+    return fails_test or _edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
 
 
 def _edge_mean_square(estimate: Estimate) -> float:
     """Mean square of the whitened edge residuals, each limited as in the robust fit; 0 without visible edges."""
     squares = np.minimum(estimate.edge_residuals**2, OUTLIER_SIGMAS**2)
     return float(squares.mean()) if len(squares) else 0.0
-
-
-def fails_chi2_test(estimate: Estimate) -> bool:
-    """Whether the residuals of stripes, break points and priors exceed the quantile of chi-squared.
-
-    Visible edges are too many, and their errors too correlated, to be added to these few numbers.
-    """
-    dof = estimate.degrees_of_freedom
-    return dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
 
 
 def chi2_quantile(degrees_of_freedom: int, sigmas: float) -> float:
