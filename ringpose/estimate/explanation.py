@@ -214,6 +214,9 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
         compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
         if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
+        if not compared and _is_unique(best) and (curvature >= 0 or not search.for_pose):
+            # with its edges exchanged this would be the same ring, with the opposite curvature
+            return replace(best, edges_exchanged=curvature < 0, side_known=abs(curvature) > SIDE_SIGMAS * sd)
     max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
     other = _explained(measured.with_edges_exchanged(), prior, search, max_score=max_score)
     other = None if other is None else replace(other, edges_exchanged=True)
@@ -224,6 +227,13 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
     clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
     side_known = clear and not (edges_named and first.edges_exchanged)
     return replace(first, side_known=side_known, other_side=None if clear else second.estimate)
+
+
+def _is_unique(best: Explanation) -> bool:
+    """Whether an explanation rejects nothing, and no prior prefers one side of the ring: it has a single optimum."""
+    prior = best.estimate.prior
+    plain = best.everything is not None and best.everything[1] is best.estimate and not best.flag
+    return plain and not best.estimate.regularized and not prior.single_edge and prior.radii is None
 
 
 def _side_score(explanation: Explanation) -> float:
