@@ -38,11 +38,11 @@ class _Screen:
 
 
 def with_progress(items: Iterable[_Item], what: str, quiet: bool = False) -> Iterator[_Item]:
-    """Yield the items and show their number on stderr; nothing is shown if stderr is not a terminal."""
-    if quiet or sys.stderr is None or not sys.stderr.isatty():
-        yield from items
-        return
+    """The items; their number is shown on stderr as they come, if this is a terminal."""
+    return iter(items) if quiet or sys.stderr is None or not sys.stderr.isatty() else _counted(items, what)
 
+
+def _counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 

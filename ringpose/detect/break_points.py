@@ -17,12 +17,11 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
-from ringpose.estimate.hypotheses import explain
+from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.planes import nearest_plane, towards_camera
-from ringpose.geometry.rays import intersect, rays, undistorted_rays
+from ringpose.geometry.rays import intersect, nearest_plane, rays, towards_camera, undistorted_rays
 from ringpose.kernels.ends import EndParams, Ends, LitLines, MarkParams, flagged_ends, stripe_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import EDGES, Array, Bool, Float64

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.edge_search import EdgeTrace, rays_beside
+from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances
-from ringpose.geometry.robust import STD_PER_MAD
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import RingEdgePoints
 
@@ -118,13 +118,10 @@ def _grouped(steps: _Points) -> _Points:
     group = np.cumsum(begins) - 1
     weight = steps.sigma_px**-2
     total = np.bincount(group, weight)
-
-    def mean(values: Float64[Array, "n"]) -> Float64[Array, "m"]:
-        return np.bincount(group, weight * values) / total
-
-    number, edge_sign, residual_px = mean(steps.number), mean(steps.edge_sign), mean(steps.residual_px)
-    position = np.stack([mean(steps.position_px[:, axis]) for axis in (0, 1)], axis=-1)
-    normal = np.stack([mean(steps.normal[:, axis]) for axis in (0, 1)], axis=-1)
+    columns = (steps.number, steps.edge_sign, steps.residual_px, *steps.position_px.T, *steps.normal.T)
+    means = [np.bincount(group, weight * values) / total for values in columns]
+    number, edge_sign, residual_px = means[:3]
+    position, normal = np.stack(means[3:5], axis=-1), np.stack(means[5:], axis=-1)
     normal /= np.hypot(*normal.T)[:, None]
     return _Points(number, edge_sign, position, normal, residual_px, total**-0.5)
 

@@ -13,8 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels, undistorted_rays
-from ringpose.geometry.robust import huber_weights
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot

@@ -292,8 +292,9 @@ def edges_lit(points: BreakPoints, shot: Shot) -> bool:
     left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
     right, bottom = (position.max(axis=0).astype(np.int64) + BAND_PX).tolist()
     for image in shot.images[shot.lasers == 0]:
-        levels = np.sort(cv2.pyrDown(image[top:bottom, left:right]), axis=None)
-        low, high = levels[[len(levels) // 20, len(levels) - 1 - len(levels) // 20]].tolist()
+        levels = cv2.pyrDown(image[top:bottom, left:right]).ravel()
+        lowest, highest = len(levels) // 20, len(levels) - 1 - len(levels) // 20
+        low, high = np.partition(levels, (lowest, highest))[[lowest, highest]].tolist()
         if high - low > LIT_SHARE * shot.saturation_dn:
             return True
     return False

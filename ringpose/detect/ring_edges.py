@@ -8,6 +8,7 @@ The ring is fitted to the stripes on the face, their break points and the steps 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -328,6 +329,7 @@ class StripeEvidence:
         return None if ring is None else PredictedRing(*ring)
 
 
+@lru_cache(maxsize=1)  # the frames of a shot share it, unless the ring moves between them
 def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | None:
     """The evidence in the break points; None without a stripe's line on the face and one end on each edge."""
     if not bool(break_points.seen.any(axis=0).all()):
@@ -340,7 +342,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser):
         return None
-    estimate = estimate_ring(measured, rig, Prior(), step_sigmas=DECISION_SIGMAS)
+    estimate = estimate_ring(measured, rig, Prior(), max_left=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
     return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))

@@ -97,11 +97,12 @@ class Points:
 class Observations(NamedTuple):
     """The measurements with the light planes of their lasers, as one view of the ring."""
 
+    measured: "Measurements"
     view: RingView
     whitening: Float64[Array, "end end"]
     """Block-diagonal, of the lines' ordinates."""
-    sigma_x: Float64[Array, "point"]
-    """Standard deviations of the break points' abscissae."""
+    isolated: int
+    """Number of the break points without a line."""
     moving: bool
     """Whether there are times from which a motion can be estimated."""
     stripe_numbers: int
@@ -161,7 +162,8 @@ class Measurements:
             of_visible=instant[len(laser) :],
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
-        return Observations(view, whitening, self.points.sigma_x, bool(instant_s.any()), self.stripe_numbers)
+        isolated = int(np.count_nonzero(self.points.isolated))
+        return Observations(self, view, whitening, isolated, bool(instant_s.any()), self.stripe_numbers)
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""

@@ -137,15 +137,14 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     return root
 
 
-def fixed_columns(
-    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
-) -> FixedColumns:
+def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior, rig: Rig) -> FixedColumns:
     """Derivatives by the errors of rig, form, mount and visible edges."""
+    measured = observations.measured
     by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
     mean_ray = np.zeros((2, 0))
     errors = rig_errors(rig, prior.assumptions.stability)
     if errors is not None:
-        by_rig, mean_ray = _wrt_rig(residuals, measured, observations, errors, rig)
+        by_rig, mean_ray = _wrt_rig(residuals, observations, errors, rig)
         mean_ray = mean_ray @ errors.root
         columns.append(by_rig @ errors.root)
     if prior.assumptions.ring_tolerance_m > 0.0:
@@ -163,21 +162,22 @@ def fixed_columns(
 
 
 def rig_jacobian(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+    residuals: Residuals, observations: Observations, errors: RigErrors, rig: Rig
 ) -> Float64[Array, "row parameter"]:
     """Derivatives of the residuals with respect to the rig's parameters, in their own units; 0 for the prior."""
-    return _wrt_rig(residuals, measured, observations, errors, rig)[0]
+    return _wrt_rig(residuals, observations, errors, rig)[0]
 
 
 def _wrt_rig(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+    residuals: Residuals, observations: Observations, errors: RigErrors, rig: Rig
 ) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
     """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
 
     Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
     points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
     """
-    ends, stripes, samples = residuals.ends, residuals.stripes, len(observations.view.rays)
+    measured, ends, stripes = observations.measured, residuals.ends, residuals.stripes
+    samples = len(observations.view.rays)
     rays = _rays_wrt_rig(np.concatenate([observations.view.rays, observations.view.visible_rays]), errors, rig)
     ray, edge_ray = rays[:samples], rays[samples:]
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])

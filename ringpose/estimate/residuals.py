@@ -1,15 +1,19 @@
-"""The estimation of one shot's ring as a linearised problem: prior, residuals and estimate (method(7), section 5).
+"""The estimation of one shot's ring as a linearised problem: prior, residuals, estimate and initial guess.
 
 All residuals are in units of their standard deviations, in this order: the lines of the stripes (residual a), the
 break points along their lines (b), the ordinates of break points without a line, the visible edges (c), and the prior
-(d). They are evaluated in `ringpose.estimate.solver`; the ring is described by `ringpose.geometry.ring`.
+(d) (ringpose-method(7), section 5). They are evaluated in `ringpose.estimate.solver`; the ring is described by
+`ringpose.geometry.ring`.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.measurements import Measurements, Observations, Points
 from ringpose.geometry.ring import (
     CURVATURE,
     STEP,
@@ -18,11 +22,17 @@ from ringpose.geometry.ring import (
     RingArcs,
     StripePrediction,
 )
+from ringpose.geometry.rotations import cross
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import Assumptions
 from ringpose.types.pose import KnownRadii
 
 PARAMETERS = len(STEP)
+
+RIDGE = 1e-7
+"""Added to the diagonal of the normal matrix (m, rad, 1/m), so that undetermined parameters keep their values."""
+
+RIDGE_MATRIX = RIDGE * np.eye(PARAMETERS)
 
 EXPECTED_CURVATURE, CURVATURE_SD = 1.5, 1.5
 """Weak prior in 1/m (a radius of 0.3 m has 3.3; the largest ring in launcher manuals has 0.76)."""
@@ -38,10 +48,6 @@ EXPECTED_HALF_BAND_M, HALF_BAND_SD_M = 0.015, 0.015
 
 
 STILL = Rates(np.zeros(3), np.zeros(3))
-
-
-RIDGE = 1e-7
-"""Added to the diagonal of the normal matrix (m, rad, 1/m), so that undetermined parameters keep their values."""
 
 
 class Prior(NamedTuple):
@@ -75,8 +81,16 @@ class Residuals(NamedTuple):
     """Standard deviations of the rates by their prior; empty if the ring is still or all rows are of one instant."""
     rate_deviations: Float64[Array, "rate"]
     """The rates in these standard deviations."""
+    system: Float64[Array, "row 8"]
+    """[r J]: the residuals r, and their derivatives J by the ring's step ..."""
     residual: Float64[Array, "row"]
     jacobian: Float64[Array, "row step=7"]
+    """... and both as parts of it."""
+    wrt_rates: Float64[Array, "row rate"]
+    """Derivatives by the rates: velocity of the ring's centre, and angular velocities about its inward axis and about
+    the axis along its face. No columns for a still ring."""
+    wrt_camera: Float64[Array, "row error"]
+    """Derivatives by the mount's parameters (`Mount.uncertain`); no columns for a camera at rest."""
     ends: int
     """Number of the lines' ends: their residuals and predictions come before those of the break points."""
     stripe_rows: int
@@ -86,6 +100,7 @@ class Residuals(NamedTuple):
     stripe_numbers: int
     """Number of distinct numbers of stripes and break points: a residual that is repeated counts once."""
     stripes: StripePrediction
+    """Derivatives by the ring's step, its rates, and errors of the camera's motion."""
     points: EdgeDistances
     """Of the break points from their edges."""
     edges: EdgeDistances
@@ -97,13 +112,6 @@ class Residuals(NamedTuple):
     distance_scale: Float64[Array, "point"]
     """1 / standard deviation of that distance."""
     ordinates: OrdinateScale
-    wrt_rates: Float64[Array, "row rate"]
-    """Derivatives by the rates: velocity of the ring's centre, and angular velocities about its inward axis and about
-    the axis along its face. No columns for a still ring."""
-    wrt_camera: Float64[Array, "row error"]
-    """Derivatives by the mount's parameters (`Mount.uncertain`); no columns for a camera at rest."""
-    y_wrt_rates: Float64[Array, "sample rate"]
-    """Derivatives of the predicted ordinates by the rates."""
 
 
 class FixedColumns(NamedTuple):
@@ -123,7 +131,8 @@ class FixedColumns(NamedTuple):
     """Number of those of visible edges, the last ones."""
 
 
-class Estimate(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
     """A maximum-likelihood ring, and the linearised problem at the solution."""
 
     residuals: Residuals
@@ -136,8 +145,6 @@ class Estimate(NamedTuple):
     fixed: FixedColumns
     nuisance: Float64[Array, "row error"]
     """Derivatives of the residuals by common errors of unit variance: rates, rig, form of the ring, visible edges."""
-    mean_ray_wrt_nuisance: Float64[Array, "xy=2 error"]
-    """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
     nuisance_step: Float64[Array, "error"]
     """The estimated common errors, in their standard deviations; 0 for the rates, which the residuals contain."""
     normal_matrix: Float64[Array, "7 7"]
@@ -150,8 +157,8 @@ class Estimate(NamedTuple):
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
-    step_sigmas: float
-    """Length of the last step of the iteration, in standard deviations."""
+    left_sigmas: float
+    """About the length of the steps that were left at the end of the iteration, in standard deviations."""
 
     @property
     def regularized(self) -> bool:
@@ -168,6 +175,15 @@ class Estimate(NamedTuple):
         return max(self.residuals.stripe_numbers + prior_rows - PARAMETERS, 0)
 
     @property
+    def mean_ray_wrt_nuisance(self) -> Float64[Array, "xy=2 error"]:
+        """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
+        residuals, count = self.residuals, len(self.residuals.rate_sds)
+        wrt_rates = np.zeros((2, count))
+        y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
+        wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
+        return np.concatenate([wrt_rates, self.fixed.mean_ray_wrt_rig], axis=1)
+
+    @property
     def edge_residuals(self) -> Float64[Array, "visible"]:
         """Residuals of the visible edge points, less common errors, in standard deviations."""
         return self.remaining[self.residuals.stripe_rows : self.residuals.data_rows]
@@ -177,7 +193,7 @@ class Estimate(NamedTuple):
         """1 for visible edge points that were used."""
         return self.weights[self.residuals.stripe_rows : self.residuals.data_rows]
 
-    @property
+    @cached_property
     def joint_information(self) -> Float64[Array, "n n"]:
         """Information on the ring's step and the common errors, with their priors and the ridge."""
         jacobian = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)
@@ -211,7 +227,7 @@ class Estimate(NamedTuple):
         From the normal equations without the rows of the prior, whose gradient balances that of the data.
         """
         prior = self.residuals.jacobian[self.residuals.data_rows :]
-        information = self.normal_matrix - prior.T @ prior + RIDGE * np.eye(PARAMETERS)
+        information = self.normal_matrix - prior.T @ prior + RIDGE_MATRIX
         try:
             covariance = np.linalg.inv(information)
         except np.linalg.LinAlgError:
@@ -219,3 +235,121 @@ class Estimate(NamedTuple):
         step = covariance @ (prior.T @ self.residuals.residual[self.residuals.data_rows :])
         variance = float(covariance[CURVATURE, CURVATURE])
         return self.arcs.curvature + float(step[CURVATURE]), sqrt(variance) if variance > 0 else inf
+
+
+NO_ORDINATES = OrdinateScale(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+
+def ordinate_scale(
+    points: Points, slope: Float64[Array, "point"], distance_wrt_x: Float64[Array, "point"]
+) -> OrdinateScale:
+    """Weights of the ordinates of points without a line.
+
+    The height above the predicted line is correlated with the error of the abscissa, which residual b uses; the
+    remainder after regression on the abscissa (`share`) is independent of it and has the standard deviation 1 / scale.
+    """
+    which = np.flatnonzero(points.isolated)
+    covariance, slope = points.covariance[which], slope[which]
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    cross_covariance = xy - slope * xx
+    remainder = yy - 2.0 * slope * xy + slope**2 * xx - cross_covariance**2 / xx
+    scale = 1.0 / np.sqrt(np.maximum(remainder, 1e-12 * xx))
+    return OrdinateScale(which, cross_covariance / xx / distance_wrt_x[which], scale)
+
+
+# Initial guess
+
+MIN_LENGTH_M = 1e-9
+"""A shorter vector has no direction."""
+
+
+def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
+    """The plane of the stripes, and a ring of typical size on it; None if the plane is not in front of the camera.
+
+    The origin lies on the middle of the face, on the mean ray of the break points.
+    """
+    measured, view = observations.measured, observations.view
+    if not len(measured.points.x):
+        return None
+    try:
+        plane = _plane_of_stripes(observations)
+    except np.linalg.LinAlgError:
+        return None
+    # the stripes on that plane, and the break points on them
+    image_line = view.light_normal - view.light_distance_m[:, None] * plane
+    slope = image_line[:, 0] / -image_line[:, 1]
+    rays = view.rays.copy()
+    rays[:, 1] = slope * rays[:, 0] - image_line[:, 2] / image_line[:, 1]
+    inverse_depth = rays @ plane
+    if not bool((inverse_depth > 0).all()):
+        return None
+    ends = view.ends
+    rays, slope, depth_m = rays[ends:], slope[ends:], 1.0 / inverse_depth[ends:]
+    points_m = depth_m[:, None] * rays
+    # dP/dx of the break points along their stripes, for P = depth r
+    points_wrt_x = depth_m[:, None] * np.column_stack([np.ones_like(slope), slope, np.zeros_like(slope)])
+    points_wrt_x -= (depth_m * (plane[0] + slope * plane[1]))[:, None] * points_m
+
+    normal = -plane / float(np.sqrt(plane @ plane))
+    outward = _outward_direction(normal, measured, points_m, points_wrt_x)
+    mean_ray = rays.mean(axis=0)
+    curvature, half_band_m = _expected_size(measured, points_m @ outward, prior)
+    return RingArcs(
+        origin=mean_ray / float(mean_ray @ plane),
+        axes=np.array([-outward, cross(normal, -outward), normal]),
+        curvature=curvature,
+        half_band_m=half_band_m,
+    )
+
+
+def _plane_of_stripes(observations: Observations) -> Float64[Array, "3"]:
+    """The plane q that fits the stripes: (m . r - d q . r) / (m - d q)_y = 0, linear in q for a fixed denominator."""
+    measured, view = observations.measured, observations.view
+    ends, count = view.ends, len(view.rays)
+    whitening = np.zeros((count, count))
+    whitening[:ends, :ends] = observations.whitening
+    isolated = ends + np.flatnonzero(measured.points.isolated)
+    whitening[isolated, isolated] = 1.0 / np.sqrt(measured.points.covariance[isolated - ends, 1, 1])
+    distance_m = view.light_distance_m
+    cosine = (view.light_normal * view.rays).sum(axis=1)  # m . r
+    plane = np.array([0.0, 0.0, float((cosine / distance_m).sum()) / count])
+    for _ in range(2):
+        denominator = view.light_normal[:, 1] - distance_m * plane[1]
+        rows = whitening @ ((distance_m / denominator)[:, None] * view.rays)
+        matrix = rows.T @ rows
+        matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2  # with a single stripe: a plane that faces the camera
+        plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / denominator)))
+    return plane
+
+
+def _outward_direction(
+    normal: Float64[Array, "3"],
+    measured: Measurements,
+    points_m: Float64[Array, "point 3"],
+    points_wrt_x: Float64[Array, "point 3"],
+) -> Float64[Array, "3"]:
+    """Mean direction from inner towards outer ends, seen from the middles of their stripes."""
+    points = measured.points
+    direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x)) @ points_wrt_x
+    if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
+        direction = cross(normal, points_m[-1] - points_m[0])
+    if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
+        direction = points_wrt_x[0]
+    direction = direction - (direction @ normal) * normal
+    unit: Float64[Array, "3"] = direction / np.sqrt(direction @ direction)
+    return unit
+
+
+def _expected_size(measured: Measurements, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
+    """Curvature (1/m) of the ring and half the width (m) of its face.
+
+    Both follow from the prior of the radii where it gives them. Otherwise the curvature is that of a typical ring, and
+    the width is the mean distance between the inner and the outer break points, at `outward_m` in radial direction.
+    """
+    inner, outer = (outward_m[measured.points.edge == edge].tolist() for edge in range(2))
+    half_band_m = 0.5 * (sum(outer) / len(outer) - sum(inner) / len(inner)) if inner and outer else EXPECTED_HALF_BAND_M
+    if prior.radii is None or not np.isfinite(prior.radii.radius_m).any():
+        return EXPECTED_CURVATURE, half_band_m
+    inner_m, outer_m = prior.radii.radius_m.tolist()
+    both_known = np.isfinite(outer_m - inner_m)
+    return 1.0 / float(np.nanmean(prior.radii.radius_m)), 0.5 * (outer_m - inner_m) if both_known else half_band_m

@@ -1,4 +1,4 @@
-"""Projection, undistortion and intersection of rays with planes (ringpose-method(7), section 1)."""
+"""Rays, their projection and undistortion, and planes `normal . point = distance` (ringpose-method(7), section 1)."""
 
 from typing import Any
 
@@ -99,3 +99,23 @@ def pixels_wrt_ray_and_camera(
     _, jacobian = cv2.projectPoints(rays, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
     columns = np.asarray(jacobian, dtype=np.float64).reshape(len(xy), 2, -1)
     return columns[:, :, 3:5], columns[:, :, 6:]  # 0 to 2 rotation, 3 and 4 translation in x and y, from 6 the camera
+
+
+def nearest_plane(
+    points: Float64[Array, "n xyz=3"], weights: Float64[Array, "n"] | None = None
+) -> tuple[Float64[Array, "3"], float, Float64[Array, "3"]]:
+    """Total-least-squares plane through the points, with their singular values.
+
+    Returns the unit normal (either sign), the distance with `normal . point = distance`, and the singular
+    values of the centred weighted points, descending; the second is zero for collinear points.
+    """
+    weight = np.ones(len(points)) if weights is None else weights
+    middle = weight @ points / weight.sum()
+    _, singular_values, axes = np.linalg.svd(np.sqrt(weight)[:, None] * (points - middle), full_matrices=False)
+    normal: Float64[Array, "3"] = axes[-1]
+    return normal, float(normal @ middle), singular_values
+
+
+def towards_camera(normal: Float64[Array, "3"], point: Float64[Array, "3"]) -> Float64[Array, "3"]:
+    """The normal or its opposite, whichever points from `point` towards the camera's centre."""
+    return -normal if normal @ point > 0 else normal

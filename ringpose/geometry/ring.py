@@ -90,7 +90,9 @@ class RingArcs:
         """The arcs after a step (`STEP`); Cayley's transform keeps the axes orthonormal."""
         tilt_inward, tilt_along, lift_m, shift_m, turn_rad, curvature, half_band_m = step.tolist()
         skew = np.array([[0.0, turn_rad, -tilt_inward], [-turn_rad, 0.0, -tilt_along], [tilt_inward, tilt_along, 0.0]])
-        rotation: Float64[Array, "3 3"] = np.linalg.solve(np.eye(3) - skew / 2, np.eye(3) + skew / 2)
+        square = tilt_inward * tilt_inward + tilt_along * tilt_along + turn_rad * turn_rad
+        # (1 - skew/2)^-1 (1 + skew/2), as skew^3 = -square skew
+        rotation: Float64[Array, "3 3"] = IDENTITY + (skew + 0.5 * (skew @ skew)) / (1.0 + 0.25 * square)
         return RingArcs(
             origin=self.origin + lift_m * self.axes[2] + shift_m * self.axes[0],
             axes=rotation @ self.axes,
@@ -136,57 +138,55 @@ class RingArcs:
         )
 
 
+GENERATORS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+)
+"""The skew matrices, row after row, of the rotation vectors (1, 0, 0), (0, 1, 0) and (0, 0, 1)."""
+
+IDENTITY = np.eye(3)
+
+
 def rotation_by(vector_rad: Float64[Array, "*shape 3"]) -> Float64[Array, "*shape 3 3"]:
     """Rotation matrices of rotation vectors (Rodrigues)."""
-    angle = np.sqrt((vector_rad * vector_rad).sum(axis=-1))[..., None, None]
-    skew = np.zeros((*vector_rad.shape, 3))
-    skew[..., [2, 0, 1], [1, 2, 0]], skew[..., [1, 2, 0], [2, 0, 1]] = vector_rad, -vector_rad
-    # sin(a)/a and (1 - cos(a))/a^2, regular at 0
-    rotation: Float64[Array, "*shape 3 3"] = (
-        np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (skew @ skew)
-    )
+    half = np.maximum(0.5 * np.sqrt((vector_rad * vector_rad).sum(axis=-1)), np.finfo(float).tiny)[..., None, None]
+    skew = (vector_rad @ GENERATORS).reshape(*vector_rad.shape, 3)
+    sinc = np.sin(half) / half  # sin(a)/a = sinc(a/2) cos(a/2), (1 - cos(a))/a^2 = sinc(a/2)^2 / 2: regular at 0
+    rotation: Float64[Array, "*shape 3 3"] = IDENTITY + sinc * (np.cos(half) * skew + 0.5 * sinc * (skew @ skew))
     return rotation
-
-
-class MotionDerivatives(NamedTuple):
-    """Derivatives of the increments (`STEP`) of a ring that has moved, with respect to the ring before and its rates.
-
-    Rates: velocity x, y, z of the centre, and angular velocities about the inward axis and the axis along the face.
-    """
-
-    wrt_step: Float64[Array, "*instant step=7 step=7"]
-    wrt_rates: Float64[Array, "*instant step=7 rate=5"]
 
 
 def motion_derivatives(
     before: RingArcs, moved: RingArcs, time_s: float | Float64[Array, "*instant"]
-) -> MotionDerivatives:
-    """Derivatives of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
+) -> Float64[Array, "*instant step=7 parameter=12"]:
+    """Derivatives of the increments (`STEP`) of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
 
-    The origin moves by o_k = o + v t + l (i - i_k), with the lever l and the inward axes i and i_k before and after. A
-    displacement s along the face turns the ring by s / R, as it does not change the ring otherwise.
+    By the increments of the ring before (7), the velocity x, y, z of the centre, and the angular velocities about the
+    inward axis and the axis along the face. The origin moves by o_k = o + v t + l (i - i_k), with the lever l and the
+    inward axes i and i_k before and after. A displacement s along the face turns the ring by s / R, as it does not
+    change the ring otherwise.
     """
     lever_m, curvature, time = before.lever_m, before.curvature, np.asarray(time_s)[..., None]
     turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
-    components = moved.axes[..., [2, 0, 1], :] * np.array([[1.0], [1.0], [curvature]])  # LIFT, SHIFT, TURN
-    displaced = slice(LIFT, TURN + 1)
+    components = moved.axes[..., (2, 0, 1), :]  # LIFT, SHIFT, TURN
+    components[..., 2, :] *= curvature
+    derivatives = np.zeros((*time.shape[:-1], len(STEP), len(STEP) + 5))
+    derivatives[..., range(len(STEP)), range(len(STEP))] = 1.0
 
-    wrt_step = np.zeros((*time.shape[:-1], len(STEP), len(STEP)))
-    wrt_step[...] = np.eye(len(STEP))
-    wrt_step[..., displaced, LIFT : SHIFT + 1] = components @ before.axes[[2, 0]].T
+    displaced = derivatives[..., LIFT : TURN + 1, :]
+    displaced[..., LIFT : SHIFT + 1] = components @ before.axes[::-2].T
     along_turned = lever_m * (components @ turned.swapaxes(-1, -2))
-    wrt_step[..., displaced, TURN] += along_turned[..., 1]
-    wrt_step[..., displaced, TILT_INWARD] = -along_turned[..., 2]
+    displaced[..., TURN] += along_turned[..., 1]
+    displaced[..., TILT_INWARD] = -along_turned[..., 2]
     if abs(before.mean_radius_m) < MAX_LEVER_M:
-        wrt_step[..., displaced, CURVATURE] = -lever_m * along_turned[..., 0]
+        displaced[..., CURVATURE] = -lever_m * along_turned[..., 0]
 
-    wrt_rates = np.zeros((*time.shape[:-1], len(STEP), 5))
-    wrt_rates[..., displaced, :3] = time[..., None] * components
+    displaced[..., 7:10] = time[..., None] * components
     # about an axis a the normal n turns by a x n, the inward axis i by a x i; along = n x i
-    inward, along, normal = np.moveaxis(time[..., None] * (moved.axes @ before.axes[:2].T), -2, 0)
-    wrt_rates[..., TILT_INWARD, 3:], wrt_rates[..., TILT_ALONG, 3:] = along, -inward
-    wrt_rates[..., LIFT, 3:], wrt_rates[..., TURN, 3:] = lever_m * along, (1.0 - lever_m * curvature) * normal
-    return MotionDerivatives(wrt_step, wrt_rates)
+    about = time[..., None] * (moved.axes @ before.axes[:2].T)
+    inward, along, normal = about[..., 0, :], about[..., 1, :], about[..., 2, :]
+    derivatives[..., TILT_INWARD, 10:], derivatives[..., TILT_ALONG, 10:] = along, -inward
+    displaced[..., 0, 10:], displaced[..., 2, 10:] = lever_m * along, (1.0 - lever_m * curvature) * normal
+    return derivatives
 
 
 def ring_arcs(
@@ -244,24 +244,26 @@ def predicted_stripes(
     distance_m = distances_m[..., 2:]
     plane = arcs.axes[..., 2, :] / distance_m
     image_line = light_normal - light_distance_m[:, None] * plane
-    denominator = image_line[:, 1]
+    per_y = -1.0 / image_line[:, 1]
+    slope = image_line[:, 0] * per_y
     rays = np.ones((len(x), 3))
     rays[:, 0] = x
-    rays[:, 1] = (image_line[:, 0] * x + image_line[:, 2]) / -denominator
-    y_wrt_plane = (light_distance_m / denominator)[:, None] * rays
+    rays[:, 1] = slope * x + image_line[:, 2] * per_y
+    y_wrt_plane = (-light_distance_m * per_y)[:, None] * rays
 
     # q = n / (n . origin): dq = (a - (a . origin) q) / (n . origin) for a tilt along a, -q / (n . origin) for a lift
-    y_wrt_axes = _along(arcs.axes, y_wrt_plane)
-    y_wrt_depth = (y_wrt_plane * plane).sum(axis=1)[:, None]
+    rays_on_plane = rays @ plane if plane.ndim == 1 else (rays * plane).sum(axis=1)
+    y_wrt_depth = -light_distance_m * per_y * rays_on_plane
     y_wrt_step = np.zeros((len(x), len(STEP)))
-    y_wrt_step[:, [TILT_INWARD, TILT_ALONG]] = (y_wrt_axes - distances_m * y_wrt_depth)[:, :2] / distance_m
-    y_wrt_step[:, [LIFT]] = -y_wrt_depth / distance_m
+    tilts = _along(arcs.axes, y_wrt_plane)[:, :2] - y_wrt_depth[:, None] * distances_m[..., :2]
+    y_wrt_step[:, TILT_INWARD : TILT_ALONG + 1] = tilts / distance_m
+    y_wrt_step[:, LIFT] = -y_wrt_depth / distance_m[..., 0]
     return StripePrediction(
         rays=rays,
-        slope=image_line[:, 0] / -denominator,
+        slope=slope,
         y_wrt_step=y_wrt_step,
-        y_wrt_light_normal=rays / -denominator[:, None],
-        y_wrt_light_distance=(rays * plane).sum(axis=1) / denominator,
+        y_wrt_light_normal=rays * per_y[:, None],
+        y_wrt_light_distance=-rays_on_plane * per_y,
     )
 
 
@@ -326,19 +328,18 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     by_x, by_y = -h_x / h, h_y / h
     by_lift = (by_x * ray_inward + by_y * ray_along) / ray_normal
 
-    jacobian = np.empty((len(rays), len(STEP)))
-    jacobian[:, TILT_INWARD] = -x * by_lift
-    jacobian[:, TILT_ALONG] = -y * by_lift
-    jacobian[:, LIFT] = by_lift
-    jacobian[:, SHIFT] = -by_x
-    jacobian[:, TURN] = by_x * y - by_y * x
-    jacobian[:, CURVATURE] = (square - outside_m * outside_m) / (2.0 * h)
-    jacobian[:, HALF_BAND] = -edge_sign
+    wrt_step = np.empty((len(STEP), len(rays)))
+    wrt_step[TILT_INWARD] = -x * by_lift
+    wrt_step[TILT_ALONG] = -y * by_lift
+    wrt_step[LIFT] = by_lift
+    wrt_step[SHIFT] = -by_x
+    wrt_step[TURN] = by_x * y - by_y * x
+    wrt_step[CURVATURE] = (square - outside_m * outside_m) / (2.0 * h)
+    wrt_step[HALF_BAND] = -edge_sign
     # P = depth r: dP/dr = depth (1 - r n^T / (n . r))
-    by_axes = np.stack([by_x, by_y, -by_lift], axis=1)
-    outward = by_axes @ arcs.axes if arcs.axes.ndim == 2 else (by_axes[:, None] @ arcs.axes)[:, 0]
-    wrt_ray = depth[:, None] * outward[:, :2]
-    return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, jacobian, wrt_ray)
+    by_axes = np.array([by_x, by_y, -by_lift]) * depth
+    wrt_ray = by_axes.T @ arcs.axes[:, :2] if arcs.axes.ndim == 2 else (by_axes.T[:, None] @ arcs.axes)[:, 0, :2]
+    return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, wrt_step.T, wrt_ray)
 
 
 def polar_angles(arcs: RingArcs, rays: Float64[Array, "n xyz=3"]) -> Float64[Array, "n"]:
@@ -413,7 +414,7 @@ class RingView(NamedTuple):
 class RingPrediction(NamedTuple):
     """Of a view, with derivatives `wrt_step` by the ring's step at t_0, its rates, and errors of the camera's motion.
 
-    Rates as in `MotionDerivatives`; they and the camera's errors have no columns for a ring and a camera at rest.
+    Rates as in `motion_derivatives`; they and the camera's errors have no columns for a ring and a camera at rest.
     """
 
     stripes: StripePrediction
@@ -425,18 +426,16 @@ class RingPrediction(NamedTuple):
 def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
     """What is seen of the ring `arcs` at the reference time that moves at these rates; `rates` None if it is still."""
     of_samples, of_edges, derivatives = arcs, arcs, None
-    instants = np.concatenate([view.of_sample, view.of_sample[view.ends :], view.of_visible])
     if rates is not None or view.camera is not None:
         rings, derivatives = _at_instants(arcs, view, rates)
-        of_samples, of_edges = rings.at_rows(view.of_sample), rings.at_rows(instants[len(view.rays) :])
+        of_edge = np.concatenate([view.of_sample[view.ends :], view.of_visible])
+        of_samples, of_edges = rings.at_rows(view.of_sample), rings.at_rows(of_edge)
     stripes = predicted_stripes(of_samples, view.rays[:, 0], view.light_normal, view.light_distance_m)
     rays = np.concatenate([stripes.rays[view.ends :], view.visible_rays])
     edges = edge_distances(of_edges, rays, np.concatenate([view.edge_sign, view.visible_sign]))
     if derivatives is not None:
-        rows = np.concatenate([stripes.y_wrt_step, edges.wrt_step])
-        rows = (rows[:, None] @ derivatives[instants])[:, 0]
-        stripes = stripes._replace(y_wrt_step=rows[: len(view.rays)])
-        edges = edges._replace(wrt_step=rows[len(view.rays) :])
+        stripes = stripes._replace(y_wrt_step=(stripes.y_wrt_step[:, None] @ derivatives[view.of_sample])[:, 0])
+        edges = edges._replace(wrt_step=(edges.wrt_step[:, None] @ derivatives[of_edge])[:, 0])
     count = len(view.edge_sign)
     points, visible = (EdgeDistances(*(each[part] for each in edges)) for part in (slice(count), slice(count, None)))
     return RingPrediction(stripes, points, visible)
@@ -452,7 +451,7 @@ def _at_instants(
     velocity_m_s, rate_rad_s = (np.zeros(3), np.zeros(3)) if rates is None else rates
     rings = arcs.after(view.instant_s, velocity_m_s, rate_rad_s)
     derivatives = motion_derivatives(arcs, rings, view.instant_s)
-    columns = [derivatives.wrt_step] if rates is None else list(derivatives)
+    derivatives = derivatives[..., : len(STEP)] if rates is None else derivatives
     if view.camera is not None:
         rotation = view.camera.rotation
         rings = RingArcs(
@@ -461,8 +460,9 @@ def _at_instants(
             curvature=arcs.curvature,
             half_band_m=arcs.half_band_m,
         )
-        columns.append(displacement_increments(rings) @ view.camera.wrt_errors)
-    return rings, np.concatenate(columns, axis=-1)
+        wrt_errors = displacement_increments(rings) @ view.camera.wrt_errors
+        derivatives = np.concatenate([derivatives, wrt_errors], axis=-1)
+    return rings, derivatives
 
 
 def displacement_increments(rings: RingArcs) -> Float64[Array, "*instant step=7 6"]:

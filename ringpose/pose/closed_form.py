@@ -19,8 +19,7 @@ from ringpose.estimate.covariance import (
 )
 from ringpose.geometry.circles import arc_crossings, arc_equations, nearest_crossing
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
-from ringpose.geometry.planes import nearest_plane
-from ringpose.geometry.rays import GRAZING, project
+from ringpose.geometry.rays import GRAZING, nearest_plane, project
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64

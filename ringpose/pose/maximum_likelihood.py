@@ -1,25 +1,37 @@
 """Method `ml`: the maximum-likelihood ring with its covariance (ringpose-method(7), section 5)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from math import isfinite, isnan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.estimate.covariance import (
+    BAND_OUT,
+    CENTER,
     CURVATURE_OUT,
     EDGE_ON_BELOW,
+    GRASP,
+    GRASP_UNKNOWN_FROM_M,
+    TILT_SD_LIMIT_RAD,
+    TILTS,
+    UNKNOWN_FROM,
+    WEAK_SD,
     Quantities,
     difference_from,
+    exceeds_sd,
     joint_covariance,
+    prior_rows,
     quantities,
+    ring_measurement,
     ring_velocity,
     second_order_bias_m,
+    standard_deviation,
     with_second_order,
 )
-from ringpose.estimate.hypotheses import RADIUS_SIGMAS, Explanation, explain
-from ringpose.estimate.information import prior_rows, ring_measurement
+from ringpose.estimate.explanation import RADIUS_SIGMAS, Explanation, explain
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior
@@ -27,12 +39,12 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
 from ringpose.pose.plane_evidence import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
+from ringpose.types.options import Method
 from ringpose.types.pose import (
     KnownRadii,
     NoPose,
@@ -42,7 +54,7 @@ from ringpose.types.pose import (
     Priors,
     RadiusPrior,
     Ring,
-    RingVelocity,
+    RingPose,
 )
 from ringpose.types.rig import Rig
 
@@ -84,8 +96,7 @@ def most_likely_pose(
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
     found = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
-    lasers = unused_lasers(rig, lasers_on, found)
-    without = PoseResult(pose=NoPose.NOT_FINITE, lasers=lasers, rejected=tuple(rejected))
+    without = PoseResult(pose=NoPose.NOT_FINITE, lasers=unused_lasers(rig, lasers_on, found), rejected=tuple(rejected))
     unusable = _unusable(measured, rig, camera)
     if unusable is not None:
         return replace(without, pose=unusable)
@@ -97,7 +108,9 @@ def most_likely_pose(
     if best is None:
         return replace(without, pose=_why_no_estimate(measured, rig))
     if known is not None and not isinstance(known, KnownRadii):
-        posterior = _posterior(best, known)
+        covariance = joint_covariance(best.estimate, quantities(best.estimate))[CURVATURE_OUT:, CURVATURE_OUT:]
+        arcs = best.estimate.arcs
+        posterior = ring_posterior(abs(arcs.curvature), 2.0 * arcs.half_band_m, covariance, known)
         ring = likely_ring(posterior, known)
         if ring is not None:
             if ring.tolerance_m is not None:
@@ -137,13 +150,6 @@ def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
     return NoPose.UNTRIANGULATED if bool((grazing | behind).any()) else NoPose.NOT_FINITE
 
 
-def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
-    arcs = best.estimate.arcs
-    covariance = joint_covariance(best.estimate, quantities(best.estimate))
-    shape = covariance[CURVATURE_OUT:, CURVATURE_OUT:]
-    return ring_posterior(abs(arcs.curvature), 2.0 * arcs.half_band_m, shape, rings)
-
-
 def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     """The pose of the best explanation, with everything that is not determined set to NaN and flagged."""
     estimate, measured = best.estimate, best.measured
@@ -165,33 +171,27 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     origin, normal = estimate.arcs.origin, estimate.arcs.normal
     if abs(float(origin @ normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
         return replace(result, pose=NoPose.EDGE_ON)
-    reported = determined(best, found, covariance)
+    reported = _determined(best, found, covariance)
     if not reported.grasp and not reported.normal:
         if best.differing:
             return replace(result, pose=NoPose.AMBIGUOUS)
         collinear = len(set(measured.points.laser.tolist())) > 1
         return replace(result, pose=NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED)
-    flags = best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
-    if not measured.has_covariances:
-        flags |= ALL_WEAK
+    flags = best.flag | _weak_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
     pose = replace(
-        reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
+        _reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured, rig),
-        flags=flags,
         remark=best.remark,
     )
     if not measured.has_covariances:
-        unknown = PoseFlag.VELOCITY_WEAK if best.prior.assumptions.motion is not None else PoseFlag(0)
-        return replace(result, pose=replace(pose, flags=flags | unknown), flags=flags | unknown)
-    velocity, velocity_flag = _velocity(best)
+        unknown = PoseFlag(0) if best.prior.assumptions.motion is None else PoseFlag.VELOCITY_WEAK
+        return replace(result, pose=pose, flags=flags | ALL_WEAK | unknown)
+    velocity = ring_velocity(estimate)  # where the shot does not determine it, with the mean and variance of the prior
+    if velocity is not None and ("velocity" in best.differing or not best.side_known):
+        velocity, flags = None, flags | PoseFlag.VELOCITY_WEAK  # that of the centre depends on its side
     errors = rig_errors(rig, best.prior.assumptions.stability)
-    return replace(
-        result,
-        pose=replace(pose, flags=flags | velocity_flag),
-        flags=flags | velocity_flag,
-        velocity=velocity,
-        measurement=ring_measurement(estimate, measured, errors),
-    )
+    measurement = ring_measurement(estimate, measured, errors)
+    return replace(result, pose=pose, flags=flags, velocity=velocity, measurement=measurement)
 
 
 def _timed(
@@ -251,18 +251,6 @@ def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
     return plane_evidence(best.estimate, best.measured, rig)
 
 
-def _velocity(best: Explanation) -> tuple[RingVelocity | None, PoseFlag]:
-    """The velocity and its flag; None if explanations differ in it, and for a target that is assumed to be still.
-
-    The velocity of the centre depends on the side of the face on which the centre lies. What the shot does not
-    determine has the mean and the variance of the prior.
-    """
-    velocity = ring_velocity(best.estimate)
-    if velocity is not None and ("velocity" in best.differing or not best.side_known):
-        return None, PoseFlag.VELOCITY_WEAK
-    return velocity, PoseFlag(0)
-
-
 def _unverified(best: Explanation) -> PoseFlag:
     """Flags of what the pose assumes without a check by the shot itself: its side, the radius, the rig."""
     flags = PoseFlag(0) if best.side_known else PoseFlag.SIDE_UNKNOWN
@@ -310,3 +298,91 @@ def _residual_rms_px(estimate: Estimate, measured: Measurements, rig: Rig) -> fl
     across_px = (points.y - residuals.stripes.rays[residuals.ends :, 1]) * matrix[1, 1]
     stretch = 1.0 + residuals.stripes.slope[residuals.ends :] ** 2
     return sqrt(float((stretch * along_px**2 + across_px**2).sum()) / len(along_px))
+
+
+# Which quantities are determined
+
+MAX_RADIUS_M = 5.0
+"""Larger rings do not exist: a larger radius comes from break points that are wrong in the same way."""
+
+MAX_BIAS_SHARE = 4.0 / 9.0
+"""Largest second-order bias of the centre, in its standard deviations, for which a Gaussian describes the centre: a
+tilt by three sigmas moves the centre by nine times the bias, four of its sigmas."""
+
+
+class _Determined(NamedTuple):
+    """Which quantities are determined well enough to be reported."""
+
+    normal: bool
+    center: bool
+    grasp: bool
+    radius: Bool[Array, "edge=2"]
+
+
+def _determined(best: Explanation, found: Quantities, covariance: Float64[Array, "15 15"]) -> _Determined:
+    """The normal is determined by its tilts, centre and radii by the curvature, the grasp point by its own sigma.
+
+    A quantity in which comparable explanations of the shot differ is not determined.
+    """
+    normal = standard_deviation(covariance[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
+    curvature = best.estimate.arcs.curvature
+    curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * curvature
+    curved = curved and curvature > 1.0 / MAX_RADIUS_M
+    across = np.array([best.estimate.arcs.normal, found.outward])
+    grasp_sd_m = standard_deviation(across @ covariance[GRASP, GRASP] @ across.T)
+    edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
+    radii_given = best.prior.radii is not None
+    radii = (best.side_known or radii_given) and curved and "radius" not in best.differing
+    grasp = max(grasp_sd_m, sqrt(covariance[BAND_OUT, BAND_OUT])) <= GRASP_UNKNOWN_FROM_M
+    return _Determined(
+        normal=normal and "normal" not in best.differing,
+        center=normal and best.side_known and curved and "center" not in best.differing,
+        grasp=grasp and "grasp" not in best.differing,
+        radius=np.array([radii and (edge in edges or radii_given) for edge in range(2)]),
+    )
+
+
+def _reported_pose(
+    estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"] | None, reported: _Determined
+) -> RingPose:
+    """The pose, with NaN for what is not determined; without covariances if there is none.
+
+    The condition number is that of the Jacobian of all residuals, its columns scaled to unit length.
+    """
+    unknown, of_seven = np.full(3, np.nan), None
+    kept = np.array([reported.normal] * 3 + [reported.center] * 2 + reported.radius.tolist())
+    if covariance is not None and kept.any():
+        of_seven = covariance[:7, :7] if kept.all() else np.where(kept[:, None] & kept, covariance[:7, :7], np.nan)
+    scale = 1.0 / np.sqrt(np.maximum(estimate.normal_matrix.diagonal(), np.finfo(float).tiny))
+    values = np.linalg.eigvalsh(estimate.normal_matrix * scale[:, None] * scale)
+    radius_inner_m, radius_outer_m = np.where(reported.radius, found.radius_m, np.nan).tolist()
+    return RingPose(
+        center_m=found.center_m if reported.center else unknown,
+        normal=estimate.arcs.normal if reported.normal else unknown,
+        radius_inner_m=radius_inner_m,
+        radius_outer_m=radius_outer_m,
+        grasp_m=found.grasp_m if reported.grasp else unknown,
+        method=Method.ML.value,
+        condition_number=float(np.sqrt(values[-1] / max(float(values[0]), np.finfo(float).eps))),
+        residual_rms_px=np.nan,
+        covariance=of_seven,
+        covariance_center_m2=None if covariance is None or not reported.center else covariance[CENTER, CENTER],
+        covariance_grasp_m2=None if covariance is None or not reported.grasp else covariance[GRASP, GRASP],
+    )
+
+
+def _weak_flags(
+    estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"], reported: _Determined, bias_m: float
+) -> PoseFlag:
+    """Flags of what is not determined, has a sigma over `WEAK_SD`, or is not described by a Gaussian."""
+    limit_m = WEAK_SD * min(map(abs, found.radius_m.tolist()))
+    inward = estimate.arcs.axes[0]
+    biased = bias_m > MAX_BIAS_SHARE * sqrt(float(inward @ covariance[CENTER, CENTER] @ inward))
+    flags = PoseFlag(0) if reported.normal else PoseFlag.NORMAL_WEAK
+    if not reported.grasp:
+        flags |= PoseFlag.GRASP_WEAK
+    if not reported.center or exceeds_sd(covariance[CENTER, CENTER], limit_m) or biased:
+        flags |= PoseFlag.CENTER_WEAK
+    if not reported.radius.all() or max(covariance[5, 5], covariance[6, 6]) > limit_m**2:
+        flags |= PoseFlag.RADIUS_WEAK
+    return flags

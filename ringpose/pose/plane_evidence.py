@@ -11,7 +11,7 @@ from math import degrees, hypot, sqrt
 
 import numpy as np
 
-from ringpose.estimate.hypotheses import chi2_quantile
+from ringpose.estimate.explanation import chi2_quantile
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import (
     light_plane_bases,
@@ -224,7 +224,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
     residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
     of_rig = estimate.mean_ray_wrt_nuisance.shape[1]
     own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
-    by_rig = rig_jacobian(residuals, measured, measured.observations(rig.lasers), errors, rig)
+    by_rig = rig_jacobian(residuals, measured.observations(rig.lasers), errors, rig)
     rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))

@@ -7,10 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from ringpose.estimate.covariance import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
+from ringpose.estimate.covariance import (
+    GRASP_UNKNOWN_FROM_M,
+    TILT_SD_LIMIT_RAD,
+    UNKNOWN_FROM,
+    WEAK_SD,
+    standard_deviation,
+)
 from ringpose.geometry.ring import CURVATURE, plane_and_center
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.observability import GRASP_UNKNOWN_FROM_M, UNKNOWN_FROM
 from ringpose.track.explanations import Track, TrackOptions
 from ringpose.track.filters import Bank, mixed, predicted
 from ringpose.track.states import RingStates, center_velocity, jacobians, moved, perturbed

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from ring_scenes import RIGS, face_points_of, make_scene
 
-from ringpose.estimate.covariance import joint_covariance, quantities
-from ringpose.estimate.hypotheses import explain
-from ringpose.estimate.information import POSE, RATES, increments_between, relinearized, solve_measurement
+from ringpose.estimate.covariance import (
+    POSE,
+    RATES,
+    increments_between,
+    joint_covariance,
+    quantities,
+    relinearized,
+    solve_measurement,
+)
+from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.nuisance import total_covariance
 from ringpose.estimate.residuals import Prior

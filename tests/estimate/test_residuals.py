@@ -40,10 +40,10 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
     scene, shot = measured
     arcs, count = some_arcs(scene, rng), len(shot.points.x)
     observations, step = shot.observations(scene.rig.lasers), STEP * np.eye(7)[parameter]
-    residuals = ring_residuals(arcs, shot, observations, Prior())
+    residuals = ring_residuals(arcs, observations, Prior())
 
     forward, backward = (
-        unscaled(ring_residuals(arcs.moved(sign * step), shot, observations, Prior()), count) for sign in (1, -1)
+        unscaled(ring_residuals(arcs.moved(sign * step), observations, Prior()), count) for sign in (1, -1)
     )
 
     derivative = residuals.jacobian[: len(forward), parameter].copy()
@@ -56,11 +56,11 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
 def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     arcs, prior = some_arcs(scene, rng), Prior(RADII)
-    residuals = ring_residuals(arcs, shot, shot.observations(scene.rig.lasers), prior)
+    residuals = ring_residuals(arcs, shot.observations(scene.rig.lasers), prior)
 
     forward, backward = (
         ring_residuals(
-            arcs.moved(sign * STEP * np.eye(7)[parameter]), shot, shot.observations(scene.rig.lasers), prior
+            arcs.moved(sign * STEP * np.eye(7)[parameter]), shot.observations(scene.rig.lasers), prior
         ).residual[-2:]
         for sign in (1, -1)
     )

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior
+from ringpose.estimate.residuals import Prior, initial_guess
 from ringpose.estimate.solver import estimate_ring, ring_residuals
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import KnownRadii, NoPose, RingPose
@@ -42,7 +41,7 @@ def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, ra
     estimate = estimate_ring(measured, rig, prior)
 
     def cost(step):
-        residuals = ring_residuals(estimate.arcs.moved(step), measured, observations, prior)
+        residuals = ring_residuals(estimate.arcs.moved(step), observations, prior)
         residual = residuals.residual.copy()
         points = slice(residuals.ends, residuals.ends + len(residuals.distance_wrt_x))
         # in metres along its circle, the noise of a break point is that at the solution
@@ -67,7 +66,7 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
     if not ends_seen:
         measured = replace(measured, points=replace(measured.points, x=measured.points.middle_x.copy()))
 
-    start = initial_guess(measured, measured.observations(scene.rig.lasers), Prior())
+    start = initial_guess(measured.observations(scene.rig.lasers), Prior())
 
     np.testing.assert_allclose(start.normal, scene.ring.normal, atol=1e-3)
     assert start.origin @ start.normal == pytest.approx(scene.ring.normal @ scene.ring.center_m, rel=1e-3)
@@ -81,7 +80,7 @@ def test_a_plane_behind_the_camera_is_no_start(noisy):
     view = observations.view
     behind = observations._replace(view=view._replace(light_distance_m=-view.light_distance_m))
 
-    assert initial_guess(measured, behind, Prior()) is None
+    assert initial_guess(behind, Prior()) is None
 
 
 def test_points_at_the_end_of_the_world_are_left_out_or_no_ring(scene_of, face_points):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.geometry.robust import gauss_newton
+from ringpose.geometry.least_squares import gauss_newton
 
 TRUE = np.array([2.0, -0.7])
 X = np.linspace(0.0, 3.0, 20)

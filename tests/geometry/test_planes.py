@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.geometry.planes import nearest_plane, towards_camera
+from ringpose.geometry.rays import nearest_plane, towards_camera
 from ringpose.geometry.rotations import angle_between
 
 TILTS = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from ringpose.geometry.robust import huber_weights, robust_std
+from ringpose.geometry.least_squares import huber_weights, robust_std
 
 
 def test_the_robust_standard_deviation_is_that_of_normal_errors_with_outliers(rng):

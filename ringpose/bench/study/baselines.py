@@ -10,8 +10,7 @@ from math import inf, nan
 import cv2
 import numpy as np
 
-from ringpose.geometry.planes import nearest_plane, towards_camera
-from ringpose.geometry.rays import intersect, rays, undistorted_pixels
+from ringpose.geometry.rays import intersect, nearest_plane, rays, towards_camera, undistorted_pixels
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.closed_form import constrained_form, why_undetermined
 from ringpose.pose.triangulation import triangulated

@@ -17,7 +17,7 @@ from scipy.special import digamma, polygamma
 
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
 from ringpose.calibrate.camera.parameters import projection_jacobians
-from ringpose.geometry.robust import robust_std
+from ringpose.geometry.least_squares import robust_std
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView

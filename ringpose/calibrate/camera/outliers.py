@@ -10,7 +10,7 @@ from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.bundle_adjustment import view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views
-from ringpose.geometry.robust import robust_std
+from ringpose.geometry.least_squares import robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraCalibration, Check

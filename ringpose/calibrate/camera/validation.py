@@ -28,8 +28,8 @@ from ringpose.calibrate.camera.parameters import (
     parameters_of,
 )
 from ringpose.errors import DataError
+from ringpose.geometry.least_squares import gauss_newton
 from ringpose.geometry.rays import project, rays
-from ringpose.geometry.robust import gauss_newton
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import (

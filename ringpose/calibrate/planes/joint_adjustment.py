@@ -40,8 +40,8 @@ from ringpose.calibrate.planes.stripes.errors import (
     stripe_residuals,
 )
 from ringpose.errors import DataError
+from ringpose.geometry.least_squares import huber_weights, robust_std
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.geometry.robust import huber_weights, robust_std
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose

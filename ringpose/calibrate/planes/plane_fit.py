@@ -7,8 +7,8 @@ import numpy as np
 
 from ringpose.calibrate.acceptance import PLANES_LIMITS
 from ringpose.errors import DataError
-from ringpose.geometry.planes import nearest_plane
-from ringpose.geometry.robust import robust_std
+from ringpose.geometry.least_squares import robust_std
+from ringpose.geometry.rays import nearest_plane
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PlanesMethod
 

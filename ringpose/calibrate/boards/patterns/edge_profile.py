@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.geometry.robust import huber_weights, robust_std
+from ringpose.geometry.least_squares import huber_weights, robust_std
 from ringpose.types.arrays import Array, Float64
 
 KNOT_PX = 0.5

@@ -24,7 +24,7 @@ from scipy.special import ndtr
 from ringpose.calibrate.boards.corner_errors import endpoint_correlation
 from ringpose.calibrate.boards.patterns.edge_profile import MIN_BLUR_PX, EdgeProfile, fitted_profile, gaussian_profile
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage
-from ringpose.geometry.robust import gauss_newton, robust_std
+from ringpose.geometry.least_squares import gauss_newton, robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 
 MIN_SIDE_PX = 24.0

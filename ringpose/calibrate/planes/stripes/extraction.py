@@ -16,8 +16,8 @@ from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import dark_image
 from ringpose.calibrate.planes.stripes.board_surface import BoardSurface, board_surface
 from ringpose.detect.stripes import find_stripes
+from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import project, undistorted_pixels
-from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView

@@ -15,7 +15,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from ringpose.errors import DataError, UsageError
-from ringpose.geometry.planes import nearest_plane
+from ringpose.geometry.rays import nearest_plane
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.calibration import StripeView
 from ringpose.types.image import ALL_LASERS, Shot

@@ -1,0 +1,448 @@
+"""Which explanation of a shot is the best one: all measurements on one ring, or some of them wrong.
+
+Six break points and three stripes give twelve numbers for seven parameters. If the ring that fits all of them fails the
+chi-squared test, or misses one of them clearly, the shot is solved again for each of `ringpose.estimate.hypotheses`.
+They are compared by chi-squared plus a penalty for what they reject, or for how much wider their priors are; one whose
+penalty alone exceeds the score of another is not solved. (The normal equations of all measurements do not predict which
+one it will be: a gross outlier moves the ring so far that they do not hold.) Where two of them are comparable, only the
+quantities that they have in common are determined (`Explanation.differing`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from math import inf, nan, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.estimate.covariance import (
+    CENTER,
+    GRASP,
+    RADII,
+    TILTS,
+    difference_from,
+    joint_covariance,
+    quantities,
+    ring_velocity,
+)
+from ringpose.estimate.hypotheses import (
+    RADIUS_REMARK,
+    Hypothesis,
+    outlier_hypotheses,
+    ring_evidence,
+    single_stripe_estimates,
+)
+from ringpose.estimate.measurements import Measurements, inflate_sigma
+from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
+from ringpose.estimate.solver import (
+    DECISION_SIGMAS,
+    OUTLIER_SIGMAS,
+    PRECISE_SIGMAS,
+    STRIPES_OF_A_PLANE,
+    at_reference_time,
+    estimate_ring,
+    precise_ring,
+)
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, edge_distances
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.detection import Rejection
+from ringpose.types.pose import KnownRadii, PoseFlag
+from ringpose.types.rig import Rig
+
+ALARM_SIGMAS = 3.0
+"""Limit of the chi-squared test as a normal quantile: one right shot in seven hundred exceeds it by chance."""
+
+SUSPICIOUS_REDUCTION = 20.0
+"""Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""
+
+DECISION_CHI2 = 0.1
+"""Change of chi-squared from that of a decision to that of a pose from which the decision is repeated."""
+
+CLEARLY = 6.0
+"""Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
+
+SIDE_SIGMAS = 4.0
+"""Curvature in standard deviations, or root of the margin in chi-squared, from which the centre's side is known."""
+
+RADIUS_SIGMAS = 4.5
+"""Difference in standard deviations from which assumed radii contradict the ring that a shot shows by itself."""
+
+STRAIGHT_SIGMAS = 3.0
+"""How many standard deviations a curvature may be below zero: two stripes alone hardly determine it."""
+
+CONFIRMED_BELOW = 2.0
+"""Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
+
+WIDER = PoseFlag.MOTION | PoseFlag.RING_FORM
+"""Flags of explanations that reject nothing but need a wider prior."""
+
+EDGE_NUMBERS = 8.0
+"""Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
+
+MAX_EDGE_MEAN_SQUARE = 2.0
+"""Mean square of the whitened edge residuals from which visible edges contradict the rest. The standard deviations are
+those of the fit to all measurements: 150 drawn shots without outliers have at most 1.05."""
+
+COINCIDENCE = 3.0
+"""Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
+
+DIFFERS = 4.0
+"""Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
+
+
+class Search(NamedTuple):
+    """What all explanations of a shot are estimated with."""
+
+    rig: Rig
+    labelled: bool
+    edges_named: bool
+    for_pose: bool
+    """Whether a pose follows, which needs all comparable explanations."""
+    max_left: float = DECISION_SIGMAS
+    """Length of the steps that are left at the end of each estimate, in standard deviations."""
+
+
+class Solved(NamedTuple):
+    """A hypothesis with its ring."""
+
+    hypothesis: Hypothesis
+    estimate: Estimate
+
+    @property
+    def score(self) -> float:
+        """Penalised chi-squared, visible edges included by their mean: less is better."""
+        total = self.estimate.chi2 + self.hypothesis.penalty
+        return total + EDGE_NUMBERS * max(_edge_mean_square(self.estimate) - 1.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explanation:
+    """The best explanation of a shot."""
+
+    measured: Measurements
+    """The measurements that it uses."""
+    prior: Prior
+    estimate: Estimate
+    flag: PoseFlag
+    remark: str
+    penalty: float
+    """In chi-squared, for what was rejected."""
+    rejected: tuple[Rejection, ...]
+    side_known: bool
+    """Whether the shot determines on which side of the face the ring's centre lies."""
+    edges_exchanged: bool = False
+    """Whether the inner edges are those that were given as outer ones."""
+    competing: tuple[Estimate, ...] = ()
+    """The rings of other explanations that are comparable ..."""
+    other_side: Estimate | None = None
+    """... and the one with inner and outer edges exchanged, if the shot does not determine which are the inner ones."""
+    everything: tuple[Measurements, Estimate] | None = None
+    """All measurements with the ring that fits them best; None if the iteration diverges."""
+
+    @cached_property
+    def differing(self) -> frozenset[str]:
+        """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
+        rivals = (*self.competing, *([] if self.other_side is None else [self.other_side]))
+        return frozenset[str]().union(*(differing_quantities(self.estimate, each) for each in rivals))
+
+
+def explain(
+    measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+) -> Explanation | None:
+    """The best explanation of the measurements; None if no estimate converges.
+
+    `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
+    the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
+    whether the ring is needed to the precision of a pose, and not only the decision.
+    """
+    guess, search = None, Search(rig, labelled, edges_named, for_pose=precise)
+    if precise:  # the decision is the same at any time
+        measured, guess = at_reference_time(measured, rig.lasers, prior)
+    best = _decided(measured, prior, guess, search)
+    if best is None or not precise:
+        return best
+    estimate = precise_ring(best.estimate, best.measured, rig)
+    if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
+        return replace(best, estimate=estimate)
+    # the shorter iteration had ended near a saddle point
+    return _decided(measured, prior, guess, search._replace(max_left=PRECISE_SIGMAS))
+
+
+def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
+    """The best explanation with the radii of the prior or, if the shot contradicts them, without."""
+    best = _better_side(measured, prior, guess, search)
+    if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
+        return best
+    # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
+    alone = _better_side(measured, prior._replace(radii=None), None, search)
+    if alone is None or not _contradicts(alone.estimate, prior.radii):
+        return best
+    return replace(
+        alone,
+        flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
+        remark=RADIUS_REMARK,
+        rejected=(*alone.rejected, Rejection(what="radius")),
+    )
+
+
+def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
+    """Whether the ring by the shot alone has other radii than the assumed ones.
+
+    Compared by the curvature of each edge, k = 1 / radius: its errors are Gaussian even where those of radii are not.
+    """
+    arcs = alone.arcs
+    for radius_m, sign, assumed_m, sd_m in zip(
+        arcs.radius_m.tolist(), EDGE_SIGN, radii.radius_m.tolist(), radii.sd_m.tolist(), strict=True
+    ):
+        if assumed_m != assumed_m:
+            continue
+        by_step = np.zeros(PARAMETERS)
+        by_step[CURVATURE], by_step[HALF_BAND] = (arcs.mean_radius_m / radius_m) ** 2, -sign / radius_m**2
+        variance = float(by_step @ alone.inverse @ by_step) + (sd_m / assumed_m**2) ** 2
+        if (1.0 / radius_m - 1.0 / assumed_m) ** 2 > RADIUS_SIGMAS**2 * variance:
+            return True
+    return False
+
+
+def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
+    """The best explanation, with inner and outer edges as they are named or exchanged."""
+    best, edges_named = _explained(measured, prior, search, guess=guess), search.edges_named
+    if best is not None:
+        curvature, sd = best.estimate.curvature_alone
+        # with unknown rates, both sides may explain a shot with a significant curvature each
+        compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
+        if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
+            return best
+        if not compared and _is_unique(best) and (curvature >= 0 or not search.for_pose):
+            # with its edges exchanged this would be the same ring, with the opposite curvature
+            return replace(best, edges_exchanged=curvature < 0, side_known=abs(curvature) > SIDE_SIGMAS * sd)
+    max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
+    other = _explained(measured.with_edges_exchanged(), prior, search, max_score=max_score)
+    other = None if other is None else replace(other, edges_exchanged=True)
+    if best is None or other is None:
+        only = best or other
+        return None if only is None else replace(only, side_known=False)
+    first, second = sorted((best, other), key=_side_score)
+    clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
+    side_known = clear and not (edges_named and first.edges_exchanged)
+    return replace(first, side_known=side_known, other_side=None if clear else second.estimate)
+
+
+def _is_unique(best: Explanation) -> bool:
+    """Whether an explanation rejects nothing, and no prior prefers one side of the ring: it has a single optimum."""
+    prior = best.estimate.prior
+    plain = best.everything is not None and best.everything[1] is best.estimate and not best.flag
+    return plain and not best.estimate.regularized and not prior.single_edge and prior.radii is None
+
+
+def _side_score(explanation: Explanation) -> float:
+    """Penalised chi-squared, and that of a negative curvature, which puts the centre on the wrong side."""
+    estimate = explanation.estimate
+    variance = float(estimate.inverse[CURVATURE, CURVATURE])
+    score = estimate.chi2 + explanation.penalty
+    return score + min(estimate.arcs.curvature, 0.0) ** 2 / variance
+
+
+def _explained(
+    measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
+) -> Explanation | None:
+    """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
+    rig, edges_seen = search.rig, len(measured.edges.edge) > 0
+    estimate = estimate_ring(measured, rig, prior, guess=guess, max_left=search.max_left)
+    if estimate is not None and edges_seen:
+        measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
+        max_left = PRECISE_SIGMAS if search.for_pose else search.max_left
+        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=max_left)
+    everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
+    if everything is not None and not _is_suspicious(everything.estimate):
+        return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
+    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
+    solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left)
+    tried: list[Solved] = []
+    lowest = inf if everything is None else min(everything.score, max_score)
+    for hypothesis in hypotheses:
+        if hypothesis.penalty > lowest + CLEARLY:  # of this one and all that follow
+            break
+        found = solved(hypothesis)
+        if found is not None:
+            tried.append(found)
+            lowest = min(lowest, found.score)
+    if everything is None and not tried:
+        return None
+
+    def both_ends(laser: int) -> Solved | None:
+        """The explanation that rejects both ends of a laser's stripe, also if it is not nearly the best one."""
+        known = [each for each in tried if each.hypothesis.both and each.hypothesis.laser == laser]
+        others = (each for each in hypotheses if each.both and each.laser == laser)
+        return known[0] if known else next((solved(each) for each in others), None)
+
+    best, rivals = _select(everything, tried, both_ends)
+    return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
+
+
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, max_left: float) -> Solved | None:
+    """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, max_left=max_left)
+    if estimate is None:
+        return None
+    curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
+    is_ring = estimate.arcs.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
+    if not is_ring and not hypothesis.both:
+        return None
+    wider = 0.0
+    if everything is not None and hypothesis.flag & WIDER:
+        # the likelihood of a wider prior: what it explains, less all that it could have explained
+        wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
+    return Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate)
+
+
+def _select(
+    everything: Solved | None, tried: list[Solved], both_ends: Callable[[int], Solved | None]
+) -> tuple[Solved, list[Solved]]:
+    """The best of the explanations, and its comparable rivals."""
+    ranked = sorted([*([] if everything is None else [everything]), *tried], key=lambda each: each.score)
+    near = [each for each in ranked if each.score < ranked[0].score + CLEARLY]
+    best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
+    rivals = [each for each in near if each is not best and not _nested(best, each)]
+    if _contradicts_itself(best.estimate):
+        # nothing explains the shot: everything is kept, and the covariance grows by the differences
+        best = everything or best
+        remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
+        if best.hypothesis.remark:
+            remark = f"{best.hypothesis.remark}, but the rest disagrees, too"
+        inconsistent = best.hypothesis._replace(flag=best.hypothesis.flag | PoseFlag.INCONSISTENT, remark=remark)
+        rivals = [each for each in near if each is not best and each.score < best.score]
+        return Solved(inconsistent, best.estimate), rivals
+    return best, rivals
+
+
+def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solved]) -> Explanation:
+    hypothesis = best.hypothesis
+    reduction = nan if everything is None else everything.estimate.chi2 - best.estimate.chi2
+    flag = hypothesis.flag
+    for each in rivals:  # another assignment of the lasers is possible
+        flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
+    return Explanation(
+        measured=hypothesis.measured,
+        prior=hypothesis.prior,
+        estimate=best.estimate,
+        flag=flag,
+        remark=hypothesis.remark,
+        penalty=hypothesis.penalty,
+        rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
+        side_known=True,
+        competing=tuple(each.estimate for each in rivals),
+        everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
+    )
+
+
+def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
+    """In which quantities two explanations differ by more than the errors of the best one."""
+    found, other = quantities(best), quantities(rival)
+    covariance = joint_covariance(best, found)
+    difference = difference_from(rival, other, best, found)
+    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
+    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
+    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
+    across = np.array([best.arcs.normal, found.outward])
+    tested = {
+        "center": (difference[CENTER], covariance[CENTER, CENTER]),
+        "normal": (difference[TILTS], covariance[TILTS, TILTS]),
+        "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
+        "radius": (difference[RADII], covariance[RADII, RADII]),
+    }
+    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
+    if velocity is not None and of_rival is not None:
+        change = of_rival.center_m_s - velocity.center_m_s
+        tested["velocity"] = (change, velocity.covariance[:3, :3])
+    return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
+
+
+def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
+    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
+    if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
+        return False
+    squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    return squared <= DIFFERS * len(difference)
+
+
+def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
+    """Explanations by one stripe of two, the other one being on the background, if these are comparable.
+
+    Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
+    redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
+    for a common ring. Visible edges are further evidence: for it, or, if they were rejected, against it.
+    """
+    measured = solved.hypothesis.measured
+    edges_contradict = PoseFlag.EDGE_REJECTED in solved.hypothesis.flag
+    if len(measured.edges.edge) or len(measured.stripes) != STRIPES_OF_A_PLANE:
+        return []
+    measured = measured.once()
+    found = []
+    assumptions = solved.hypothesis.prior.assumptions
+    for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
+        if edges_contradict or ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
+            rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
+            prior = Prior(assumptions=assumptions)
+            hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
+            found.append(Solved(hypothesis, estimate))
+    return found
+
+
+def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:
+    """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
+    points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
+    lasers = {each.hypothesis.laser for each in points}
+    if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
+        return both_ends(lasers.pop())
+    return None
+
+
+def _nested(best: Solved, other: Solved) -> bool:
+    """Whether both reject parts of the same laser, and one its whole stripe or both its points: no contradiction."""
+    first, second = best.hypothesis, other.hypothesis
+    whole = first.both or second.both or PoseFlag.STRIPE_REJECTED in first.flag | second.flag
+    return whole and first.laser == second.laser >= 0
+
+
+def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | None]) -> Solved:
+    """The same, or without the other end of the stripe, too, if only that end determines the ring's curvature.
+
+    What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
+    """
+    hypothesis = best.hypothesis
+    if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both or hypothesis.cause_seen:
+        return best
+    without = both_ends(hypothesis.laser)
+    if without is None:
+        return best
+    sd, sd_without = (sqrt(float(each.estimate.inverse[CURVATURE, CURVATURE])) for each in (best, without))
+    return best if sd_without < CONFIRMED_BELOW * sd else without
+
+
+def _is_suspicious(estimate: Estimate) -> bool:
+    """Whether the measurements contradict each other, or the ring would fit much better without one of its numbers."""
+    return _contradicts_itself(estimate) or estimate.largest_reduction > SUSPICIOUS_REDUCTION
+
+
+def _contradicts_itself(estimate: Estimate) -> bool:
+    """Whether stripes and break points fail the chi-squared test of one ring, or the visible edges do not fit it.
+
+    Visible edges are too many, and their errors too correlated, to be added to the few numbers of the former.
+    """
+    dof = estimate.degrees_of_freedom
+    fails_test = dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
+    return fails_test or _edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
+
+
+def _edge_mean_square(estimate: Estimate) -> float:
+    """Mean square of the whitened edge residuals, each limited as in the robust fit; 0 without visible edges."""
+    squares = np.minimum(estimate.edge_residuals**2, OUTLIER_SIGMAS**2)
+    return float(squares.mean()) if len(squares) else 0.0
+
+
+def chi2_quantile(degrees_of_freedom: int, sigmas: float) -> float:
+    """Quantile of chi-squared at the probability of a normal quantile (Wilson and Hilferty 1931)."""
+    spread = 2.0 / (9.0 * degrees_of_freedom)
+    return degrees_of_freedom * (1.0 - spread + sigmas * sqrt(spread)) ** 3
