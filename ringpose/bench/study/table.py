@@ -36,8 +36,6 @@ class Statistics:
     """Those of them with a pose."""
     available: int = 0
     """Those of them whose status is `ok`."""
-    false_poses: int = 0
-    """Poses where no ring is visible."""
     failed: int = 0
     """Shots that could not be computed."""
     wrong: int = 0
@@ -59,7 +57,6 @@ class Statistics:
         self.targets += has_target
         self.answers += has_target and has_pose
         self.available += has_target and row["status"] == "ok"
-        self.false_poses += has_pose and row["expect"] == "no_target"
         wrong = len(names_in(row["wrong"]))
         self.wrong += wrong
         self.judged += wrong + len(names_in(row["correct"]))
