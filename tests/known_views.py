@@ -6,36 +6,37 @@ import numpy as np
 from drawn_boards import FOUR
 
 from ringpose.calibrate.boards.layout import corner_points
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import StripeView
+from ringpose.types.calibration import PlanesCalibration, StripeView
 from ringpose.types.rig import Camera
-
-MATRIX = np.array([[1781.3, 0.0, 803.7], [0.0, 1780.6, 596.2], [0.0, 0.0, 1.0]])
-COEFFICIENTS = np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0])
-NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.18, 0.0, -0.17)])
-DISTANCES_M = np.array([-0.039, -0.070, -0.040])
-"""Of the light planes."""
 
 TRUE_CAMERA = Camera(
     camera_name="true",
     image_width=1600,
     image_height=1200,
-    camera_matrix=MATRIX,
+    camera_matrix=np.array([[1781.3, 0.0, 803.7], [0.0, 1780.6, 596.2], [0.0, 0.0, 1.0]]),
     distortion_model="plumb_bob",
-    distortion_coefficients=COEFFICIENTS,
+    distortion_coefficients=np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0]),
 )
+NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.18, 0.0, -0.17)])
+DISTANCES_M = np.array([-0.039, -0.070, -0.040])
+"""Of the light planes."""
+
 CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
 
 
-def projected_px(points: np.ndarray) -> np.ndarray:
-    """The pinhole with radial and tangential distortion, written out."""
+def projected_px(points: np.ndarray, camera: Camera = TRUE_CAMERA) -> np.ndarray:
+    """The pinhole with radial and tangential distortion of five or eight coefficients, written out."""
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    k1, k2, p1, p2, k3 = COEFFICIENTS
+    k1, k2, p1, p2, k3, *others = camera.distortion_coefficients
+    k4, k5, k6 = others or (0.0, 0.0, 0.0)
     r2 = x * x + y * y
-    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
     u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([MATRIX[0, 0] * u + MATRIX[0, 2], MATRIX[1, 1] * v + MATRIX[1, 2]], axis=1)
+    (fx, _, cx), (_, fy, cy), _ = camera.camera_matrix
+    return np.stack([fx * u + cx, fy * v + cy], axis=1)
 
 
 def rotation(vector: Sequence[float]) -> np.ndarray:
@@ -56,13 +57,13 @@ def true_poses(rng: np.random.Generator, number: int) -> list[tuple[np.ndarray, 
     return made
 
 
-def stripe_px(turn: np.ndarray, place: np.ndarray, laser: int, number: int = 200) -> np.ndarray:
+def stripe_px(turn: np.ndarray, place: np.ndarray, laser: int, camera: Camera = TRUE_CAMERA) -> np.ndarray:
     """Pixels of the line in which a light plane cuts the board, over the board's width."""
     along_x = NORMALS[laser] @ turn[:, 0]
     along_y = NORMALS[laser] @ turn[:, 1]
-    x = np.linspace(0.02, 0.28, number)
+    x = np.linspace(0.02, 0.28, 200)
     y = (DISTANCES_M[laser] - NORMALS[laser] @ place - along_x * x) / along_y
-    return projected_px(place + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1])
+    return projected_px(place + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1], camera)
 
 
 def board_view(
@@ -70,9 +71,10 @@ def board_view(
     pose: tuple[np.ndarray, np.ndarray],
     name: str = "view",
     noise_px: np.ndarray | float = 0.0,
+    camera: Camera = TRUE_CAMERA,
 ) -> BoardView:
     """The view of points on a board at a pose, with noise in pixels."""
-    pixels = projected_px(points_m @ pose[0].T + pose[1]) + noise_px
+    pixels = projected_px(points_m @ pose[0].T + pose[1], camera) + noise_px
     return BoardView(name=name, ids=np.arange(len(points_m)), points_board_m=points_m, points_px=pixels)
 
 
@@ -81,14 +83,15 @@ def stripe_views(
     rng: np.random.Generator,
     corner_px: float = 0.0,
     center_px: float = 0.0,
+    camera: Camera = TRUE_CAMERA,
 ) -> list[StripeView]:
     """Views of the four-marker board with three stripes, with noise of corners and stripes in pixels."""
     made = []
     for index, pose in enumerate(board_poses):
-        board = board_view(corner_points(FOUR), pose, f"v{index}", corner_px * rng.standard_normal((16, 2)))
+        board = board_view(corner_points(FOUR), pose, f"v{index}", corner_px * rng.standard_normal((16, 2)), camera)
         stripes = []
         for laser in range(3):
-            stripe = stripe_px(*pose, laser)
+            stripe = stripe_px(*pose, laser, camera)
             stripes.append(stripe + center_px * rng.standard_normal((len(stripe), 1)) * [[0.0, 1.0]])
         made.append(StripeView(board=board, stripes_px=tuple(stripes)))
     return made
@@ -101,3 +104,14 @@ def chessboard_views(rng: np.random.Generator, number: int, noise_px: float = 0.
         board_view(points, pose, f"v{index}", noise_px * rng.standard_normal((len(points), 2)))
         for index, pose in enumerate(true_poses(rng, number))
     ]
+
+
+def plane_errors(
+    found: PlanesCalibration, normals: np.ndarray = NORMALS, distances_m: np.ndarray = DISTANCES_M
+) -> np.ndarray:
+    """Tilts and distance of each true plane as seen from the estimate."""
+    errors: list[float] = []
+    for laser, normal, distance_m in zip(found.lasers, normals, distances_m, strict=True):
+        along = normal @ laser.normal
+        errors += [*(tilt_basis(laser.normal) @ normal / along), distance_m * np.sign(along) - laser.distance_m]
+    return np.array(errors)

@@ -20,7 +20,7 @@ COMMANDS = {
     "capture": "capture",
     "calibrate-camera": "calibrate.camera",
     "calibrate-planes": "calibrate.planes",
-    "convert-camera": "convert_camera",
+    "convert-camera": "calibrate.convert_camera",
     "detect": "detect",
     "pose": "pose",
     "track": "track",

@@ -72,10 +72,10 @@ class ConsolePage:
         host: str,
         port: int,
         width: int,
+        load: Callable[[bytes, str], Trajectory],
+        load_rig: Callable[[bytes, str], Rig],
         record: Callable[[ConsolePicture], None] | None = None,
         save: Callable[[ConsoleState], str] | None = None,
-        load: Callable[[bytes, str], Trajectory] | None = None,
-        load_rig: Callable[[bytes, str], Rig] | None = None,
     ) -> None:
         self._scene, self._width = scene, width
         self._views = tuple(view for view in ring_views(scene) if view.target == "ring" and not view.begin_s)
@@ -171,11 +171,10 @@ class ConsolePage:
             self._speed: Any = gui.add_dropdown("speed", [*SPEEDS, IN_STEP], initial_value="1")
             self._time: Any = gui.add_slider("time (s)", 0.0, END_S, 0.01, 0.0)
             self._step = gui.add_button(f"step {STEP_S:g} s")
-            if self._load is not None:
-                loading: Any = gui.add_upload_button("load trajectory", mime_type="application/json,.jsonl")
-                loading.on_upload(lambda _: self._load_trajectory(loading.value))
-                self._loaded = gui.add_markdown("")
-                gui.add_button("leave trajectory").on_click(lambda _: self._follow(None, ""))
+            loading: Any = gui.add_upload_button("load trajectory", mime_type="application/json,.jsonl")
+            loading.on_upload(lambda _: self._load_trajectory(loading.value))
+            self._loaded = gui.add_markdown("")
+            gui.add_button("leave trajectory").on_click(lambda _: self._follow(None, ""))
         if self._record is not None:
             self._recording = gui.add_checkbox("record shots with their truth", False)
             self._recorded = gui.add_markdown("")
@@ -194,10 +193,9 @@ class ConsolePage:
             self._pitch = gui.add_slider("pixel pitch (%)", 50.0, 200.0, 1.0, 100.0)
             self._auto = gui.add_checkbox("exposure by the scene", True)
             self._exposure = gui.add_slider("exposure (ms)", 0.05, 50.0, 0.05, 5.0)
-            if self._load_rig is not None:
-                picking: Any = gui.add_upload_button("rig file", mime_type=".yaml,.yml")
-                picking.on_upload(lambda _: self._pick_rig(picking.value))
-                self._picked = gui.add_markdown("")
+            picking: Any = gui.add_upload_button("rig file", mime_type=".yaml,.yml")
+            picking.on_upload(lambda _: self._pick_rig(picking.value))
+            self._picked = gui.add_markdown("")
         with gui.add_folder("Lasers"):
             self._on = [gui.add_checkbox(f"laser {name}", True) for name in lasers]
             steps = written_sequence(steps_of(self._state.masks, len(lasers)))
@@ -296,7 +294,6 @@ class ConsolePage:
         self._change()
 
     def _load_trajectory(self, uploaded: Any) -> None:
-        assert self._load is not None
         try:
             trajectory = self._load(uploaded.content, uploaded.name)
         except RingposeError as problem:
@@ -315,7 +312,6 @@ class ConsolePage:
 
     def _pick_rig(self, uploaded: Any) -> None:
         """Take over camera and lasers of a rig file."""
-        assert self._load_rig is not None
         try:
             rig = self._load_rig(uploaded.content, uploaded.name)
             if rig.lasers.names != self._scene.rig.lasers.names:

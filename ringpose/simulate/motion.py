@@ -152,7 +152,7 @@ def moving_views(
     """
     paths = _paths(placements, motion, float(times_s[-1]) + duration_s)
     return tuple(
-        _moved(view, path, time_s, face_m, f"{view.name}_{number:04d}" if len(times_s) > 1 else view.name)
+        moved_view(view, path, time_s, face_m, f"{view.name}_{number:04d}" if len(times_s) > 1 else view.name)
         for view, path in zip(views, paths, strict=True)
         for number, time_s in enumerate(times_s.tolist())
     )
@@ -170,7 +170,8 @@ def _paths(
     return [FreePath(motion, attitude, *placement, camera) for placement in placements]
 
 
-def _moved(view: RingView, path: TargetPath, time_s: float, face_m: Float64[Array, "xyz=3"], name: str) -> RingView:
+def moved_view(view: RingView, path: TargetPath, time_s: float, face_m: Float64[Array, "xyz=3"], name: str) -> RingView:
+    """The view of a target that has moved along a path until a time; `face_m` is its face's centre in its frame."""
     rotation, translation_m = path.camera_from_target(time_s)
     center_m = rotation @ face_m + translation_m
     return replace(view, name=name, center_m=center_m, normal=rotation[:, 2], path=path, begin_s=time_s)

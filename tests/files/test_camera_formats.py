@@ -225,21 +225,26 @@ def test_damaged_mat_files_give_one_line(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
+def rejected_when_damaged(path, trials: int, changes: int, shortest: int, first: int = 0) -> int:
+    """How many of the randomly damaged copies of a file are rejected; the others are read."""
+    whole, damage, rejected = path.read_bytes(), random.Random(7), 0
+    for _ in range(trials):
+        content = bytearray(whole[: damage.randrange(shortest, len(whole) + 200)])
+        for _ in range(changes):
+            content[damage.randrange(first, len(content))] = damage.randrange(256)
+        path.write_bytes(content)
+        try:
+            read_camera(path)
+        except DataError:
+            rejected += 1
+    return rejected
+
+
 @pytest.mark.slow
 def test_a_mat_file_with_random_damage_is_read_or_rejected(tmp_path):
-    whole = written(tmp_path, "matlab", "c.mat").read_bytes()
-    damage, refused = random.Random(7), 0
-    for _ in range(20):
-        content = bytearray(whole[: damage.randrange(200, len(whole) + 200)])
-        for _ in range(3):
-            content[damage.randrange(126, len(content))] = damage.randrange(256)
-        (tmp_path / "d.mat").write_bytes(content)
-        try:
-            read_camera(tmp_path / "d.mat")
-        except DataError:
-            refused += 1
+    path = written(tmp_path, "matlab", "c.mat")
 
-    assert refused > 5
+    assert rejected_when_damaged(path, trials=20, changes=3, shortest=200, first=126) > 5
 
 
 def test_a_mat_file_of_version_7_3_is_rejected_with_a_remedy(tmp_path):
@@ -315,19 +320,9 @@ def test_storage_of_another_camera_is_rejected(tmp_path, name, coefficients, num
 
 @pytest.mark.parametrize("name", STORAGES)
 def test_a_damaged_storage_is_read_or_rejected(tmp_path, name):
-    whole = stored(tmp_path / name, PLUMB_BOB).read_bytes()
-    damage, refused = random.Random(7), 0
-    for _ in range(25):
-        content = bytearray(whole[: damage.randrange(20, len(whole) + 200)])
-        for _ in range(2):
-            content[damage.randrange(len(content))] = damage.randrange(256)
-        (tmp_path / name).write_bytes(content)
-        try:
-            read_camera(tmp_path / name)
-        except DataError:
-            refused += 1
+    path = stored(tmp_path / name, PLUMB_BOB)
 
-    assert refused > 12
+    assert rejected_when_damaged(path, trials=25, changes=2, shortest=20) > 12
 
 
 NESTED = ("%YAML:1.0\n---\na: " + "[" * 99_999, "<?xml version='1.0'?>" + "<a>" * 99_999)

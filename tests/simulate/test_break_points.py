@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_views import projected_px
 from scipy.optimize import brentq
 
 from ringpose.files.records.truths import read_truths
@@ -13,18 +14,6 @@ from ringpose.types.target import Gap, RingForm, RingShape
 
 def truth_of(scene, view):
     return view_truth(scene, view, illuminated_ring(scene, view))
-
-
-def pixel_of(point, camera):
-    """Projection by the pinhole and plumb_bob models, from their formulas."""
-    x, y = point[0] / point[2], point[1] / point[2]
-    k1, k2, p1, p2, k3 = camera.distortion_coefficients
-    r2 = x * x + y * y
-    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    distorted_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    distorted_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    matrix = camera.camera_matrix
-    return np.array([matrix[0, 0] * distorted_x + matrix[0, 2], matrix[1, 1] * distorted_y + matrix[1, 2]])
 
 
 def point_where_circle_meets_plane(view, radius_m, normal, distance_m):
@@ -51,7 +40,7 @@ def test_break_points_lie_on_circle_and_light_plane(scene, view, laser, edge):
     truth = truth_of(scene, view)
 
     assert truth.expect == "pose"
-    error_px = np.linalg.norm(truth.break_points_px[laser, edge] - pixel_of(point, scene.rig.camera))
+    error_px = np.linalg.norm(truth.break_points_px[laser, edge] - projected_px(point[None], scene.rig.camera)[0])
     assert error_px < 1e-9
 
 
@@ -131,7 +120,7 @@ def test_break_points_of_a_deformed_ring_lie_on_its_edge_and_the_light_plane(sce
     for laser in range(3):
         normal, distance_m = planes.normal[laser], planes.distance_m[laser]
         angle = brentq(lambda a, n=normal, d=distance_m: n @ point(a) - d, -0.6, 0.6, xtol=1e-15)
-        expected_px = pixel_of(point(angle), scene.rig.camera)
+        expected_px = projected_px(point(angle)[None], scene.rig.camera)[0]
         np.testing.assert_allclose(truth.break_points_px[laser, edge], expected_px, atol=1e-9)
     assert np.abs(truth.break_points_px - ideal.break_points_px).max() > 0.05
 

@@ -15,13 +15,18 @@ def rendered(scene, view):
     return layers(illuminated_ring(scene, view), pixel_rays(scene.rig.camera))
 
 
-def stripe_pixels(scene, view, laser):
-    """Pixels of the stripe's centre line on the face: projections of dense points of face and light plane."""
+def line_on_face(scene, view, laser):
+    """A point and the direction of the line in which a light plane meets the plane of the face."""
     normal, distance_m = scene.rig.lasers.normal[laser], scene.rig.lasers.distance_m[laser]
     along = np.cross(view.normal, normal)
     start = np.linalg.solve(np.stack([view.normal, normal, along]), [view.normal @ view.center_m, distance_m, 0.0])
-    line = start + np.linspace(-0.6, 0.6, 40001)[:, None] * along / np.linalg.norm(along)
-    pixels = project(line, scene.rig.camera)
+    return start, along / np.linalg.norm(along)
+
+
+def stripe_pixels(scene, view, laser):
+    """Pixels of the stripe's centre line on the face: projections of dense points of face and light plane."""
+    start, along = line_on_face(scene, view, laser)
+    pixels = project(start + np.linspace(-0.6, 0.6, 40001)[:, None] * along, scene.rig.camera)
     kept = pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 0] > -50) & (pixels[:, 0] < 400)]
     return kept[np.argsort(kept[:, 0])]
 
@@ -80,10 +85,7 @@ def test_the_stripe_on_the_face_ends_at_the_break_points(clean_scene, view, shif
 
 
 def stripe_edge(scene, view, radius_m):
-    normal, distance_m = scene.rig.lasers.normal[1], scene.rig.lasers.distance_m[1]
-    along = np.cross(view.normal, normal)
-    start = np.linalg.solve(np.stack([view.normal, normal, along]), [view.normal @ view.center_m, distance_m, 0.0])
-    along /= np.linalg.norm(along)
+    start, along = line_on_face(scene, view, 1)
     off = start - view.center_m
     half = np.sqrt((off @ along) ** 2 - off @ off + radius_m**2)
     ends = [start + (sign * half - off @ along) * along for sign in (-1, 1)]

@@ -13,6 +13,7 @@ import numpy as np
 from ringpose.bench.score import PoseEstimate
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.simulate.motion import moved_view
 from ringpose.simulate.placement import ring_rotation
 from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
@@ -55,8 +56,12 @@ def with_run(scene: Scene, run: ShotRun, prior: MotionPrior | None, rng: np.rand
     if run.shots == 1 and prior is None:
         return scene
     path = None if prior is None else _drawn_path(scene, view, prior, rng)
-    begins_s = run.period_s * np.arange(1 - run.shots, 1)
-    views = (_view_at(view, path, float(begin_s), number) for number, begin_s in enumerate(begins_s[:-1]))
+    names = [f"{view.name}_{number:04d}" for number in range(run.shots - 1)]
+    begins_s = run.period_s * np.arange(1 - run.shots, 0)
+    views = (
+        replace(view, name=name) if path is None else moved_view(view, path, float(begin_s), path.face_m, name)
+        for name, begin_s in zip(names, begins_s, strict=True)
+    )
     last = view if path is None else replace(view, path=path)
     return replace(scene, views=(*views, last), shots=run.shots, period_s=run.period_s)
 
@@ -70,16 +75,6 @@ def _drawn_path(scene: Scene, view: RingView, prior: MotionPrior, rng: np.random
         velocity_m_s=prior.speed_sd_m_s * unit[:3],
         angular_velocity_rad_s=prior.rate_sd_rad_s * unit[3:] @ tilt_basis(view.normal),
     )
-
-
-def _view_at(view: RingView, path: SteadyPath | None, begin_s: float, number: int) -> RingView:
-    """The view of an earlier shot."""
-    named = replace(view, name=f"{view.name}_{number:04d}")
-    if path is None:
-        return named
-    rotation, translation_m = path.camera_from_target(begin_s)
-    center_m = rotation @ path.face_m + translation_m
-    return replace(named, center_m=center_m, normal=rotation[:, 2], path=path, begin_s=begin_s)
 
 
 def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> tuple[PoseEstimate, str | None]:

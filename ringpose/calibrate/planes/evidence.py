@@ -161,28 +161,20 @@ def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> Stripe
         return evidence
     if order is not None:
         return replace(evidence, views=tuple(labelled_by_order(view, order) for view in evidence.views))
-    planes = _preliminary_planes(evidence)
-    labelled = [
-        labelled_by_planes(view, [triangulated(px, pose, evidence.camera) for px in view.unlabelled_px], planes)
-        for view, pose in zip(evidence.views, evidence.poses, strict=True)
-    ]
-    return replace(evidence, views=tuple(labelled))
-
-
-def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
-    """The planes through the labelled stripes; DataError if a laser has too few."""
     planes = []
-    for laser, name in enumerate(evidence.names):
-        points = np.concatenate(evidence.points(laser))
-        normal, distance_m, weights = robust_plane(points) if len(points) else (np.zeros(3), 0.0, np.zeros(0))
-        if not len(points) or condition(points, weights) > MAX_CONDITION:
+    for name, plane in zip(evidence.names, _planes_of(evidence, range(len(evidence.views))), strict=True):
+        if plane is None:
             raise DataError(
                 f'laser "{name}"',
                 "its stripe is not identified: too few shots have a frame with it alone on",
                 "capture with --sequence off,1,2,3, or give --laser-order",
             )
-        planes.append((normal, distance_m))
-    return planes
+        planes.append(plane)
+    labelled = [
+        labelled_by_planes(view, [triangulated(px, pose, evidence.camera) for px in view.unlabelled_px], planes)
+        for view, pose in zip(evidence.views, evidence.poses, strict=True)
+    ]
+    return replace(evidence, views=tuple(labelled))
 
 
 def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) -> StripeEvidence:
@@ -202,12 +194,13 @@ def _planes_of(evidence: StripeEvidence, chosen: Sequence[int]) -> list[Plane | 
     """Each laser's plane by some of the views; None if they do not determine it."""
     planes: list[Plane | None] = []
     for laser in range(len(evidence.names)):
-        points = evidence.points(laser)
-        every = np.concatenate([points[index] for index in chosen])
-        if len(every) < 3 or condition(every, np.ones(len(every))) > MAX_CONDITION:
+        by_view = evidence.points(laser)
+        points = np.concatenate([by_view[index] for index in chosen])
+        if len(points) < 3:
             planes.append(None)
-        else:
-            planes.append(robust_plane(every)[:2])
+            continue
+        normal, distance_m, weights = robust_plane(points)
+        planes.append((normal, distance_m) if condition(points, weights) <= MAX_CONDITION else None)
     return planes
 
 

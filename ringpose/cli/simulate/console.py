@@ -57,7 +57,7 @@ def console(
         return str(path)
 
     on_record, on_save = (None, None) if folder is None else (record, save)
-    with ConsolePage(read, "127.0.0.1", port, width, on_record, on_save, trajectory_in, rig_in) as page:
+    with ConsolePage(read, "127.0.0.1", port, width, trajectory_in, rig_in, on_record, on_save) as page:
         records.write({"page": f"http://127.0.0.1:{page.port}"})
         page.serve()
 

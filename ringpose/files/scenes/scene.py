@@ -20,6 +20,7 @@ from ringpose.files.scenes.targets import (
     numbers_of,
     positive_m,
     read_material,
+    read_profile,
     read_target,
     with_details,
 )
@@ -163,12 +164,11 @@ def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
         if inner >= outer:
             raise fields.problem("radius_inner_m", f"is {inner:g}, must be smaller than radius_outer_m")
         return np.array([[inner, 0.0], [inner, height], [outer, height], [outer, 0.0]])
-    profile_m = fields.array("profile_m", (None, 2))
+    profile_m = read_profile(fields)
     fields.check_metres("profile_m", profile_m.ravel())
-    pieces = np.diff(profile_m, axis=0)
-    if (profile_m < 0).any() or (np.abs(pieces).max(axis=1) == 0).any():
-        raise fields.problem("profile_m", "has a negative number or a point twice")
-    if not (pieces[:, 1] == 0).any():
+    if (profile_m[:, 1] < 0).any():
+        raise fields.problem("profile_m", "has a negative height")
+    if not (np.diff(profile_m[:, 1]) == 0).any():
         raise fields.problem("profile_m", "has no flat piece", "the ring's face needs two points at one height")
     return profile_m
 

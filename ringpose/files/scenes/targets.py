@@ -1,7 +1,7 @@
 """The target of a scene: the key `target`, its parts, and the models in the package."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from dataclasses import fields as record_fields
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -17,8 +17,6 @@ from ringpose.types.target import MATERIALS, Box, Foil, Gap, Grid, Material, Par
 
 MODELS = Path(ringpose.__file__).parent / "simulate" / "target" / "models"
 """The models in the package, `NAME.yaml`."""
-
-MODEL_SCHEMA = "target/1"
 
 TARGET_KEYS = ("model", "state", "mass", "parts")
 
@@ -198,8 +196,6 @@ def _ring_of_part(part: Fields, mass: str | None) -> RingShape:
 
 def with_details(fields: Fields, ring: RingShape) -> RingShape:
     """The ring with the gaps, the form and the chamfer in a mapping."""
-    from dataclasses import replace
-
     if fields.has("gaps"):
         ring = replace(
             ring, gaps=tuple(_gap(gap, ring) for gap in fields.each("gaps", ("angle_rad", "width_m", "depth_m")))
@@ -241,8 +237,6 @@ def _form(form: Fields) -> RingForm:
 
 def _chamfered(fields: Fields, ring: RingShape) -> RingShape:
     """Both edges of the face cut at equal distances from them along face and wall."""
-    from dataclasses import replace
-
     chamfer_m, piece = _length(fields, "chamfer_m"), ring.face_piece
     points = ring.profile_m
     if piece == 0 or piece + 2 >= len(points):

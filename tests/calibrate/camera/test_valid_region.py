@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from known_views import projected_px
 
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import camera_assessment
@@ -28,15 +29,6 @@ CAMERA = Camera(
 )
 
 
-def rational_px(points: np.ndarray) -> np.ndarray:
-    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    r2 = x * x + y * y
-    radial = (1 + 0.9 * r2 + 0.15 * r2**2 + 0.01 * r2**3) / (1 + 1.3 * r2 + 0.4 * r2**2 + 0.05 * r2**3)
-    u = x * radial + 2 * 0.0004 * x * y - 0.0003 * (r2 + 2 * x * x)
-    v = y * radial + 0.0004 * (r2 + 2 * y * y) - 2 * 0.0003 * x * y
-    return np.stack([600.0 * u + 402.3, 599.5 * v + 297.6], axis=1)
-
-
 @pytest.fixture
 def middle_views(rng):
     """Makes views of boards in the middle of the image, with noise."""
@@ -47,7 +39,7 @@ def middle_views(rng):
             turn = np.asarray(cv2.Rodrigues(rng.uniform([-0.5, -0.5, -0.3], [0.5, 0.5, 0.3]))[0])
             depth_m = rng.uniform(0.3, 0.5)
             place = np.array([*rng.uniform(-0.15, 0.15, 2) * depth_m, depth_m])
-            points_px = rational_px((POINTS_M - POINTS_M.mean(axis=0)) @ turn.T + place)
+            points_px = projected_px((POINTS_M - POINTS_M.mean(axis=0)) @ turn.T + place, CAMERA)
             seen = ((points_px > 2) & (points_px < [797, 597])).all(axis=1)
             noisy = points_px[seen] + NOISE_PX * rng.standard_normal((int(seen.sum()), 2))
             made.append(

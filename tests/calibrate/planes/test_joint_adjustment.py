@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_views import TRUE_CAMERA, stripe_views
+from known_views import TRUE_CAMERA, projected_px, stripe_views
 
 from ringpose.calibrate.planes.joint_adjustment import joint_data
 
@@ -12,12 +12,8 @@ NOISE_PX = 0.03
 
 
 def distorted_px(straight_px: np.ndarray, camera) -> np.ndarray:
-    """Radial distortion, written out."""
-    focal, principal = camera.camera_matrix[[0, 1], [0, 1]], camera.camera_matrix[:2, 2]
-    x = (straight_px - principal) / focal
-    r2 = np.sum(x**2, axis=1, keepdims=True)
-    k1, k2, _, _, k3 = camera.distortion_coefficients
-    return x * (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) * focal + principal
+    rays = np.column_stack([straight_px, np.ones(len(straight_px))]) @ np.linalg.inv(camera.camera_matrix).T
+    return projected_px(rays, camera)
 
 
 @pytest.fixture

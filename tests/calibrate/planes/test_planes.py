@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_views import DISTANCES_M, NORMALS, TRUE_CAMERA, stripe_views, true_poses
+from known_views import TRUE_CAMERA, plane_errors, stripe_views, true_poses
 from scipy.stats import chi2
 
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.errors import DataError
-from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import ParameterCovariance
 
@@ -20,21 +19,12 @@ SEPARATE = replace(MODEL, method=PlanesMethod.TOTAL_LEAST_SQUARES)
 NOTHING = np.empty((0, 2))
 
 
-def errors(found) -> np.ndarray:
-    """Tilts and distance of the true planes as seen from the estimate, nine numbers."""
-    parts = []
-    for laser, normal, distance_m in zip(found.lasers, NORMALS, DISTANCES_M, strict=True):
-        along = normal @ laser.normal
-        parts += [*(tilt_basis(laser.normal) @ normal / along), distance_m * np.sign(along) - laser.distance_m]
-    return np.array(parts)
-
-
 @pytest.mark.parametrize("model", [MODEL, PAPER], ids=lambda model: model.method.value)
 @pytest.mark.parametrize("number", [3, 6])
 def test_exact_views_give_the_exact_planes(model, number, rng):
     found = calibrate_planes(stripe_views(true_poses(rng, number), rng), TRUE_CAMERA, model)
 
-    assert np.abs(errors(found)).max() < 1e-5
+    assert np.abs(plane_errors(found)).max() < 1e-5
     assert max(laser.rms_m for laser in found.lasers) < 1e-7
 
 
@@ -43,7 +33,7 @@ def test_two_parallel_boards_at_two_depths_suffice(rng):
 
     found = calibrate_planes(stripe_views(facing, rng), TRUE_CAMERA, MODEL)
 
-    assert np.abs(errors(found)).max() < 1e-5
+    assert np.abs(plane_errors(found)).max() < 1e-5
 
 
 def test_views_on_one_line_are_rejected_with_the_views_to_add(rng):
@@ -105,7 +95,7 @@ def test_a_stripe_beside_its_plane_is_left_out_by_name(rng):
     found = calibrate_planes(views, TRUE_CAMERA, MODEL)
 
     assert [(name, reason[:23]) for name, reason in found.remarks] == [("v2", "stripe of left left out")]
-    assert np.abs(errors(found)).max() < 1e-3
+    assert np.abs(plane_errors(found)).max() < 1e-3
 
 
 def unlabelled(view, order):
@@ -119,7 +109,7 @@ def test_stripes_seen_together_are_assigned_by_the_planes_of_the_other_views(rng
     found = calibrate_planes(mixed, TRUE_CAMERA, MODEL)
 
     assert [len(laser.views) for laser in found.lasers] == [6, 6, 6]
-    assert np.abs(errors(found)).max() < 1e-3
+    assert np.abs(plane_errors(found)).max() < 1e-3
 
 
 def test_stripes_seen_together_are_labelled_by_their_order(rng):
@@ -128,7 +118,7 @@ def test_stripes_seen_together_are_labelled_by_their_order(rng):
     with pytest.raises(DataError, match="--laser-order"):
         calibrate_planes(together, TRUE_CAMERA, MODEL)
     found = calibrate_planes(together, TRUE_CAMERA, replace(MODEL, order=(2, 1, 0)))
-    assert np.abs(errors(found)).max() < 1e-5
+    assert np.abs(plane_errors(found)).max() < 1e-5
 
 
 def test_held_out_error_is_unknown_with_two_views(rng):
@@ -164,7 +154,7 @@ def test_errors_of_calibrations_have_the_joint_covariance_that_is_reported(free_
         camera = wrong_camera(TRUE_CAMERA, wrong, camera_covariance)
         views = stripe_views(true_poses(rng, 7), rng, 0.05, 0.1)
         found = calibrate_planes(views, camera, replace(MODEL, free_camera=free_camera))
-        error = errors(found)
+        error = plane_errors(found)
         normalised.append(error @ np.linalg.solve(found.covariance.data[9:, 9:], error))
 
     low, high = chi2.ppf([0.025, 0.975], 9 * runs)
@@ -190,7 +180,7 @@ def test_a_free_camera_comes_nearer_to_the_truth(rng, camera_covariance):
     freed = calibrate_planes(views, camera, replace(MODEL, free_camera=True))
 
     assert np.abs(freed.camera.camera_matrix - TRUE_CAMERA.camera_matrix).max() < 0.7
-    assert np.abs(errors(freed)).max() < 0.5 * np.abs(errors(held)).max()
+    assert np.abs(plane_errors(freed)).max() < 0.5 * np.abs(plane_errors(held)).max()
 
 
 def test_stripes_correct_boards_with_a_wrong_corner(rng):
@@ -201,7 +191,7 @@ def test_stripes_correct_boards_with_a_wrong_corner(rng):
 
     joint, separate = (calibrate_planes(views, TRUE_CAMERA, model) for model in (MODEL, SEPARATE))
 
-    assert np.linalg.norm(errors(joint)) < 0.6 * np.linalg.norm(errors(separate))
+    assert np.linalg.norm(plane_errors(joint)) < 0.6 * np.linalg.norm(plane_errors(separate))
 
 
 def test_a_bent_board_widens_the_covariance(rng):

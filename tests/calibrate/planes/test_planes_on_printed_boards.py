@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 from drawn_boards import drawn_board
+from known_views import plane_errors
 from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
-from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board
 from ringpose.types.image import Shot
 from ringpose.types.rig import Camera
@@ -89,11 +89,7 @@ def board_stand(rng, width_m, height_m):
 
 
 def nees(found) -> float:
-    parts = []
-    for laser, normal, distance_m in zip(found.lasers, NORMALS, DISTANCES_M, strict=True):
-        along = normal @ laser.normal
-        parts += [*(tilt_basis(laser.normal) @ normal / along), distance_m / along - laser.distance_m]
-    error = np.array(parts)
+    error = plane_errors(found, NORMALS, DISTANCES_M)
     return float(error @ np.linalg.solve(found.covariance.data, error))
 
 

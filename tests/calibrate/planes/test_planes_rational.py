@@ -5,18 +5,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_boards import FOUR
-from known_views import DISTANCES_M, NORMALS, true_poses
+from known_views import plane_errors, projected_px, stripe_views, true_poses
 from scipy.stats import chi2
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import calibrated_rig
 from ringpose.files.rigs import read_rig, write_rig
-from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.board import BoardView
-from ringpose.types.calibration import StripeView
 from ringpose.types.rig import Camera, ParameterCovariance
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
@@ -36,38 +31,10 @@ PRIOR = ParameterCovariance(
 CORNER_PX, CENTER_PX = 0.02, 0.1
 
 
-def rational_px(points: np.ndarray) -> np.ndarray:
-    """The rational model, written out."""
-    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    k1, k2, p1, p2, k3, k4, k5, k6 = CAMERA.distortion_coefficients
-    r2 = x * x + y * y
-    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
-    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([1181.3 * u + 803.7, 1180.6 * v + 596.2], axis=1)
-
-
 @pytest.fixture
 def drawn_views(rng):
     """Makes views of boards that the three light planes cross, with noise."""
-    points_m = corner_points(FOUR)
-
-    def stripe_px(turn, place, normal, distance_m) -> np.ndarray:
-        x = np.linspace(0.02, 0.28, 120)
-        y = (distance_m - normal @ place - normal @ turn[:, 0] * x) / (normal @ turn[:, 1])
-        exact = rational_px(place + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1])
-        return exact + CENTER_PX * rng.standard_normal((len(x), 1)) * [[0.0, 1.0]]
-
-    def views(number: int) -> list[StripeView]:
-        made = []
-        for index, (turn, place) in enumerate(true_poses(rng, number)):
-            corners = rational_px(points_m @ turn.T + place) + CORNER_PX * rng.standard_normal((16, 2))
-            board = BoardView(name=f"v{index}", ids=np.arange(16), points_board_m=points_m, points_px=corners)
-            stripes = tuple(stripe_px(turn, place, *plane) for plane in zip(NORMALS, DISTANCES_M, strict=True))
-            made.append(StripeView(board=board, stripes_px=stripes))
-        return made
-
-    return views
+    return lambda number: stripe_views(true_poses(rng, number), rng, CORNER_PX, CENTER_PX, CAMERA)
 
 
 def given(rng) -> Camera:
@@ -78,12 +45,7 @@ def given(rng) -> Camera:
 
 def errors(found) -> np.ndarray:
     """Camera's parameters and planes' tilts and distances less the true ones."""
-    parts = [parameters_of(found.camera) - parameters_of(CAMERA)]
-    for laser, normal, distance_m in zip(found.lasers, NORMALS, DISTANCES_M, strict=True):
-        along = normal @ laser.normal
-        tilts = -tilt_basis(laser.normal) @ normal / along
-        parts.append(np.array([*tilts, laser.distance_m - distance_m * np.sign(along)]))
-    return np.concatenate(parts)
+    return np.append(parameters_of(found.camera) - parameters_of(CAMERA), -plane_errors(found))
 
 
 @pytest.mark.parametrize("free_camera", [False, True])
@@ -110,7 +72,7 @@ def test_true_points_of_a_rational_camera_are_those_of_opencv(rng):
         points, np.zeros(3), np.zeros(3), CAMERA.camera_matrix, CAMERA.distortion_coefficients
     )
 
-    np.testing.assert_allclose(rational_px(points), expected.reshape(-1, 2), atol=1e-9)
+    np.testing.assert_allclose(projected_px(points, CAMERA), expected.reshape(-1, 2), atol=1e-9)
 
 
 @pytest.mark.slow

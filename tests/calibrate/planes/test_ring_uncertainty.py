@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from known_views import TRUE_CAMERA
+from known_views import DISTANCES_M, NORMALS, TRUE_CAMERA
 
 from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m
 from ringpose.types.rig import LaserPlanes, ParameterCovariance
 
 NAMES = ("left", "middle", "right")
 RADII_M = np.array([0.567, 0.597])
-NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.18, 0.0, -0.17)])
-DISTANCES_M = np.array([-0.039, -0.070, -0.040])
 PLANES = tuple(f"{name}.{what}" for name in NAMES for what in ("tilt_1", "tilt_2", "distance"))
 SD = np.tile([1e-5, 3e-5, 1.5e-5], 3)
 DRAWS = 400
