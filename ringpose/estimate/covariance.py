@@ -5,8 +5,6 @@ Error propagation of ringpose-method(7), section 5, and the measurement in infor
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 from math import hypot, sqrt
 from typing import NamedTuple
 
@@ -24,7 +22,6 @@ from ringpose.geometry.ring import (
     RingArcs,
     center_wrt_step,
     edge_distances,
-    normal_and_center,
     public_wrt_rates,
     public_wrt_step,
 )
@@ -323,72 +320,3 @@ def _public_jacobian(estimate: Estimate) -> Float64[Array, "row parameter=7"]:
         public_wrt_step(estimate.arcs).T, estimate.residuals.jacobian.T
     ).T
     return jacobian
-
-
-def relinearized(measurement: RingMeasurement, point: LinearizationPoint) -> RingMeasurement:
-    """The measurement as one of increments about another ring nearby, so that shots can be combined.
-
-    With the old increments x = a + T x', R x - z becomes R T x' - (z - R a). Basis vectors are carried from one normal
-    to the other by the smallest rotation.
-    """
-    offset, jacobian = increments_between(measurement.linearized_at, point)
-    count = len(MEASURED_PARAMETERS)
-    columns = measurement.square_root.copy()
-    columns[:, -1] -= columns[:, :count] @ offset
-    columns[:, :count] = columns[:, :count] @ jacobian
-    return replace(measurement, linearized_at=point, square_root=np.asarray(np.linalg.qr(columns, mode="r")))
-
-
-def increments_between(
-    origin: LinearizationPoint, point: LinearizationPoint
-) -> tuple[Float64[Array, "parameter=12"], Float64[Array, "parameter=12 parameter=12"]]:
-    """The increments about `origin` at which the ring is `point`, and their derivatives by increments about `point`.
-
-    Angular velocities are those across the normal; their derivatives by the tilts are neglected.
-    """
-    basis, normal, center_m = tilt_basis(origin.normal), point.normal, point.center_m
-    cosine = float(origin.normal @ normal)
-    tilts = basis @ normal / cosine
-    # e(n) = e - (e . n) (n_0 + n) / (1 + n_0 . n): the basis after the smallest rotation from n_0 to n
-    both, share = origin.normal + normal, (basis @ normal) / (1.0 + cosine)
-    carried = basis - np.outer(share, both)
-    in_plane = carried @ center_m
-    offset = np.concatenate(
-        [
-            tilts,
-            [float(normal @ center_m - origin.normal @ origin.center_m)],
-            in_plane - basis @ origin.center_m,
-            [point.radius_inner_m - origin.radius_inner_m, point.radius_outer_m - origin.radius_outer_m],
-            point.velocity_m_s - origin.velocity_m_s,
-            carried @ point.rate_rad_s - basis @ origin.rate_rad_s,
-        ]
-    )
-    normal_wrt, center_wrt = normal_and_center(normal, center_m)
-    along, across = origin.normal @ normal_wrt, basis @ normal_wrt
-    jacobian = np.eye(len(MEASURED_PARAMETERS))
-    jacobian[:2, :5] = (across - np.outer(tilts, along)) / cosine
-    jacobian[2, :5] = center_m @ normal_wrt + normal @ center_wrt
-    jacobian[3:5, :5] = carried @ center_wrt - np.outer(share, center_m @ normal_wrt)
-    jacobian[3:5, :5] -= (across - np.outer(share, along)) * float(both @ center_m) / (1.0 + cosine)
-    jacobian[10:, 10:] = carried @ tilt_basis(normal).T
-    return offset, jacobian
-
-
-def solve_measurement(
-    measurements: Sequence[RingMeasurement],
-    prior_information: Float64[Array, "n n"],
-    prior_vector: Float64[Array, "n"],
-) -> tuple[Float64[Array, "n"], Float64[Array, "n n"]]:
-    """Increments of parameters and nuisance parameters, and their covariance, from measurements and a prior.
-
-    The measurements share linearisation point and nuisance parameters. Minimises
-    sum |R [dx; dq] - z|^2 / 2 + [dx; dq]^T Lambda [dx; dq] / 2 - lambda^T [dx; dq], Eq. (9.1).
-    """
-    information, vector = prior_information.copy(), prior_vector.copy()
-    for measurement in measurements:
-        matrix, target = measurement.square_root[:, :-1], measurement.square_root[:, -1]
-        information += matrix.T @ matrix
-        vector += matrix.T @ target
-    scale = 1.0 / np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
-    covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
-    return covariance @ vector, covariance

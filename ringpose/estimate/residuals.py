@@ -188,11 +188,6 @@ class Estimate:
         """Residuals of the visible edge points, less common errors, in standard deviations."""
         return self.remaining[self.residuals.stripe_rows : self.residuals.data_rows]
 
-    @property
-    def edge_weights(self) -> Float64[Array, "visible"]:
-        """1 for visible edge points that were used."""
-        return self.weights[self.residuals.stripe_rows : self.residuals.data_rows]
-
     @cached_property
     def joint_information(self) -> Float64[Array, "n n"]:
         """Information on the ring's step and the common errors, with their priors and the ridge."""
