@@ -99,8 +99,8 @@ class Search(NamedTuple):
     edges_named: bool
     for_pose: bool
     """Whether a pose follows, which needs all comparable explanations."""
-    max_left: float = DECISION_SIGMAS
-    """Length of the steps that are left at the end of each estimate, in standard deviations."""
+    tolerance_sigmas: float = DECISION_SIGMAS
+    """Estimated distance from the optimum at which each iteration ends."""
 
 
 class Solved(NamedTuple):
@@ -166,7 +166,7 @@ def explain(
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         return replace(best, estimate=estimate)
     # the shorter iteration had ended near a saddle point
-    return _decided(measured, prior, guess, search._replace(max_left=PRECISE_SIGMAS))
+    return _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
@@ -249,16 +249,16 @@ def _explained(
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     rig, edges_seen = search.rig, len(measured.edges.edge) > 0
-    estimate = estimate_ring(measured, rig, prior, guess=guess, max_left=search.max_left)
+    estimate = estimate_ring(measured, rig, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        max_left = PRECISE_SIGMAS if search.for_pose else search.max_left
-        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=max_left)
+        tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
+        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
         return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
     hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left)
+    solved = partial(_solved, everything=everything, rig=rig, tolerance_sigmas=search.tolerance_sigmas)
     tried: list[Solved] = []
     lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
@@ -281,9 +281,9 @@ def _explained(
     return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
-def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, max_left: float) -> Solved | None:
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, tolerance_sigmas: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
-    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, max_left=max_left)
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, tolerance_sigmas=tolerance_sigmas)
     if estimate is None:
         return None
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))

@@ -157,8 +157,8 @@ class Estimate:
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
-    left_sigmas: float
-    """About the length of the steps that were left at the end of the iteration, in standard deviations."""
+    distance_sigmas: float
+    """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
     @property
     def regularized(self) -> bool:
