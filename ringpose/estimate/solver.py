@@ -264,12 +264,14 @@ class _Steps:
         """
         sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
         # after a long step, or one that was extrapolated, a step is shorter than the next ones show
-        ratio = max(sigmas / last_sigmas, self._ratio, MIN_RATIO) if isfinite(last_sigmas) else 1.0
-        self.sigmas, self.distance_sigmas = sigmas, sigmas * min(ratio, 1.0)
+        shrinkage = sigmas / max(last_sigmas, np.finfo(float).tiny) if isfinite(last_sigmas) else 1.0
+        self.sigmas, self.distance_sigmas = sigmas, sigmas * min(max(shrinkage, self._ratio, MIN_RATIO), 1.0)
         last, self._last, self._ratio = self._last, step, 0.0
-        if last is None or not extrapolate or sigmas > MAX_EXTRAPOLATED * last_sigmas:
+        if last is None or not extrapolate or not 0.0 < sigmas < MAX_EXTRAPOLATED * last_sigmas:
             return 1.0
-        ratio = float(last @ normal_matrix @ step) / last_sigmas**2
+        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, np.finfo(float).tiny)
+        if not abs(ratio) < MAX_EXTRAPOLATED:
+            return 1.0
         self._last, self._ratio = None, abs(ratio)
         return 1.0 / (1.0 - ratio)
 
