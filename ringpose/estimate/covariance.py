@@ -201,6 +201,40 @@ def difference_from(
     return difference
 
 
+DIFFERS = 4.0
+"""Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
+
+
+def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
+    """In which quantities two explanations differ by more than the errors of the best one."""
+    found, other = quantities(best), quantities(rival)
+    covariance = joint_covariance(best, found)
+    difference = difference_from(rival, other, best, found)
+    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
+    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
+    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
+    across = np.array([best.arcs.normal, found.outward])
+    tested = {
+        "center": (difference[CENTER], covariance[CENTER, CENTER]),
+        "normal": (difference[TILTS], covariance[TILTS, TILTS]),
+        "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
+        "radius": (difference[RADII], covariance[RADII, RADII]),
+    }
+    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
+    if velocity is not None and of_rival is not None:
+        change = of_rival.center_m_s - velocity.center_m_s
+        tested["velocity"] = (change, velocity.covariance[:3, :3])
+    return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
+
+
+def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
+    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
+    if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
+        return False
+    squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    return squared <= DIFFERS * len(difference)
+
+
 def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate) -> float:
     """Second-order shift of the centre towards the band when the ring tilts or turns by a standard deviation.
 

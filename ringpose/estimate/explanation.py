@@ -16,16 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.covariance import (
-    CENTER,
-    GRASP,
-    RADII,
-    TILTS,
-    difference_from,
-    joint_covariance,
-    quantities,
-    ring_velocity,
-)
+from ringpose.estimate.covariance import differing_quantities
 from ringpose.estimate.hypotheses import (
     RADIUS_REMARK,
     Hypothesis,
@@ -44,8 +35,7 @@ from ringpose.estimate.solver import (
     estimate_ring,
     precise_ring,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, edge_distances
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.rig import Rig
@@ -86,9 +76,6 @@ those of the fit to all measurements: 150 drawn shots without outliers have at m
 
 COINCIDENCE = 3.0
 """Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
-
-DIFFERS = 4.0
-"""Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
 
 
 class Search(NamedTuple):
@@ -335,36 +322,6 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
         competing=tuple(each.estimate for each in rivals),
         everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
     )
-
-
-def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
-    """In which quantities two explanations differ by more than the errors of the best one."""
-    found, other = quantities(best), quantities(rival)
-    covariance = joint_covariance(best, found)
-    difference = difference_from(rival, other, best, found)
-    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
-    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
-    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
-    across = np.array([best.arcs.normal, found.outward])
-    tested = {
-        "center": (difference[CENTER], covariance[CENTER, CENTER]),
-        "normal": (difference[TILTS], covariance[TILTS, TILTS]),
-        "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
-        "radius": (difference[RADII], covariance[RADII, RADII]),
-    }
-    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
-    if velocity is not None and of_rival is not None:
-        change = of_rival.center_m_s - velocity.center_m_s
-        tested["velocity"] = (change, velocity.covariance[:3, :3])
-    return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
-
-
-def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
-    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
-    if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
-        return False
-    squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-    return squared <= DIFFERS * len(difference)
 
 
 def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
