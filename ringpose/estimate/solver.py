@@ -378,7 +378,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
     """
     measured, view = observations.measured, observations.view
-    motion = prior.assumptions.motion if observations.moving else None
+    motion = prior.assumptions.motion if measured.moving else None
     sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
     stripes, points, edges = predicted_view(arcs, view, rates if len(sds) else None)
     ends, samples = view.ends, len(view.rays)
