@@ -342,7 +342,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser):
         return None
-    estimate = estimate_ring(measured, rig, Prior(), max_left=DECISION_SIGMAS)
+    estimate = estimate_ring(measured, rig, Prior(), tolerance_sigmas=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
     return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))

@@ -5,8 +5,6 @@ Error propagation of ringpose-method(7), section 5, and the measurement in infor
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 from math import hypot, sqrt
 from typing import NamedTuple
 
@@ -24,7 +22,6 @@ from ringpose.geometry.ring import (
     RingArcs,
     center_wrt_step,
     edge_distances,
-    normal_and_center,
     public_wrt_rates,
     public_wrt_step,
 )
@@ -204,6 +201,40 @@ def difference_from(
     return difference
 
 
+DIFFERS = 4.0
+"""Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
+
+
+def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
+    """In which quantities two explanations differ by more than the errors of the best one."""
+    found, other = quantities(best), quantities(rival)
+    covariance = joint_covariance(best, found)
+    difference = difference_from(rival, other, best, found)
+    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
+    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
+    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
+    across = np.array([best.arcs.normal, found.outward])
+    tested = {
+        "center": (difference[CENTER], covariance[CENTER, CENTER]),
+        "normal": (difference[TILTS], covariance[TILTS, TILTS]),
+        "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
+        "radius": (difference[RADII], covariance[RADII, RADII]),
+    }
+    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
+    if velocity is not None and of_rival is not None:
+        change = of_rival.center_m_s - velocity.center_m_s
+        tested["velocity"] = (change, velocity.covariance[:3, :3])
+    return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
+
+
+def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
+    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
+    if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
+        return False
+    squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    return squared <= DIFFERS * len(difference)
+
+
 def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate) -> float:
     """Second-order shift of the centre towards the band when the ring tilts or turns by a standard deviation.
 
@@ -323,72 +354,3 @@ def _public_jacobian(estimate: Estimate) -> Float64[Array, "row parameter=7"]:
         public_wrt_step(estimate.arcs).T, estimate.residuals.jacobian.T
     ).T
     return jacobian
-
-
-def relinearized(measurement: RingMeasurement, point: LinearizationPoint) -> RingMeasurement:
-    """The measurement as one of increments about another ring nearby, so that shots can be combined.
-
-    With the old increments x = a + T x', R x - z becomes R T x' - (z - R a). Basis vectors are carried from one normal
-    to the other by the smallest rotation.
-    """
-    offset, jacobian = increments_between(measurement.linearized_at, point)
-    count = len(MEASURED_PARAMETERS)
-    columns = measurement.square_root.copy()
-    columns[:, -1] -= columns[:, :count] @ offset
-    columns[:, :count] = columns[:, :count] @ jacobian
-    return replace(measurement, linearized_at=point, square_root=np.asarray(np.linalg.qr(columns, mode="r")))
-
-
-def increments_between(
-    origin: LinearizationPoint, point: LinearizationPoint
-) -> tuple[Float64[Array, "parameter=12"], Float64[Array, "parameter=12 parameter=12"]]:
-    """The increments about `origin` at which the ring is `point`, and their derivatives by increments about `point`.
-
-    Angular velocities are those across the normal; their derivatives by the tilts are neglected.
-    """
-    basis, normal, center_m = tilt_basis(origin.normal), point.normal, point.center_m
-    cosine = float(origin.normal @ normal)
-    tilts = basis @ normal / cosine
-    # e(n) = e - (e . n) (n_0 + n) / (1 + n_0 . n): the basis after the smallest rotation from n_0 to n
-    both, share = origin.normal + normal, (basis @ normal) / (1.0 + cosine)
-    carried = basis - np.outer(share, both)
-    in_plane = carried @ center_m
-    offset = np.concatenate(
-        [
-            tilts,
-            [float(normal @ center_m - origin.normal @ origin.center_m)],
-            in_plane - basis @ origin.center_m,
-            [point.radius_inner_m - origin.radius_inner_m, point.radius_outer_m - origin.radius_outer_m],
-            point.velocity_m_s - origin.velocity_m_s,
-            carried @ point.rate_rad_s - basis @ origin.rate_rad_s,
-        ]
-    )
-    normal_wrt, center_wrt = normal_and_center(normal, center_m)
-    along, across = origin.normal @ normal_wrt, basis @ normal_wrt
-    jacobian = np.eye(len(MEASURED_PARAMETERS))
-    jacobian[:2, :5] = (across - np.outer(tilts, along)) / cosine
-    jacobian[2, :5] = center_m @ normal_wrt + normal @ center_wrt
-    jacobian[3:5, :5] = carried @ center_wrt - np.outer(share, center_m @ normal_wrt)
-    jacobian[3:5, :5] -= (across - np.outer(share, along)) * float(both @ center_m) / (1.0 + cosine)
-    jacobian[10:, 10:] = carried @ tilt_basis(normal).T
-    return offset, jacobian
-
-
-def solve_measurement(
-    measurements: Sequence[RingMeasurement],
-    prior_information: Float64[Array, "n n"],
-    prior_vector: Float64[Array, "n"],
-) -> tuple[Float64[Array, "n"], Float64[Array, "n n"]]:
-    """Increments of parameters and nuisance parameters, and their covariance, from measurements and a prior.
-
-    The measurements share linearisation point and nuisance parameters. Minimises
-    sum |R [dx; dq] - z|^2 / 2 + [dx; dq]^T Lambda [dx; dq] / 2 - lambda^T [dx; dq], Eq. (9.1).
-    """
-    information, vector = prior_information.copy(), prior_vector.copy()
-    for measurement in measurements:
-        matrix, target = measurement.square_root[:, :-1], measurement.square_root[:, -1]
-        information += matrix.T @ matrix
-        vector += matrix.T @ target
-    scale = 1.0 / np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
-    covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
-    return covariance @ vector, covariance

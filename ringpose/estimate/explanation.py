@@ -16,16 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.covariance import (
-    CENTER,
-    GRASP,
-    RADII,
-    TILTS,
-    difference_from,
-    joint_covariance,
-    quantities,
-    ring_velocity,
-)
+from ringpose.estimate.covariance import differing_quantities
 from ringpose.estimate.hypotheses import (
     RADIUS_REMARK,
     Hypothesis,
@@ -44,8 +35,7 @@ from ringpose.estimate.solver import (
     estimate_ring,
     precise_ring,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, edge_distances
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.rig import Rig
@@ -87,9 +77,6 @@ those of the fit to all measurements: 150 drawn shots without outliers have at m
 COINCIDENCE = 3.0
 """Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
 
-DIFFERS = 4.0
-"""Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
-
 
 class Search(NamedTuple):
     """What all explanations of a shot are estimated with."""
@@ -99,8 +86,8 @@ class Search(NamedTuple):
     edges_named: bool
     for_pose: bool
     """Whether a pose follows, which needs all comparable explanations."""
-    max_left: float = DECISION_SIGMAS
-    """Length of the steps that are left at the end of each estimate, in standard deviations."""
+    tolerance_sigmas: float = DECISION_SIGMAS
+    """Estimated distance from the optimum at which each iteration ends."""
 
 
 class Solved(NamedTuple):
@@ -166,7 +153,7 @@ def explain(
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         return replace(best, estimate=estimate)
     # the shorter iteration had ended near a saddle point
-    return _decided(measured, prior, guess, search._replace(max_left=PRECISE_SIGMAS))
+    return _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
@@ -249,16 +236,16 @@ def _explained(
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
     rig, edges_seen = search.rig, len(measured.edges.edge) > 0
-    estimate = estimate_ring(measured, rig, prior, guess=guess, max_left=search.max_left)
+    estimate = estimate_ring(measured, rig, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
     if estimate is not None and edges_seen:
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        max_left = PRECISE_SIGMAS if search.for_pose else search.max_left
-        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, max_left=max_left)
+        tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
+        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
         return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
     hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, max_left=search.max_left)
+    solved = partial(_solved, everything=everything, rig=rig, tolerance_sigmas=search.tolerance_sigmas)
     tried: list[Solved] = []
     lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
@@ -281,9 +268,9 @@ def _explained(
     return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
-def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, max_left: float) -> Solved | None:
+def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, tolerance_sigmas: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
-    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, max_left=max_left)
+    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, tolerance_sigmas=tolerance_sigmas)
     if estimate is None:
         return None
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
@@ -335,36 +322,6 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
         competing=tuple(each.estimate for each in rivals),
         everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
     )
-
-
-def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
-    """In which quantities two explanations differ by more than the errors of the best one."""
-    found, other = quantities(best), quantities(rival)
-    covariance = joint_covariance(best, found)
-    difference = difference_from(rival, other, best, found)
-    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
-    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
-    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
-    across = np.array([best.arcs.normal, found.outward])
-    tested = {
-        "center": (difference[CENTER], covariance[CENTER, CENTER]),
-        "normal": (difference[TILTS], covariance[TILTS, TILTS]),
-        "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
-        "radius": (difference[RADII], covariance[RADII, RADII]),
-    }
-    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
-    if velocity is not None and of_rival is not None:
-        change = of_rival.center_m_s - velocity.center_m_s
-        tested["velocity"] = (change, velocity.covariance[:3, :3])
-    return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
-
-
-def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
-    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
-    if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
-        return False
-    squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-    return squared <= DIFFERS * len(difference)
 
 
 def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:

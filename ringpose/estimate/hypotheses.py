@@ -185,7 +185,7 @@ def single_stripe_estimates(
         alone = measured.without_laser(laser)
         if not len(alone.points.x):
             continue
-        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), max_left=DECISION_SIGMAS)
+        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), tolerance_sigmas=DECISION_SIGMAS)
         if estimate is not None:
             yield laser, alone, estimate
 

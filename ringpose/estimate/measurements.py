@@ -103,8 +103,6 @@ class Observations(NamedTuple):
     """Block-diagonal, of the lines' ordinates."""
     isolated: int
     """Number of the break points without a line."""
-    moving: bool
-    """Whether there are times from which a motion can be estimated."""
     stripe_numbers: int
     """Number of distinct numbers of stripes and break points."""
 
@@ -134,6 +132,8 @@ class Measurements:
     """Whether every break point has a covariance; otherwise the pose is reported without."""
     reference_s: float = math.nan
     """The instant at which the ring is estimated, t_0; NaN if the stamps are unknown."""
+    moving: bool = False
+    """Whether the shot, of which these may be a part, has times from which a motion can be estimated."""
     camera: CameraMotion | None = None
     """Motion of the camera by the poses of a robot that carries it; None if the camera counts as inertial."""
 
@@ -163,7 +163,7 @@ class Measurements:
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
         isolated = int(np.count_nonzero(self.points.isolated))
-        return Observations(self, view, whitening, isolated, bool(instant_s.any()), self.stripe_numbers)
+        return Observations(self, view, whitening, isolated, self.stripe_numbers)
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""
@@ -240,13 +240,16 @@ def measurements_of(
         again = _stripe_measurements(break_points.repeated, rig.camera)
         lines, points = _repeated_lines(lines, again[0]), _repeated_points(points, again[1])
         has_covariances = has_covariances and again[2]
-    stamps = np.concatenate([lines.stamp_s, points.stamp_s])
+    stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), _edges(ring_edges, rig.camera)
+    reference_s = float(stamps.mean()) if len(stamps) else math.nan
+    every = np.concatenate([stamps, edges.stamp_s])
     return Measurements(
         lines=lines,
         points=points,
-        edges=_edges(ring_edges, rig.camera),
+        edges=edges,
         has_covariances=has_covariances,
-        reference_s=float(stamps.mean()) if len(stamps) else math.nan,
+        reference_s=reference_s,
+        moving=math.isfinite(reference_s) and len(np.unique(every[np.isfinite(every)])) > 1,
         camera=camera,
     )
 

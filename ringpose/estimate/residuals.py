@@ -157,8 +157,8 @@ class Estimate:
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
-    left_sigmas: float
-    """About the length of the steps that were left at the end of the iteration, in standard deviations."""
+    distance_sigmas: float
+    """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
     @property
     def regularized(self) -> bool:
@@ -187,11 +187,6 @@ class Estimate:
     def edge_residuals(self) -> Float64[Array, "visible"]:
         """Residuals of the visible edge points, less common errors, in standard deviations."""
         return self.remaining[self.residuals.stripe_rows : self.residuals.data_rows]
-
-    @property
-    def edge_weights(self) -> Float64[Array, "visible"]:
-        """1 for visible edge points that were used."""
-        return self.weights[self.residuals.stripe_rows : self.residuals.data_rows]
 
     @cached_property
     def joint_information(self) -> Float64[Array, "n n"]:

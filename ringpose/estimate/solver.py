@@ -62,7 +62,7 @@ NEAR_SIGMAS = 0.1
 """Length of a step, in standard deviations, below which the robust phase ends."""
 
 PRECISE_SIGMAS, DECISION_SIGMAS = 5e-9, 0.01
-"""Length of the steps that are left when the iteration ends.
+"""Estimated distance from the optimum, in standard deviations, at which the iteration ends.
 
 Of a pose: the measurement of a record and its priors give it to a nanometre. To decide between explanations: their
 chi-squared is then known to 1e-4.
@@ -91,22 +91,24 @@ def estimate_ring(
     start: Estimate | None = None,
     *,
     guess: RingArcs | None = None,
-    max_left: float = PRECISE_SIGMAS,
+    tolerance_sigmas: float = PRECISE_SIGMAS,
 ) -> Estimate | None:
     """The maximum-likelihood ring; None if the iteration diverges. `start`: an estimate near it, if there is one.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
     priors about the initial guess in a second run, so that they do not degrade the others. If visible edges close such
     a gap, the regularised solution is the start: far from the ring, edges lead to wrong minima. `guess`: the initial
-    guess, if it was made already; `max_left`: length of the steps that are left at the end, in standard deviations.
+    guess, if it was made already; `tolerance_sigmas`: estimated distance from the optimum at the end.
     """
     edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
     observations = measured.observations(rig.lasers)
 
-    def solve(start: RingArcs | Estimate, prior: Prior, max_left: float = max_left) -> Estimate | None:
+    def solve(start: RingArcs | Estimate, prior: Prior, tolerance_sigmas: float = tolerance_sigmas) -> Estimate | None:
         try:
-            return _gauss_newton(_linearized(start, observations, rig, prior), observations, rig, prior, max_left)
+            return _gauss_newton(
+                _linearized(start, observations, rig, prior), observations, rig, prior, tolerance_sigmas
+            )
         except np.linalg.LinAlgError:
             return None
 
@@ -157,7 +159,7 @@ def at_reference_time(
 
 def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estimate | None:
     """An estimate that may have ended earlier, to the precision of a pose; None if it diverges."""
-    if estimate.left_sigmas < PRECISE_SIGMAS:
+    if estimate.distance_sigmas < PRECISE_SIGMAS:
         return estimate
     observations, residuals = measured.observations(rig.lasers), estimate.residuals
     try:
@@ -172,7 +174,7 @@ def _gauss_newton(
     observations: Observations,
     rig: Rig,
     prior: Prior,
-    max_left: float,
+    tolerance_sigmas: float,
 ) -> Estimate:
     """Iteratively reweighted Gauss-Newton from `_linearized`; LinAlgError if it diverges.
 
@@ -197,7 +199,7 @@ def _gauss_newton(
             robust, weights = weights, _inlier_weights(predicted, residuals)
             if not np.array_equal(weights, robust):
                 continue
-        if robust is not None and steps.left_sigmas < max_left:
+        if robust is not None and steps.distance_sigmas < tolerance_sigmas:
             break
     assert fixed is not None
     nuisance_step[:count] = 0.0
@@ -218,7 +220,7 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
-        left_sigmas=steps.left_sigmas,
+        distance_sigmas=steps.distance_sigmas,
     )
 
 
@@ -249,8 +251,8 @@ class _Steps:
     """Convergence of an iteration; all lengths are Mahalanobis lengths."""
 
     def __init__(self) -> None:
-        self.sigmas = self.left_sigmas = inf
-        """Length of the last step, and about that of all further ones."""
+        self.sigmas = self.distance_sigmas = inf
+        """Length of the last step, and estimated distance from the optimum after it."""
         self._last: Float64[Array, "7"] | None = None
         self._ratio = 0.0
 
@@ -262,12 +264,14 @@ class _Steps:
         """
         sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
         # after a long step, or one that was extrapolated, a step is shorter than the next ones show
-        ratio = max(sigmas / last_sigmas, self._ratio, MIN_RATIO) if isfinite(last_sigmas) else 1.0
-        self.sigmas, self.left_sigmas = sigmas, sigmas * min(ratio, 1.0)
+        shrinkage = sigmas / max(last_sigmas, np.finfo(float).tiny) if isfinite(last_sigmas) else 1.0
+        self.sigmas, self.distance_sigmas = sigmas, sigmas * min(max(shrinkage, self._ratio, MIN_RATIO), 1.0)
         last, self._last, self._ratio = self._last, step, 0.0
-        if last is None or not extrapolate or sigmas > MAX_EXTRAPOLATED * last_sigmas:
+        if last is None or not extrapolate or not 0.0 < sigmas < MAX_EXTRAPOLATED * last_sigmas:
             return 1.0
-        ratio = float(last @ normal_matrix @ step) / last_sigmas**2
+        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, np.finfo(float).tiny)
+        if not abs(ratio) < MAX_EXTRAPOLATED:
+            return 1.0
         self._last, self._ratio = None, abs(ratio)
         return 1.0 / (1.0 - ratio)
 
@@ -374,7 +378,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
     """
     measured, view = observations.measured, observations.view
-    motion = prior.assumptions.motion if observations.moving else None
+    motion = prior.assumptions.motion if measured.moving else None
     sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
     stripes, points, edges = predicted_view(arcs, view, rates if len(sds) else None)
     ends, samples = view.ends, len(view.rays)

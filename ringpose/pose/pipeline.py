@@ -63,7 +63,7 @@ def pose_line(
     assumptions = options.about_shot(rig.stability, still=source.still)
     if isinstance(known, KnownRadii) and known.tolerance_m is not None:
         assumptions = replace(assumptions, ring_tolerance_m=known.tolerance_m)
-    if rig.tool_from_camera is None:
+    if frame is PoseFrame.TOOL and rig.tool_from_camera is None:
         frame = PoseFrame.CAMERA
     start_s = detected_s = perf_counter()
     stage_s = {}

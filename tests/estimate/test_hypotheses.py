@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ringpose.detect.break_points import without_outliers
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.types.assumptions import Assumptions, motion_prior
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
@@ -289,3 +291,20 @@ def test_two_stripes_with_clear_ends_give_a_sure_normal_of_a_known_ring(scene_of
     unknown = estimate_pose(points, scene.rig)  # two stripes alone may be on a straight bar, too
     assert {PoseFlag.NORMAL_WEAK, PoseFlag.GRASP_WEAK} <= set(unknown.flags)
     assert unknown.normal @ scene.ring.normal > np.cos(0.005)
+
+
+def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.5)
+    shift_px = np.array([0.0, 0.0, 40.0])[:, None] * [0.0, 1.0]
+    true = face_points(scene, 0.2, 0.02, rng)
+    points = replace(
+        true,
+        position_px=true.position_px + shift_px[:, None],
+        face_start_px=true.face_start_px + shift_px,
+        face_end_px=true.face_end_px + shift_px,
+        stamp_s=100.0 + 0.033 * np.arange(3),  # that in the middle is exactly their mean
+    )
+
+    found = without_outliers(points, scene.rig, Assumptions(motion=motion_prior()))
+
+    assert [(each.what, each.laser) for each in found.rejected] == [("stripe", "right")]

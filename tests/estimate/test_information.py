@@ -10,11 +10,8 @@ from ring_scenes import RIGS, face_points_of, make_scene
 from ringpose.estimate.covariance import (
     POSE,
     RATES,
-    increments_between,
     joint_covariance,
     quantities,
-    relinearized,
-    solve_measurement,
 )
 from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
@@ -204,48 +201,67 @@ def displaced(point, step):
     )
 
 
-def some_point():
-    normal = np.array([0.2, -0.1, -0.97])
-    return point_of(np.array([0.5, 0.1, 0.6]), normal / np.linalg.norm(normal), RADIUS_M)
+def relinearized(measurement, point):
+    """The measurement as one of increments about another ring nearby, so that shots can be combined.
+
+    With the old increments x = a + T x', R x - z becomes R T x' - (z - R a). Basis vectors are carried from one normal
+    to the other by the smallest rotation.
+    """
+    offset, jacobian = increments_between(measurement.linearized_at, point)
+    count = len(MEASURED_PARAMETERS)
+    columns = measurement.square_root.copy()
+    columns[:, -1] -= columns[:, :count] @ offset
+    columns[:, :count] = columns[:, :count] @ jacobian
+    return replace(measurement, linearized_at=point, square_root=np.asarray(np.linalg.qr(columns, mode="r")))
 
 
-def test_increments_between_rings_are_those_that_lead_from_one_to_the_other(rng):
-    step = np.array([0.1, -0.05, 0.01, 0.02, -0.03, 1e-3, 2e-3, 0.1, 0.2, 0.3, 0.04, 0.05]) * rng.uniform(-1, 1, 12)
+def increments_between(origin, point):
+    """The increments about `origin` at which the ring is `point`, and their derivatives by increments about `point`.
 
-    found, _ = increments_between(some_point(), displaced(some_point(), step))
-
-    np.testing.assert_allclose(found, step, atol=1e-14)
-
-
-@pytest.mark.parametrize("number", range(12), ids=MEASURED_PARAMETERS)
-def test_increments_between_rings_have_the_derivatives_of_central_differences(number):
-    origin = some_point()
-    point = displaced(origin, np.array([0.05, -0.08, 0.01, 0.02, -0.03, 1e-3, 2e-3, 0.1, 0.2, 0.3, 0.0, 0.0]))
-
-    _, jacobian = increments_between(origin, point)
-
-    ahead, behind = (
-        increments_between(origin, displaced(point, sign * 1e-6 * np.eye(12)[number]))[0] for sign in (1, -1)
+    Angular velocities are those across the normal; their derivatives by the tilts are neglected.
+    """
+    basis, normal, center_m = tilt_basis(origin.normal), point.normal, point.center_m
+    cosine = float(origin.normal @ normal)
+    tilts = basis @ normal / cosine
+    # e(n) = e - (e . n) (n_0 + n) / (1 + n_0 . n): the basis after the smallest rotation from n_0 to n
+    both, share = origin.normal + normal, (basis @ normal) / (1.0 + cosine)
+    carried = basis - np.outer(share, both)
+    in_plane = carried @ center_m
+    offset = np.concatenate(
+        [
+            tilts,
+            [float(normal @ center_m - origin.normal @ origin.center_m)],
+            in_plane - basis @ origin.center_m,
+            [point.radius_inner_m - origin.radius_inner_m, point.radius_outer_m - origin.radius_outer_m],
+            point.velocity_m_s - origin.velocity_m_s,
+            carried @ point.rate_rad_s - basis @ origin.rate_rad_s,
+        ]
     )
-    np.testing.assert_allclose(jacobian[:, number], (ahead - behind) / 2e-6, atol=1e-8)
+    normal_wrt, center_wrt = normal_and_center(normal, center_m)
+    along, across = origin.normal @ normal_wrt, basis @ normal_wrt
+    jacobian = np.eye(len(MEASURED_PARAMETERS))
+    jacobian[:2, :5] = (across - np.outer(tilts, along)) / cosine
+    jacobian[2, :5] = center_m @ normal_wrt + normal @ center_wrt
+    jacobian[3:5, :5] = carried @ center_wrt - np.outer(share, center_m @ normal_wrt)
+    jacobian[3:5, :5] -= (across - np.outer(share, along)) * float(both @ center_m) / (1.0 + cosine)
+    jacobian[10:, 10:] = carried @ tilt_basis(normal).T
+    return offset, jacobian
 
 
-def test_a_measurement_about_another_ring_has_the_same_solution(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.4)
-    rig = replace(scene.rig, covariance=ParameterCovariance(parameters=PLANES, data=np.diag(PLANES_SD**2)))
-    result = most_likely_pose(face_points(scene, 0.3, 0.02, rng), rig)
-    at = result.measurement.linearized_at
-    step = 1e-3 * rng.uniform(-1.0, 1.0, 12) * (np.arange(12) < 7)
+def solve_measurement(measurements, prior_information, prior_vector):
+    """Increments of parameters and nuisance parameters, and their covariance, from measurements and a prior.
 
-    about_another = replace(result.measurement, linearized_at=displaced(at, step))  # its solution is no increment
-
-    prior = np.diag(np.concatenate([np.zeros(7), np.ones(5), PLANES_SD**-2.0]))
-    found, _ = solve_measurement([relinearized(about_another, at)], prior, np.zeros(len(prior)))
-    ring = displaced(at, found[:12])
-
-    # second order in the step
-    np.testing.assert_allclose(ring.normal, displaced(at, step).normal, atol=2e-6)
-    np.testing.assert_allclose(ring.center_m, displaced(at, step).center_m, atol=2e-6)
+    The measurements share linearisation point and nuisance parameters. Minimises
+    sum |R [dx; dq] - z|^2 / 2 + [dx; dq]^T Lambda [dx; dq] / 2 - lambda^T [dx; dq], Eq. (9.1).
+    """
+    information, vector = prior_information.copy(), prior_vector.copy()
+    for measurement in measurements:
+        matrix, target = measurement.square_root[:, :-1], measurement.square_root[:, -1]
+        information += matrix.T @ matrix
+        vector += matrix.T @ target
+    scale = 1.0 / np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
+    covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
+    return covariance @ vector, covariance
 
 
 def combined(measurements, rig, known, common):

@@ -7,7 +7,8 @@ import pytest
 
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior, initial_guess
-from ringpose.estimate.solver import estimate_ring, ring_residuals
+from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, precise_ring, ring_residuals
+from ringpose.geometry.ring import CURVATURE, LIFT
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import KnownRadii, NoPose, RingPose
 from ringpose.types.rig import ParameterCovariance
@@ -56,6 +57,20 @@ def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, ra
         up, down = (cost(sign * 0.3 * sd * axis) - least for sign in (1, -1))
         assert up + down > 0
         assert abs(up - down) < 0.3 * (up + down)
+
+
+def test_an_estimate_is_the_same_from_any_start(noisy):
+    rig, measured = noisy
+    rough = estimate_ring(measured, rig, Prior(), tolerance_sigmas=DECISION_SIGMAS)
+
+    estimate = estimate_ring(measured, rig, Prior())
+    others = estimate_ring(measured, rig, Prior(), rough), precise_ring(rough, measured, rig)
+
+    sd = np.sqrt(estimate.inverse.diagonal())
+    for other in others:
+        assert other.chi2 == pytest.approx(estimate.chi2, rel=1e-9)
+        assert abs(other.arcs.curvature - estimate.arcs.curvature) < 1e-7 * sd[CURVATURE]
+        assert abs(estimate.arcs.normal @ (other.arcs.origin - estimate.arcs.origin)) < 1e-7 * sd[LIFT]
 
 
 @pytest.mark.parametrize("side", [-1, 1])
