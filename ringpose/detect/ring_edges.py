@@ -147,8 +147,8 @@ STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.3, 7.0
 """Standard deviation of a step on the edge from the ring, and the density of these steps at the edge over that of the
 steps of what is behind: a third of the steps are on the edge."""
 
-INDEPENDENT_STEPS = 2.0
-"""Neighbouring steps that err together: a facet of foil."""
+INDEPENDENT_STEPS = 1.25
+"""Steps for each independent one: neighbouring ones are partly on the same facet of foil."""
 
 CURVATURES = np.linspace(-5.0, 5.0, 101)
 """Inverse hyperbolic sines of the alternative curvatures, in standard deviations: close to the one found and far."""
