@@ -121,7 +121,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     if stripes is None or tracked is None:
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
-    found = clear_steps(frame, trace, REACH_PX, blur_px=None)
+    found = clear_steps(frame, trace, REACH_PX, precise=True)
     refined = stripes.fitted(tracked.arcs, edge_observations(found), rig)
     if refined is None:
         return None
@@ -176,7 +176,7 @@ def uncertainty_factor(
     slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
     information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))
     trace = outside_stripes(frame, edge_trace(arcs, np.zeros_like(covariance), rig, ALONG_PX, np.inf))
-    trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, blur_px=None)
+    trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, precise=True)
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
     slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px
