@@ -238,9 +238,7 @@ def _templates(reach_px: int, blur_px: float) -> Templates:
     return Templates(
         across_px=across,
         place_px=position,
-        weight=np.ascontiguousarray(sigma.T**-2.0),
-        level=np.ascontiguousarray(basis[..., 0].T),
-        step=np.ascontiguousarray(basis[..., 1].T),
+        table=np.ascontiguousarray(np.stack([sigma.T**-2.0, basis[..., 0].T, basis[..., 1].T])),
         unit=np.abs(triangle[:, 1, 1]),
     )
 
@@ -316,21 +314,24 @@ class ClearSteps(NamedTuple):
     steps: EdgeSteps
 
 
-def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, blur_px: float | None = BLUR_PX) -> ClearSteps:
-    """The steps within `reach_px` of the places of a trace that stand out of the noise; `blur_px`: None to estimate it.
+def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: bool = False) -> ClearSteps:
+    """The steps within `reach_px` of the places of a trace that stand out of the noise.
+
+    They are placed for an estimated blur if `precise`, else for a blur of `BLUR_PX`, which takes less time.
 
     The face hides what is behind it, so that its edge is as sharp as the lens images it. Where the foil behind is as
     bright as the face, the next step is a facet of the foil beyond the edge, and most of these are softer: if most
     places show no step, soft ones are left out.
     """
     profiles = edge_profiles(frame.image, trace.position_px, trace.normal, reach_px, frame.saturation_dn)
-    steps = edge_steps(profiles, reach_px, estimated_blur_px(profiles, reach_px) if blur_px is None else blur_px)
+    blur_px = estimated_blur_px(profiles, reach_px) if precise else BLUR_PX
+    steps = edge_steps(profiles, reach_px, blur_px)
     clear = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
     clear &= (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
     if 0 < np.count_nonzero(clear) < MOSTLY_VISIBLE * len(clear):
-        blur_px = estimated_blur_px(profiles, reach_px)
+        lens_px = blur_px if precise else estimated_blur_px(profiles, reach_px)
         there = Profiles(*(each[clear] for each in profiles))
-        sharp, soft = (edge_steps(there, reach_px, round(each, 2)).cost for each in (blur_px, SOFT * blur_px))
+        sharp, soft = (edge_steps(there, reach_px, round(each, 2)).cost for each in (lens_px, SOFT * lens_px))
         misfit = np.maximum(soft / (there.value.shape[1] - STEP_NUMBERS), 1.0)
         clear[clear] = sharp - soft < SOFT_GAIN * misfit
     return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))

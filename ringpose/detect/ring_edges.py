@@ -122,7 +122,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     if stripes is None or tracked is None:
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
-    found = clear_steps(frame, trace, REACH_PX, blur_px=None)
+    found = clear_steps(frame, trace, REACH_PX, precise=True)
     refined = stripes.fitted(tracked.arcs, edge_observations(found), rig)
     if refined is None:
         return None
@@ -148,8 +148,8 @@ STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.3, 7.0
 """Standard deviation of a step on the edge from the ring, and the density of these steps at the edge over that of the
 steps of what is behind: a third of the steps are on the edge."""
 
-INDEPENDENT_STEPS = 2.0
-"""Neighbouring steps that err together: a facet of foil."""
+INDEPENDENT_STEPS = 1.25
+"""Steps for each independent one: neighbouring ones are partly on the same facet of foil."""
 
 CURVATURES = np.linspace(-5.0, 5.0, 101)
 """Inverse hyperbolic sines of the alternative curvatures, in standard deviations: close to the one found and far."""
@@ -177,7 +177,7 @@ def uncertainty_factor(
     slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
     information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))
     trace = outside_stripes(frame, edge_trace(arcs, np.zeros_like(covariance), rig, ALONG_PX, np.inf))
-    trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, blur_px=None)
+    trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, precise=True)
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
     slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px

@@ -77,6 +77,17 @@ def test_sigmas_explain_the_errors_beside_clutter(rig, rng, clutter_dn):
     assert np.max(squares) < 25
 
 
+def test_sigmas_explain_the_errors_beside_foil_as_bright_as_the_face(rig, rng):
+    scene = DrawnScene()
+    around = Surroundings(inside_dn=45.0, outside_dn=45.0, clutter_dn=15.0, noise_dn=0.0)
+    highlights = np.maximum(picture(scene, rig, around, rng), around.face_dn)
+    image = np.rint(highlights + rng.normal(0, 1.0, highlights.shape)).astype(np.uint8)
+
+    points = seen_edges(measured(scene, rig, rng), lit(image), rig)
+
+    assert np.mean((off_edge_px(points, scene, rig) / points.sigma_px) ** 2) < 1.0
+
+
 @pytest.mark.parametrize("blur_px", [0.5, 0.9, 1.5])
 def test_blur_of_the_lens_moves_edges_by_less_than_a_twentyfifth_of_a_pixel(rig, rng, blur_px):
     scene = DrawnScene()

@@ -73,12 +73,10 @@ class Templates(NamedTuple):
 
     across_px: Float64[Array, "sample"]
     place_px: Float64[Array, "place"]
-    weight: Float64[Array, "sample place"]
-    level: Float64[Array, "sample place"]
-    """Constant part; orthonormal to `step` under the weights."""
-    step: Float64[Array, "sample place"]
+    table: Float64[Array, "part=3 sample place"]
+    """Weight; constant part, orthonormal to the step under the weights; step."""
     unit: Float64[Array, "place"]
-    """Coefficient of `step` for a step of height 1."""
+    """Coefficient of the step part for a step of height 1."""
 
 
 def edge_places(
@@ -123,10 +121,9 @@ def edge_steps(
 
     The offset and its sigma are in pixels; the cost is the sum of squared residuals.
     """
-    table = np.stack([templates.weight, templates.level, templates.step])
     value, saturated, noise_dn = (np.ascontiguousarray(each) for each in (value, saturated, noise_dn))
     found = _kernels.edge_steps(
-        value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, table, params
+        value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, templates.table, params
     )
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 5)
 

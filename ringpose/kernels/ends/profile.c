@@ -416,9 +416,9 @@ static void fill_texture(Profile *profile, double expected, const EndParams *par
     for (size_t i = 0; i < n; i++) {
         double peak = fabs(profile->amplitude[i]), own = share * peak * fmax(peak, expected);
         profile->texture[i] = factor * fmax(profile->residual_variance[i] - 2 * (white + own), 0);
+        if (profile->ambient[i] < MIN_CONTRAST * expected) profile->texture[i] = 0;
         if ((ptrdiff_t)i >= profile->face_first && (ptrdiff_t)i <= profile->face_last)
             background += fmax(profile->texture[i] - 2 * factor * own, 0);
-        if (profile->ambient[i] < MIN_CONTRAST * expected) profile->texture[i] = 0;
     }
     profile->background = background / ((double)face * expected * expected);
 }
