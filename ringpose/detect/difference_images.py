@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64, UInt
+from ringpose.types.arrays import Array, UInt
 from ringpose.types.image import Frame, Shot
 
 
@@ -35,11 +35,6 @@ class LaserImage:
     def labelled(self) -> bool:
         """Whether its stripes can belong to a single laser only."""
         return len(self.lasers) == 1
-
-    @property
-    def signal(self) -> Float64[Array, "row column"]:
-        """Grey values with the background subtracted."""
-        return self.lit.astype(np.float64) - (0.0 if self.dark is None else self.dark)
 
 
 def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[LaserImage]:

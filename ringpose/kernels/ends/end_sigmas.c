@@ -4,8 +4,6 @@
 
 #include <math.h>
 
-
-
 /* Largest lag of correlated speckle. */
 enum { LAGS = 5 };
 
@@ -193,7 +191,6 @@ enum { STEPS = LAST_PLACE - FIRST_PLACE };
 /* Relative likelihood below which the noise model is not reliable. */
 #define MIN_LIKELIHOOD 0.05
 
-#define ROOT_OF_TWO_PI 2.5066282746310002
 #define MIN_SHARE 1e-3
 
 static double min_first_cost(const EdgeFit *fit) {
