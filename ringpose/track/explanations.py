@@ -33,8 +33,11 @@ GATE = 0.999
 MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
 
-MIN_TESTED_SHARE = 0.1
-"""Share of the largest weight from which an explanation or a motion model takes part in the test of an innovation."""
+MIN_TESTED_SHARE, MIN_TESTED_MODEL_SHARE = 0.1, 0.7
+"""Shares of the largest weight from which an explanation and a motion model take part in the test of an innovation.
+
+Less probable models with more process noise would let outliers pass.
+"""
 
 MIN_PROBABILITY = 1e-12
 """Probability below which a test ratio is that of the model that fits best."""
@@ -200,7 +203,7 @@ def test_ratio(bank: Bank, found: Innovation) -> float:
     from scipy.special import chdtrc, chdtri
 
     dof, weights = max(found.degrees_of_freedom, 1), bank.weights
-    tested = weights >= MIN_TESTED_SHARE * weights.max()
+    tested = weights >= MIN_TESTED_MODEL_SHARE * weights.max()
     probability = float(weights[tested] @ chdtrc(dof, found.chi2[tested]) / weights[tested].sum())
     if probability < MIN_PROBABILITY:
         return float(found.chi2[tested].min()) / gate(dof)

@@ -62,7 +62,7 @@ ITERATIONS, ITERATED_UNTIL = 2, 6
 """How often, and until which number of measurements, an update is linearised again."""
 
 MAX_LOG_ODDS = 9.0
-"""Largest log evidence of a motion model against another one: a target that looked steady for long may begin to move.
+"""Largest difference of the scores of two motion models: a target that looked steady for long may begin to move.
 
 Within this bound the evidence for the models that describe it then takes over within a few shots; the weights that it
 leaves to the others are below `NEGLIGIBLE_WEIGHT`.
@@ -94,11 +94,13 @@ def motion_models() -> MotionModels:
     """Nine constant-velocity models and three of torque-free precession."""
     pairs = [(q_v, q_w) for q_v in PROCESS_NOISE for q_w in PROCESS_NOISE]
     pairs += [(q_v, TORQUE_FREE_SHARE * q_v) for q_v in PROCESS_NOISE]
+    precession = np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2
+    is_counted = np.stack([~precession, np.full(len(pairs), True)], axis=1)
     return MotionModels(
         velocity_noise=np.array([q_v for q_v, _ in pairs]),
         rate_noise=np.array([q_w for _, q_w in pairs]),
-        precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
-        log_prior=LEAST_NOISE_LOG_PRIOR * (np.array(pairs) <= PROCESS_NOISE[0]).sum(axis=1),
+        precession=precession,
+        log_prior=LEAST_NOISE_LOG_PRIOR * ((np.array(pairs) <= PROCESS_NOISE[0]) * is_counted).sum(axis=1),
     )
 
 
@@ -477,15 +479,16 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     _, log_determinant = np.linalg.slogdet(found.covariance)
     chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
-    log_evidence = bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST)
-    return replace(
+    after = replace(
         bank,
         coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
         own=own,
         common=common,
-        log_evidence=np.maximum(log_evidence, log_evidence.max() - MAX_LOG_ODDS),
+        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
         measurements=bank.measurements + 1,
     )
+    missing = after.scores.max() - MAX_LOG_ODDS - after.scores
+    return replace(after, log_evidence=after.log_evidence + np.maximum(missing, 0.0))
 
 
 def schmidt_gain(
