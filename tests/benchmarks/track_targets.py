@@ -287,6 +287,8 @@ def tumbling(rng, runs: int) -> Iterator[Figure]:
                 rejected += tracker.add(line).fusion_status is FusionStatus.REJECTED_GATE
                 for ahead_s in (0.0, 0.5) if number in (2, 6, 17) else ():
                     at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                    if at.pose is None or not np.isfinite(at.pose.center_m).all():
+                        continue
                     for name, (error, covariance) in errors_at(truth, at).items():
                         found.setdefault((name, ahead_s), []).append(nees(error, covariance))
         where = f"{rate_deg_s:g} deg/s, 30 degrees of nutation"
