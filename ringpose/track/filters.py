@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import CURVATURE, HALF_BAND, MIN_CURVATURE, STEP
+from ringpose.geometry.ring import CURVATURE, HALF_BAND, STEP
+from ringpose.track.motion_models import LEVER_M, LEVER_SD_M, MODELS, MotionModels, process_noise
 from ringpose.track.observation import Observation
 from ringpose.track.states import (
     ERRORS,
@@ -31,30 +32,12 @@ from ringpose.track.states import (
     perturbed,
     step_rates,
 )
-from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.pose import RadiusPrior
 
-PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
-"""Power spectral densities from which those of velocity (m^2/s^3) and angular velocity (rad^2/s^3) are chosen."""
-
-TORQUE_FREE_SHARE = 0.1
-"""Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
-
-LEAST_NOISE_LOG_PRIOR = -2.0
-"""Log prior weight of the models with the least acceleration, and of those with the least angular acceleration: within
-seconds single shots hardly show that of the next value, so that half of its tracks would be predicted with too small
-errors."""
-
-LEVER_M, LEVER_SD_M = 1.0, 1.0
-"""Prior of the distance of the centre of mass behind the ring."""
-
 CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
 """Curvature of an unknown ring in 1/m: radii from 0.36 m to any length lie within two standard deviations."""
-
-LEFT_OUT_S = 1.0
-"""Time over which the process noise of the constant-velocity models has the effect of the precession that they leave
-out: angular accelerations of the order of the rate squared, and as much of the centre, a lever away from the mass."""
 
 HALF_BAND_SD_M = 0.05
 
@@ -76,35 +59,6 @@ LOST = -1e6
 
 _PLACE_SD = 1.0
 """Standard deviation in metres and radians of the place of a ring before it is measured."""
-
-
-class MotionModels(NamedTuple):
-    """The models of a bank, one filter each."""
-
-    velocity_noise: Float64[Array, "filter"]
-    """Power spectral density of the acceleration of the centre (of mass), m^2/s^3 per axis."""
-    rate_noise: Float64[Array, "filter"]
-    """Of the angular acceleration, rad^2/s^3 per axis."""
-    precession: Bool[Array, "filter"]
-    log_prior: Float64[Array, "filter"]
-    """Logarithms of their weights before the first measurement."""
-
-
-def motion_models() -> MotionModels:
-    """Nine constant-velocity models and three of torque-free precession."""
-    pairs = [(q_v, q_w) for q_v in PROCESS_NOISE for q_w in PROCESS_NOISE]
-    pairs += [(q_v, TORQUE_FREE_SHARE * q_v) for q_v in PROCESS_NOISE]
-    precession = np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2
-    is_counted = np.stack([~precession, np.full(len(pairs), True)], axis=1)
-    return MotionModels(
-        velocity_noise=np.array([q_v for q_v, _ in pairs]),
-        rate_noise=np.array([q_w for _, q_w in pairs]),
-        precession=precession,
-        log_prior=LEAST_NOISE_LOG_PRIOR * ((np.array(pairs) <= PROCESS_NOISE[0]) * is_counted).sum(axis=1),
-    )
-
-
-MODELS = motion_models()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,39 +309,6 @@ def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]
         return np.array([np.argmax(scores)]), np.zeros(len(scores), dtype=np.int64)
     leaders = [np.argmax(np.where(precession, -np.inf, scores)), np.argmax(np.where(precession, scores, -np.inf))]
     return np.array(leaders), precession.astype(np.int64)
-
-
-def process_noise(
-    models: MotionModels,
-    chart: RingStates,
-    coordinates: Float64[Array, "filter error=14"],
-    transition: Float64[Array, "filter error=14 error=14"],
-    time_s: float,
-) -> Float64[Array, "filter error=14 error=14"]:
-    """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
-
-    With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
-    the origin too.
-    """
-    gain = np.zeros((len(coordinates), len(ERRORS), 6))
-    gain[:, VELOCITY, :3] = np.eye(3)
-    gain[:, RATE, 3:] = np.eye(3)
-    lever_m = coordinates[:, LEVER]
-    gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
-    gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
-    density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
-    steady = ~models.precession
-    centripetal = (coordinates[steady, RATE_INWARD] ** 2 + coordinates[steady, RATE_ALONG] ** 2)[:, None]
-    density[steady, :3] += LEFT_OUT_S * (LEVER_M * centripetal) ** 2
-    density[steady, 3:5] += LEFT_OUT_S * centripetal**2
-    density[steady, 5] = 0.0
-    gain *= np.sqrt(density * time_s)[:, None]
-    later = (transition @ gain) - gain
-    both = later @ gain.swapaxes(1, 2)
-    noise: Float64[Array, "filter error error"] = (
-        gain @ gain.swapaxes(1, 2) + 0.5 * (both + both.swapaxes(1, 2)) + later @ later.swapaxes(1, 2) / 3.0
-    )
-    return noise
 
 
 def rates_near(
