@@ -10,16 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE, STEP, TILT_ALONG, TILT_INWARD
-from ringpose.track.filters import (
-    Bank,
-    Innovation,
-    ahead,
-    innovation_ahead,
-    linearized_again,
-    started,
-    tempered,
-    updated,
-)
+from ringpose.track.filters import Bank, Innovation, continued, started, tempered
 from ringpose.track.observation import Observation
 from ringpose.track.states import charted, moved, step_rates
 from ringpose.types.arrays import Array, Float64
@@ -184,11 +175,9 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        at = ahead(bank, seen)
-        ratio = test_ratio(at.bank, innovation_ahead(at, seen))
-        ratios.append(ratio if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
-        at = linearized_again(bank, seen, at)
-        banks.append(updated(at.bank, seen, innovation_ahead(at, seen)))
+        after, found = continued(bank, seen)
+        ratios.append(test_ratio(bank, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
+        banks.append(after)
     interval_s = observed.stamp_s - track.stamp_s
     return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)), min(ratios)
 

@@ -211,39 +211,39 @@ def tempered(bank: Bank, temperature: float) -> Bank:
     return replace(bank, log_evidence=best + (bank.log_evidence - best) / temperature)
 
 
-class Ahead(NamedTuple):
-    """A bank at the time of a measurement and in its chart, and the rates of the coordinates, linearised there."""
+def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
+    """The bank after a further measurement, and the innovation of the measurement by the bank's prediction.
 
-    bank: Bank
-    transition: Float64[Array, "filter error=14 error=14"]
-    """Derivatives of the coordinates by those before."""
-    step: Float64[Array, "filter error=14"]
-    """From the bank's coordinates to those about which motion and rates are linear."""
-    rates: Float64[Array, "filter 5"]
-    """After that step."""
-    rates_wrt: Float64[Array, "filter 5 error=14"]
-    """Derivatives by the coordinates."""
-
-
-def ahead(bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None = None) -> Ahead:
-    """The bank at the time of a measurement, described about the place where it has seen the ring.
-
-    Motion is linear about the coordinates `about` of the bank before, which are its own if not given.
+    The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
+    turn of an edge is curvature times velocity. The motion is linearised again about the states before to which the
+    measurement moves them (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
     """
     bank = _with_common_errors_of(bank, observed)
+    at, transition, found = _ahead(bank, observed, None)
+    first = found
+    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
+        found = _iterated(at, observed, found)
+        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=found.jacobian @ transition))
+        about = bank.coordinates + (gain @ found.remaining[..., None])[..., 0]
+        at, transition, found = _ahead(bank, observed, about)
+    return updated(at, observed, found), first
+
+
+def _ahead(
+    bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None
+) -> tuple[Bank, Float64[Array, "filter error=14 error=14"], Innovation]:
+    """The bank at the time of a measurement and in its chart, its transition, and the innovation.
+
+    Motion and rates are linear about the coordinates `about` of the bank before; None for its own.
+    """
     transported = _transported(bank, observed.stamp_s, observed.chart, about)
-    count, found = len(bank.coordinates), transported.found
+    count, found, leader_of = len(bank.coordinates), transported.found, transported.leader_of
     rates = step_rates(observed.chart, found)
     rates_wrt = jacobians(rates[count:])
     rates_wrt = np.linalg.solve(transported.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    leader_of = transported.leader_of
-    return Ahead(
-        bank=transported.bank,
-        transition=transported.transition[leader_of],
-        step=found.coordinates[:count] - transported.bank.coordinates,
-        rates=rates[:count],
-        rates_wrt=rates_wrt[leader_of],
-    )
+    step = found.coordinates[:count] - transported.bank.coordinates
+    predicted_by = innovation(transported.bank, observed, rates[:count], rates_wrt[leader_of], step)
+    return transported.bank, transported.transition[leader_of], predicted_by
 
 
 def predicted(bank: Bank, stamp_s: float) -> Bank:
@@ -361,26 +361,6 @@ def innovation_covariance(
     covariance: Float64[Array, "filter row row"] = np.eye(jacobian.shape[1]) + jacobian @ own @ jacobian.swapaxes(1, 2)
     covariance += wrt_common @ wrt_common.swapaxes(1, 2)
     return covariance
-
-
-def innovation_ahead(at: Ahead, observed: Observation) -> Innovation:
-    """The innovation of a measurement by a bank ahead."""
-    return innovation(at.bank, observed, at.rates, at.rates_wrt, at.step)
-
-
-def linearized_again(bank: Bank, observed: Observation, at: Ahead) -> Ahead:
-    """The bank ahead with the motion linear about the states before to which the measurement moves them.
-
-    The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
-    turn of an edge is curvature times velocity. (Iterated smoothing over one interval, Jazwinski 1970, section 8.3.)
-    """
-    bank = _with_common_errors_of(bank, observed)
-    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
-        found = _iterated(at.bank, observed, innovation_ahead(at, observed))
-        wrt_before = found.jacobian @ at.transition
-        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=wrt_before))
-        at = ahead(bank, observed, bank.coordinates + (gain @ found.remaining[..., None])[..., 0])
-    return at
 
 
 def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
