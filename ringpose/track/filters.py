@@ -241,7 +241,7 @@ def _ahead(
     rates = step_rates(observed.chart, found)
     rates_wrt = jacobians(rates[count:])
     rates_wrt = np.linalg.solve(transported.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    step = found.coordinates[:count] - transported.bank.coordinates
+    step = None if about is None else found.coordinates[:count] - transported.bank.coordinates
     predicted_by = innovation(transported.bank, observed, rates[:count], rates_wrt[leader_of], step)
     return transported.bank, transported.transition[leader_of], predicted_by
 
