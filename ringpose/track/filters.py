@@ -41,6 +41,9 @@ CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
 
 HALF_BAND_SD_M = 0.05
 
+SMOOTHED = 4
+"""How often the motion before a measurement is linearised again for the first ones; twice may end between solutions."""
+
 ITERATIONS, ITERATED_UNTIL = 2, 6
 """How often, and until which number of measurements, an update is linearised again."""
 
@@ -221,7 +224,7 @@ def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
     bank = _with_common_errors_of(bank, observed)
     at, transition, found = _ahead(bank, observed, None)
     first = found
-    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
+    for _ in range(SMOOTHED if bank.measurements < ITERATED_UNTIL else 0):
         found = _iterated(at, observed, found)
         gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=found.jacobian @ transition))
         about = bank.coordinates + (gain @ found.remaining[..., None])[..., 0]

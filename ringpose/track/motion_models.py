@@ -26,6 +26,9 @@ LEFT_OUT_S = 1.0
 """Time over which the process noise of the constant-velocity models has the effect of the precession that they leave
 out: angular accelerations of the order of the rate squared, and as much of the centre, a lever away from the mass."""
 
+ASYMMETRY = 0.03
+"""Share of these accelerations that the precession models leave out: the body is not exactly symmetric."""
+
 
 class MotionModels(NamedTuple):
     """The models of a bank, one filter each."""
@@ -75,11 +78,11 @@ def process_noise(
     gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
     gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
     density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
-    steady = ~models.precession
-    centripetal = (coordinates[steady, RATE_INWARD] ** 2 + coordinates[steady, RATE_ALONG] ** 2)[:, None]
-    density[steady, :3] += LEFT_OUT_S * (LEVER_M * centripetal) ** 2
-    density[steady, 3:5] += LEFT_OUT_S * centripetal**2
-    density[steady, 5] = 0.0
+    share = np.where(models.precession, ASYMMETRY, 1.0)
+    left_out = share * (coordinates[:, RATE_INWARD] ** 2 + coordinates[:, RATE_ALONG] ** 2)
+    density[:, :3] += LEFT_OUT_S * (LEVER_M * left_out[:, None]) ** 2
+    density[:, 3:] += LEFT_OUT_S * left_out[:, None] ** 2
+    density[~models.precession, 5] = 0.0
     gain *= np.sqrt(density * time_s)[:, None]
     later = (transition @ gain) - gain
     both = later @ gain.swapaxes(1, 2)
