@@ -10,16 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE, STEP, TILT_ALONG, TILT_INWARD
-from ringpose.track.filters import (
-    Bank,
-    Innovation,
-    ahead,
-    innovation_ahead,
-    linearized_again,
-    started,
-    tempered,
-    updated,
-)
+from ringpose.track.filters import Bank, Innovation, continued, started, tempered
 from ringpose.track.observation import Observation
 from ringpose.track.states import charted, moved, step_rates
 from ringpose.types.arrays import Array, Float64
@@ -33,8 +24,11 @@ GATE = 0.999
 MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
 
-MIN_TESTED_SHARE = 0.1
-"""Share of the largest weight from which an explanation or a motion model takes part in the test of an innovation."""
+MIN_TESTED_SHARE, MIN_TESTED_MODEL_SHARE = 0.1, 0.7
+"""Shares of the largest weight from which an explanation and a motion model take part in the test of an innovation.
+
+Less probable models with more process noise would let outliers pass.
+"""
 
 MIN_PROBABILITY = 1e-12
 """Probability below which a test ratio is that of the model that fits best."""
@@ -181,11 +175,9 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        at = ahead(bank, seen)
-        ratio = test_ratio(at.bank, innovation_ahead(at, seen))
-        ratios.append(ratio if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
-        at = linearized_again(bank, seen, at)
-        banks.append(updated(at.bank, seen, innovation_ahead(at, seen)))
+        after, found = continued(bank, seen)
+        ratios.append(test_ratio(bank, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
+        banks.append(after)
     interval_s = observed.stamp_s - track.stamp_s
     return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)), min(ratios)
 
@@ -200,7 +192,7 @@ def test_ratio(bank: Bank, found: Innovation) -> float:
     from scipy.special import chdtrc, chdtri
 
     dof, weights = max(found.degrees_of_freedom, 1), bank.weights
-    tested = weights >= MIN_TESTED_SHARE * weights.max()
+    tested = weights >= MIN_TESTED_MODEL_SHARE * weights.max()
     probability = float(weights[tested] @ chdtrc(dof, found.chi2[tested]) / weights[tested].sum())
     if probability < MIN_PROBABILITY:
         return float(found.chi2[tested].min()) / gate(dof)

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import CURVATURE, HALF_BAND, MIN_CURVATURE, STEP
+from ringpose.geometry.ring import CURVATURE, HALF_BAND, STEP
+from ringpose.track.motion_models import LEVER_M, LEVER_SD_M, MODELS, MotionModels, process_noise
 from ringpose.track.observation import Observation
 from ringpose.track.states import (
     ERRORS,
@@ -31,38 +32,23 @@ from ringpose.track.states import (
     perturbed,
     step_rates,
 )
-from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.pose import RadiusPrior
-
-PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
-"""Power spectral densities from which those of velocity (m^2/s^3) and angular velocity (rad^2/s^3) are chosen."""
-
-TORQUE_FREE_SHARE = 0.1
-"""Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
-
-LEAST_NOISE_LOG_PRIOR = -2.0
-"""Log prior weight of the models with the least acceleration, and of those with the least angular acceleration: within
-seconds single shots hardly show that of the next value, so that half of its tracks would be predicted with too small
-errors."""
-
-LEVER_M, LEVER_SD_M = 1.0, 1.0
-"""Prior of the distance of the centre of mass behind the ring."""
 
 CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
 """Curvature of an unknown ring in 1/m: radii from 0.36 m to any length lie within two standard deviations."""
 
-LEFT_OUT_S = 1.0
-"""Time over which the process noise of the constant-velocity models has the effect of the precession that they leave
-out: angular accelerations of the order of the rate squared, and as much of the centre, a lever away from the mass."""
-
 HALF_BAND_SD_M = 0.05
+
+SMOOTHED = 4
+"""How often the motion before a measurement is linearised again for the first ones; twice may end between solutions."""
 
 ITERATIONS, ITERATED_UNTIL = 2, 6
 """How often, and until which number of measurements, an update is linearised again."""
 
 MAX_LOG_ODDS = 9.0
-"""Largest log evidence of a motion model against another one: a target that looked steady for long may begin to move.
+"""Largest difference of the scores of two motion models: a target that looked steady for long may begin to move.
 
 Within this bound the evidence for the models that describe it then takes over within a few shots; the weights that it
 leaves to the others are below `NEGLIGIBLE_WEIGHT`.
@@ -76,33 +62,6 @@ LOST = -1e6
 
 _PLACE_SD = 1.0
 """Standard deviation in metres and radians of the place of a ring before it is measured."""
-
-
-class MotionModels(NamedTuple):
-    """The models of a bank, one filter each."""
-
-    velocity_noise: Float64[Array, "filter"]
-    """Power spectral density of the acceleration of the centre (of mass), m^2/s^3 per axis."""
-    rate_noise: Float64[Array, "filter"]
-    """Of the angular acceleration, rad^2/s^3 per axis."""
-    precession: Bool[Array, "filter"]
-    log_prior: Float64[Array, "filter"]
-    """Logarithms of their weights before the first measurement."""
-
-
-def motion_models() -> MotionModels:
-    """Nine constant-velocity models and three of torque-free precession."""
-    pairs = [(q_v, q_w) for q_v in PROCESS_NOISE for q_w in PROCESS_NOISE]
-    pairs += [(q_v, TORQUE_FREE_SHARE * q_v) for q_v in PROCESS_NOISE]
-    return MotionModels(
-        velocity_noise=np.array([q_v for q_v, _ in pairs]),
-        rate_noise=np.array([q_w for _, q_w in pairs]),
-        precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
-        log_prior=LEAST_NOISE_LOG_PRIOR * (np.array(pairs) <= PROCESS_NOISE[0]).sum(axis=1),
-    )
-
-
-MODELS = motion_models()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -255,39 +214,39 @@ def tempered(bank: Bank, temperature: float) -> Bank:
     return replace(bank, log_evidence=best + (bank.log_evidence - best) / temperature)
 
 
-class Ahead(NamedTuple):
-    """A bank at the time of a measurement and in its chart, and the rates of the coordinates, linearised there."""
+def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
+    """The bank after a further measurement, and the innovation of the measurement by the bank's prediction.
 
-    bank: Bank
-    transition: Float64[Array, "filter error=14 error=14"]
-    """Derivatives of the coordinates by those before."""
-    step: Float64[Array, "filter error=14"]
-    """From the bank's coordinates to those about which motion and rates are linear."""
-    rates: Float64[Array, "filter 5"]
-    """After that step."""
-    rates_wrt: Float64[Array, "filter 5 error=14"]
-    """Derivatives by the coordinates."""
-
-
-def ahead(bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None = None) -> Ahead:
-    """The bank at the time of a measurement, described about the place where it has seen the ring.
-
-    Motion is linear about the coordinates `about` of the bank before, which are its own if not given.
+    The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
+    turn of an edge is curvature times velocity. The motion is linearised again about the states before to which the
+    measurement moves them (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
     """
     bank = _with_common_errors_of(bank, observed)
+    at, transition, found = _ahead(bank, observed, None)
+    first = found
+    for _ in range(SMOOTHED if bank.measurements < ITERATED_UNTIL else 0):
+        found = _iterated(at, observed, found)
+        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=found.jacobian @ transition))
+        about = bank.coordinates + (gain @ found.remaining[..., None])[..., 0]
+        at, transition, found = _ahead(bank, observed, about)
+    return updated(at, observed, found), first
+
+
+def _ahead(
+    bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None
+) -> tuple[Bank, Float64[Array, "filter error=14 error=14"], Innovation]:
+    """The bank at the time of a measurement and in its chart, its transition, and the innovation.
+
+    Motion and rates are linear about the coordinates `about` of the bank before; None for its own.
+    """
     transported = _transported(bank, observed.stamp_s, observed.chart, about)
-    count, found = len(bank.coordinates), transported.found
+    count, found, leader_of = len(bank.coordinates), transported.found, transported.leader_of
     rates = step_rates(observed.chart, found)
     rates_wrt = jacobians(rates[count:])
     rates_wrt = np.linalg.solve(transported.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    leader_of = transported.leader_of
-    return Ahead(
-        bank=transported.bank,
-        transition=transported.transition[leader_of],
-        step=found.coordinates[:count] - transported.bank.coordinates,
-        rates=rates[:count],
-        rates_wrt=rates_wrt[leader_of],
-    )
+    step = None if about is None else found.coordinates[:count] - transported.bank.coordinates
+    predicted_by = innovation(transported.bank, observed, rates[:count], rates_wrt[leader_of], step)
+    return transported.bank, transported.transition[leader_of], predicted_by
 
 
 def predicted(bank: Bank, stamp_s: float) -> Bank:
@@ -355,39 +314,6 @@ def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]
     return np.array(leaders), precession.astype(np.int64)
 
 
-def process_noise(
-    models: MotionModels,
-    chart: RingStates,
-    coordinates: Float64[Array, "filter error=14"],
-    transition: Float64[Array, "filter error=14 error=14"],
-    time_s: float,
-) -> Float64[Array, "filter error=14 error=14"]:
-    """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
-
-    With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
-    the origin too.
-    """
-    gain = np.zeros((len(coordinates), len(ERRORS), 6))
-    gain[:, VELOCITY, :3] = np.eye(3)
-    gain[:, RATE, 3:] = np.eye(3)
-    lever_m = coordinates[:, LEVER]
-    gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
-    gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
-    density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
-    steady = ~models.precession
-    centripetal = (coordinates[steady, RATE_INWARD] ** 2 + coordinates[steady, RATE_ALONG] ** 2)[:, None]
-    density[steady, :3] += LEFT_OUT_S * (LEVER_M * centripetal) ** 2
-    density[steady, 3:5] += LEFT_OUT_S * centripetal**2
-    density[steady, 5] = 0.0
-    gain *= np.sqrt(density * time_s)[:, None]
-    later = (transition @ gain) - gain
-    both = later @ gain.swapaxes(1, 2)
-    noise: Float64[Array, "filter error error"] = (
-        gain @ gain.swapaxes(1, 2) + 0.5 * (both + both.swapaxes(1, 2)) + later @ later.swapaxes(1, 2) / 3.0
-    )
-    return noise
-
-
 def rates_near(
     bank: Bank, coordinates: Float64[Array, "filter error=14"]
 ) -> tuple[Float64[Array, "filter 5"], Float64[Array, "filter 5 error=14"]]:
@@ -440,26 +366,6 @@ def innovation_covariance(
     return covariance
 
 
-def innovation_ahead(at: Ahead, observed: Observation) -> Innovation:
-    """The innovation of a measurement by a bank ahead."""
-    return innovation(at.bank, observed, at.rates, at.rates_wrt, at.step)
-
-
-def linearized_again(bank: Bank, observed: Observation, at: Ahead) -> Ahead:
-    """The bank ahead with the motion linear about the states before to which the measurement moves them.
-
-    The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
-    turn of an edge is curvature times velocity. (Iterated smoothing over one interval, Jazwinski 1970, section 8.3.)
-    """
-    bank = _with_common_errors_of(bank, observed)
-    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
-        found = _iterated(at.bank, observed, innovation_ahead(at, observed))
-        wrt_before = found.jacobian @ at.transition
-        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=wrt_before))
-        at = ahead(bank, observed, bank.coordinates + (gain @ found.remaining[..., None])[..., 0])
-    return at
-
-
 def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
     """The innovation linearised where the measurement moves the states to (iterated filter), for the first ones."""
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
@@ -477,15 +383,16 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     _, log_determinant = np.linalg.slogdet(found.covariance)
     chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
-    log_evidence = bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST)
-    return replace(
+    after = replace(
         bank,
         coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
         own=own,
         common=common,
-        log_evidence=np.maximum(log_evidence, log_evidence.max() - MAX_LOG_ODDS),
+        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
         measurements=bank.measurements + 1,
     )
+    missing = after.scores.max() - MAX_LOG_ODDS - after.scores
+    return replace(after, log_evidence=after.log_evidence + np.maximum(missing, 0.0))
 
 
 def schmidt_gain(

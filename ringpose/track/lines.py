@@ -128,7 +128,11 @@ def track_line(
             covariance=following.grasp_and_tilts(),
         ),
         hypotheses=tuple(
-            SideHypothesis(side=side, weight=weight, center_m=_center(found, each, bank, stamp_s))
+            SideHypothesis(
+                side=side,
+                weight=weight,
+                center_m=(found if each is bank else _Reported(each, stamp_s)).value[_CENTER],
+            )
             for each, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
         ),
         flags=flags,
@@ -170,16 +174,14 @@ class _Reported:
         states = moved(at.chart, np.concatenate([mean[None], perturbed(mean[None])]))
         values = _quantities(states)
         self.value, self._jacobian = values[0], jacobians(values[1:])[0]
-        self.axes, self.curvature = states.axes[0], float(states.curvature[0])
+        self.axes, curvature = states.axes[0], float(states.curvature[0])
+        self.is_curved = sqrt(float(self.errors[CURVATURE, CURVATURE])) < UNKNOWN_FROM * curvature
+        """Whether the curvature is determined well enough for the centre to have a finite error."""
         self.basis = tilt_basis(self.value[_NORMAL])
 
     def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
         """Of some of the quantities."""
         return self._of(np.concatenate([self._jacobian[part] for part in parts]))
-
-    def _rows(self, part: slice, across: Float64[Array, "n 3"]) -> Float64[Array, "n error"]:
-        rows: Float64[Array, "n error"] = across @ self._jacobian[part]
-        return rows
 
     def _of(self, rows: Float64[Array, "n error"]) -> Float64[Array, "n n"]:
         covariance: Float64[Array, "n n"] = rows @ self.errors @ rows.T
@@ -187,16 +189,16 @@ class _Reported:
 
     def grasp_and_tilts(self) -> Float64[Array, "5 5"]:
         """Covariance of the grasp point and the tilts of the normal."""
-        return self._of(np.concatenate([self._jacobian[_GRASP], self._rows(_NORMAL, self.basis)]))
+        return self._of(np.concatenate([self._jacobian[_GRASP], self.basis @ self._jacobian[_NORMAL]]))
 
     def capture_covariance(self) -> Float64[Array, "4 4"]:
         """Covariance of the grasp point's errors inward and along the normal, and of the tilts."""
         across = self.axes[[0, 2]]
-        return self._of(np.concatenate([self._rows(_GRASP, across), self._rows(_NORMAL, self.basis)]))
+        return self._of(np.concatenate([across @ self._jacobian[_GRASP], self.basis @ self._jacobian[_NORMAL]]))
 
     def velocity_covariance(self) -> Float64[Array, "5 5"]:
         """Covariance of the velocity (x, y, z) and the two rates."""
-        return self._of(np.concatenate([self._jacobian[_VELOCITY], self._rows(_RATES, self.basis)]))
+        return self._of(np.concatenate([self._jacobian[_VELOCITY], self.basis @ self._jacobian[_RATES]]))
 
     def pose_covariance(self) -> Float64[Array, "7 7"]:
         """Covariance in the parameters of the records: tilts, offset, centre in the plane, radii."""
@@ -214,22 +216,15 @@ def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
     return np.concatenate([states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1)
 
 
-def _center(found: _Reported, each: Bank, best: Bank, stamp_s: float) -> Float64[Array, "xyz=3"]:
-    """Centre of the ring by one of the explanations; `found` are the quantities of the best one."""
-    quantities = found if each is best else _Reported(each, stamp_s)
-    center_m: Float64[Array, "xyz=3"] = quantities.value[_CENTER]
-    return center_m
-
-
 def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
     """Flags of what is poorly determined, by the limits of single shots."""
     flags = PoseFlag(0)
     limit_m = WEAK_SD * float(np.abs(found.value[_RADII]).min())
     if standard_deviation(found.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
         flags |= PoseFlag.NORMAL_WEAK
-    if not _curved(found) or standard_deviation(found.covariance(_CENTER)) > limit_m:
+    if not found.is_curved or standard_deviation(found.covariance(_CENTER)) > limit_m:
         flags |= PoseFlag.CENTER_WEAK
-    if not _curved(found) or sqrt(float(found.covariance(_RADII).diagonal().max())) > limit_m:
+    if not found.is_curved or sqrt(float(found.covariance(_RADII).diagonal().max())) > limit_m:
         flags |= PoseFlag.RADIUS_WEAK
     if standard_deviation(found.covariance(_GRASP)) > GRASP_UNKNOWN_FROM_M:
         flags |= PoseFlag.GRASP_WEAK
@@ -238,15 +233,9 @@ def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
     return flags
 
 
-def _curved(found: _Reported) -> bool:
-    """Whether the curvature is determined well enough for the centre to have a finite error."""
-    curvature = found.curvature
-    return sqrt(float(found.errors[CURVATURE, CURVATURE])) < UNKNOWN_FROM * curvature
-
-
 def _pose(found: _Reported, flags: PoseFlag) -> RingPose:
     """The pose, with NaN for what is not determined."""
-    value, curved = found.value, _curved(found)
+    value, curved = found.value, found.is_curved
     normal_known = PoseFlag.NORMAL_WEAK not in flags
     covariance = found.pose_covariance()
     known = np.array([normal_known] * 3 + [curved and normal_known] * 2 + [curved] * 2)

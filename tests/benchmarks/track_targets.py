@@ -36,7 +36,7 @@ from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.track.common_errors import common_errors
 from ringpose.track.explanations import TrackOptions
-from ringpose.track.filters import ahead, innovation_ahead, predicted
+from ringpose.track.filters import continued, predicted
 from ringpose.track.lines import Gripper, LineOptions
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
@@ -287,6 +287,8 @@ def tumbling(rng, runs: int) -> Iterator[Figure]:
                 rejected += tracker.add(line).fusion_status is FusionStatus.REJECTED_GATE
                 for ahead_s in (0.0, 0.5) if number in (2, 6, 17) else ():
                     at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                    if at.pose is None or not np.isfinite(at.pose.center_m).all():
+                        continue
                     for name, (error, covariance) in errors_at(truth, at).items():
                         found.setdefault((name, ahead_s), []).append(nees(error, covariance))
         where = f"{rate_deg_s:g} deg/s, 30 degrees of nutation"
@@ -347,7 +349,7 @@ def _displaced(line, tracker: Tracker, sigmas: float, rng):
     """The record with centre and normal displaced in a random direction."""
     observed = observation(line, line.measurement, common_errors(line, line.measurement, None), 1.0)
     bank = tracker.track.likeliest
-    covariance = innovation_ahead(ahead(bank, observed), observed).covariance[bank.best]
+    covariance = continued(bank, observed)[1].covariance[bank.best]
     direction = np.concatenate([rng.normal(size=5) * np.array([0.01, 0.01, 1e-3, 0.01, 0.01]), np.zeros(7)])
     rows = line.measurement.square_root[:, :12] @ direction
     shift = sigmas / np.sqrt(rows @ np.linalg.solve(covariance, rows)) * direction

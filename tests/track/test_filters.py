@@ -8,13 +8,12 @@ from moving_rings import START_S, Shots, Wandering, drawn_motion, stream
 
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.filters import (
-    MODELS,
     Innovation,
     covariances_after,
     innovation_covariance,
-    process_noise,
     schmidt_gain,
 )
+from ringpose.track.motion_models import MODELS, process_noise
 from ringpose.track.pipeline import Tracker
 from ringpose.track.states import ERRORS, RingStates
 from ringpose.types.pose import Priors, RadiusPrior

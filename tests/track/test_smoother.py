@@ -9,7 +9,8 @@ import pytest
 from moving_rings import Shots, drawn_motion, stream
 
 from ringpose.track.common_errors import common_errors
-from ringpose.track.filters import MODELS, process_noise, started
+from ringpose.track.filters import started
+from ringpose.track.motion_models import MODELS, process_noise
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.track.states import ERRORS, after, charted, jacobians, moved, perturbed, step_rates
