@@ -39,6 +39,7 @@ bench-speed: $(STAMP)
 
 bench-targets: $(STAMP)
 	$(BIN)/python tests/benchmarks/track_targets.py
+	$(BIN)/python tests/benchmarks/track_images.py
 
 structure: $(STAMP)
 	$(BIN)/python tests/benchmarks/structure.py
