@@ -186,8 +186,14 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("light: dim", "light: dim, target: moon", "moon"),
         ("methods:", "cases: {}\nmethods:", "cases"),
         ("methods:", "cases: {far: {distance_m: 2}}\nmethods:", "distance_m"),
-        ("methods:", "cases: {dark: {light: [dim, dim]}}\nmethods:", "light"),
+        ("methods:", "cases: {dark: {light: [dim, normal]}}\nmethods:", "light"),
+        ("methods:", "cases:\nmethods:", "cases"),
+        ("methods:", "cases: {1: {}}\nmethods:", "cases"),
+        ("methods:", "cases: {bright: {light: dim, stripe_dn: 200}}\nmethods:", "stripe_dn"),
+        ("light: dim", "light: dim, stripe_dn: 1000", "saturate"),
         ("methods:", "assume: {ring_tolerance_m: 3}\nmethods:", "ring_tolerance_m"),
+        ("methods:", "assume:\nmethods:", "assume"),
+        ("methods:", "assume: {still: true, max_speed_m_s: 1}\nmethods:", "still"),
         ("[ml, paper]", "[ml, track]", "track"),
         ("methods:", "track: {shots: 3, period_s: 0.2}\nmethods:", "track"),
     ],
@@ -222,3 +228,17 @@ def test_the_presets_are_valid(name):
 
     assert read.study.shots >= 150
     assert read_study(study_path(name), count=2).sha256 != read.sha256
+
+
+@pytest.mark.slow
+def test_the_cases_of_a_study_are_stated_and_can_be_compared(folder, capsys):
+    text = (folder / "study.yaml").read_text().replace("light: dim", "light: dim, plane_tilt_rad: 0, target: ring")
+    cases = "cases: {none: {}, turned: {plane_tilt_rad: 0.01}, no ring: {target: body}}\nassume: {}\n"
+    (folder / "study.yaml").write_text(text.replace("methods:", f"{cases}table: case\nmethods:"))
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert "case turned: plane_tilt_rad 0.01" in printed
+    assert "ring tolerance 0.1 mm" in printed
+    assert "poses without a ring" in printed
+    assert main(["bench", "compare", "out", "out"]) == 0

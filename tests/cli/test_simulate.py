@@ -91,6 +91,38 @@ def test_force_removes_what_the_older_run_made_and_nothing_else(scene):
     assert left == ["mine.npz", "z0500_p00_dim.npz"]
 
 
+def test_places_of_boards_and_origin_of_the_rig_are_written(scene):
+    scene.write_text(yaml.safe_dump(SCENE | {"boards": BOARDS}))
+
+    simulate(scene, "--count", "2")
+
+    out = scene.parent / "out"
+    lines = (out / "calibration" / "camera_truth.jsonl").read_text().splitlines()
+    assert [json.loads(line)["view"] for line in lines] == ["board_00", "board_01"]
+    assert len(json.loads(lines[0])["camera_from_board_rvec"]) == 3
+    assert str(scene) in yaml.safe_load((out / "rig.yaml").read_text())["provenance"]["inputs"]
+
+
+@pytest.mark.parametrize(("key", "degrees"), [("pitch_rad", 5.0), ("yaw_rad", -8.0), ("roll_rad", 90.0)])
+def test_an_angle_in_degrees_is_rejected_with_its_place(scene, capsys, key, degrees):
+    view = {"name": "a", "center_m": [-0.58, 0.0, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0}
+    scene.write_text(yaml.safe_dump(SCENE | {"trajectory": [view | {key: degrees}]}))
+
+    assert simulate(scene) == 65
+    error = capsys.readouterr().err
+    assert f"trajectory[0].{key}" in error
+    assert "radians" in error
+
+
+def test_existing_output_is_kept(scene):
+    out = scene.parent / "out"
+    out.write_text("in the way")
+    assert simulate(scene, "--count", "1") == 73
+    out.unlink()
+
+    assert [simulate(scene, "--count", "1") for _ in range(2)] == [0, 73]
+
+
 @pytest.mark.parametrize(
     ("change", "status", "message"),
     [

@@ -31,7 +31,7 @@ def with_laser_angle(rig: Rig, angle_rad: float) -> Rig:
             for turn, each in zip(turns, rig.lasers.normal, strict=True)
         ]
     )
-    return replace(rig, lasers=through_projectors(replace(rig.lasers, normal=normal)))
+    return replace(rig, lasers=_through_projectors(replace(rig.lasers, normal=normal)))
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:
@@ -42,7 +42,7 @@ def with_baseline(rig: Rig, baseline_m: float) -> Rig:
         raise DataError("rig", "its projectors lie on the optical axis", "give lasers beside the camera")
     projector_m = rig.lasers.projector_m.copy()
     projector_m[:, :2] = across_m * baseline_m / mean_m
-    return replace(rig, lasers=through_projectors(replace(rig.lasers, projector_m=projector_m)))
+    return replace(rig, lasers=_through_projectors(replace(rig.lasers, projector_m=projector_m)))
 
 
 def with_lasers(rig: Rig, count: int) -> Rig:
@@ -61,7 +61,7 @@ def with_lasers(rig: Rig, count: int) -> Rig:
         distance_m=np.zeros(count),
         projector_m=projector_m,
     )
-    return replace(rig, lasers=through_projectors(lasers), covariance=None)
+    return replace(rig, lasers=_through_projectors(lasers), covariance=None)
 
 
 def with_focal_length(rig: Rig, focal_px: float) -> Rig:
@@ -73,6 +73,6 @@ def with_focal_length(rig: Rig, focal_px: float) -> Rig:
     return replace(rig, camera=replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients))
 
 
-def through_projectors(planes: LaserPlanes) -> LaserPlanes:
+def _through_projectors(planes: LaserPlanes) -> LaserPlanes:
     """The planes moved so that each contains its projector."""
     return replace(planes, distance_m=(planes.normal * planes.projector_m).sum(axis=1))

@@ -14,9 +14,11 @@ from ringpose.bench.study.table import (
     Key,
     StudySummary,
     cell_rows,
+    factor_text,
     failure_rows,
     paper_rows,
     value_text,
+    violation_lines,
     wide_columns,
 )
 from ringpose.bench.table import number
@@ -77,16 +79,11 @@ def _plain(value: object) -> str:
 
 def _set_up_text(study: Study) -> str:
     ring, level = study.scene.ring, "rendered images" if study.level == "images" else "features drawn from the model"
-    varied = [
-        f"{factor.name} from {factor.uniform[0]:g} to {factor.uniform[1]:g}"
-        if factor.uniform is not None
-        else f"{factor.name} {'drawn from ' if factor.drawn else ''}" + ", ".join(f"{value}" for value in factor.values)
-        for factor in study.factors
-    ]
     radii = f"{1e3 * ring.radius_inner_m:g} and {1e3 * ring.radius_outer_m:g} mm"
     return (
         f"{study.shots} shots ({level}), {study.count} in each cell, seed {study.seed}; ring with radii {radii}; "
-        + ("; ".join(varied) + ".")
+        + "; ".join([*map(factor_text, study.factors), *violation_lines(study)])
+        + "."
     )
 
 

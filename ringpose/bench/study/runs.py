@@ -80,7 +80,7 @@ def _drawn_path(scene: Scene, view: RingView, prior: MotionPrior, rng: np.random
 def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> tuple[PoseEstimate, str | None]:
     """The state after the last of the pose lines, and why it has no pose.
 
-    The track assumes the motion that was drawn; like `ringpose track` it does not take a target for still, and uses its
+    The track assumes the motion of `prior`; like `ringpose track` it does not take a target for still, and uses its
     defaults for a speed or rate of 0.
     """
     options = TrackOptions()

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.bench.design.bounds import Bound, cramer_rao
-from ringpose.bench.design.rig_changes import through_projectors, with_laser_angle
+from ringpose.bench.design.rig_changes import with_laser_angle
 from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.bench.study.runs import tracked, with_run
@@ -34,11 +34,11 @@ from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene, Truth
 from ringpose.types.session import parsed_sequence
-from ringpose.types.study import CASE, Row, Study, StudyMethod, Value, columns
+from ringpose.types.study import CASE, Factor, Row, Study, StudyMethod, Value, columns
 from ringpose.types.target import RingShape
 
-_FACTORS, _SCENE, _RIG, _RADII, _MOTION = 10, 11, 12, 13, 14
-"""First numbers of the seeds of a shot's factors, scene, true rig, assumed radii and motion."""
+_FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
+"""First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, turned plane and case."""
 
 _POSE_METHODS = {
     StudyMethod.ML: (Method.ML, False),
@@ -87,22 +87,31 @@ def failed_rows(study: Study, index: int, reason: str) -> list[Row]:
 
 
 def setting_of(study: Study, index: int) -> dict[str, Value]:
-    """The values of the factors of a shot; shots go through the cells of the grid in turn, the last factor fastest."""
+    """The values of the factors of a shot; shots go through the cells of the grid in turn, the last factor fastest.
+
+    With cases, the shots of one turn have the same drawn values, except for those of the case.
+    """
     cell = index % study.cells
     values: dict[str, Value] = {}
     for factor in reversed(study.grid):
         cell, place = divmod(cell, len(factor.values))
         values[factor.name] = factor.values[place]
-    own = {factor.name: factor for factor in study.cases.get(str(values.get(CASE)), ())}
-    rng = np.random.default_rng([_FACTORS, study.seed, index])
-    for factor in (own.get(factor.name, factor) for factor in study.factors):
-        if factor.uniform is not None:
-            values[factor.name] = float(rng.uniform(*factor.uniform))
-        elif factor.drawn:
-            values[factor.name] = factor.values[int(rng.integers(len(factor.values)))]
-        elif factor.name in own:
-            values[factor.name] = factor.values[0]
+    rng = np.random.default_rng([_FACTORS, study.seed, _turn(study, index)])
+    values |= {factor.name: _drawn(factor, rng) for factor in study.factors if factor.drawn}
+    rng = np.random.default_rng([_CASE, study.seed, index])
+    values |= {factor.name: _drawn(factor, rng) for factor in study.cases.get(str(values.get(CASE)), ())}
     return {factor.name: values[factor.name] for factor in study.factors}
+
+
+def _turn(study: Study, index: int) -> int:
+    """What shots with the same drawn values and view have in common."""
+    return index // study.cells if study.cases else index
+
+
+def _drawn(factor: Factor, rng: np.random.Generator) -> Value:
+    if factor.uniform is not None:
+        return float(rng.uniform(*factor.uniform))
+    return factor.values[int(rng.integers(len(factor.values)))]
 
 
 def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyShot:
@@ -111,7 +120,8 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     scene = scene_of(study, index, setting)
     deviations = _deviations(setting)
     rng = np.random.default_rng([_RIG, study.seed, index])
-    taken_by = replace(scene, rig=_with_turned_plane(scene.rig, setting, rng))
+    turned = _with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
+    taken_by = replace(scene, rig=turned)
     run: list[tuple[Shot | Detection, Truth]]
     if study.level == "features":
         run = [(drawn.detection, drawn.truth) for drawn in drawn_features(taken_by, deviations)]
@@ -127,7 +137,7 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
 
 def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     """The scene of one shot: a random view, with a seed of its own, or a run of views that ends in it."""
-    seed = int(np.random.SeedSequence([_SCENE, study.seed, index]).generate_state(1)[0])
+    seed = int(np.random.SeedSequence([_SCENE, study.seed, _turn(study, index)]).generate_state(1)[0])
     numbers: Mapping[str, Any] = setting
     scene = study.scene
     if "laser_angle_rad" in setting:
@@ -162,14 +172,16 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
 
 
 def _with_turned_plane(rig: Rig, setting: Mapping[str, Value], rng: np.random.Generator) -> Rig:
-    """The rig with one light plane, drawn, turned by the setting's `plane_tilt_rad` about a drawn axis in it."""
+    """The rig with one light plane, drawn, turned by the setting's `plane_tilt_rad` about its projector."""
     tilt_rad = float(setting.get("plane_tilt_rad", 0.0))
     if not tilt_rad:
         return rig
     laser, direction_rad = int(rng.integers(len(rig.lasers.names))), rng.uniform(0.0, 2.0 * math.pi)
-    normal = rig.lasers.normal.copy()
-    normal[laser] = tilted(normal[laser], tilt_rad * np.array([math.cos(direction_rad), math.sin(direction_rad)]))
-    return replace(rig, lasers=through_projectors(replace(rig.lasers, normal=normal)))
+    normal, distance_m = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
+    direction = np.array([math.cos(direction_rad), math.sin(direction_rad)])
+    normal[laser] = tilted(rig.lasers.normal[laser], math.tan(tilt_rad) * direction)
+    distance_m[laser] += (normal[laser] - rig.lasers.normal[laser]) @ rig.lasers.projector_m[laser]
+    return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance_m))
 
 
 def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
@@ -243,7 +255,10 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         start_s = perf_counter()
         if method is StudyMethod.TRACK:
             lines = [pose_line(each, rig, options=options) for each in (*before, detection)]
-            (estimate, reason), bound = tracked(lines, rig, _motion(shot.setting)), None
+            assumed = _motion(shot.setting)
+            if study.assumed is not None:
+                assumed = options.about_shot(rig.stability, still=False).motion
+            (estimate, reason), bound = tracked(lines, rig, assumed), None
         else:
             line = measured_line(detection, rig, method, radii, options)
             estimate, reason = replace(estimate_of(line, truth.shot), method=method.value), line.reason

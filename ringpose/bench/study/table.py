@@ -11,7 +11,7 @@ import numpy as np
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import aligned, number
-from ringpose.types.study import ERRORS, LIMITS, SIGMAS, Row, Study, Value
+from ringpose.types.study import ERRORS, LIMITS, SIGMAS, Factor, Row, Study, Value
 
 BOUND_OF = {
     "center_m": "bound_center_m",
@@ -36,6 +36,8 @@ class Statistics:
     """Those of them with a pose."""
     available: int = 0
     """Those of them whose status is `ok`."""
+    false_poses: int = 0
+    """Poses where no ring is visible."""
     failed: int = 0
     """Shots that could not be computed."""
     wrong: int = 0
@@ -57,6 +59,7 @@ class Statistics:
         self.targets += has_target
         self.answers += has_target and has_pose
         self.available += has_target and row["status"] == "ok"
+        self.false_poses += has_pose and row["expect"] == "no_target"
         wrong = len(names_in(row["wrong"]))
         self.wrong += wrong
         self.judged += wrong + len(names_in(row["correct"]))
@@ -182,15 +185,37 @@ PAPER_TIMES = (("detection (ms)", "detect_s"), ("pose (ms)", "pose_s"))
 
 def study_text(study: Study, summary: StudySummary) -> str:
     """All tables of a study."""
-    blocks = [f"{study.title}: {study.shots} shots ({study.level}), seed {study.seed}"]
+    heading = [f"{study.title}: {study.shots} shots ({study.level}), seed {study.seed}", *violation_lines(study)]
+    blocks = ["\n".join(heading)]
     for method in summary.methods:
-        heading, *rows = paper_rows(study, summary, method)
-        blocks.append("\n".join(aligned([[f"{method}, root mean square", *heading], *rows], 1)))
+        columns, *rows = paper_rows(study, summary, method)
+        blocks.append("\n".join(aligned([[f"{method}, root mean square", *columns], *rows], 1)))
     cells = aligned(cell_rows(summary, HEADINGS), len(summary.by) + 1)
     blocks.append("\n".join(["errors beside their bounds, root mean square", *cells]))
     if failures := failure_rows(summary):
         blocks.append("\n".join(["shots with a visible ring but without a pose", *map("  ".join, failures)]))
     return "\n\n".join(blocks) + "\n"
+
+
+def violation_lines(study: Study) -> list[str]:
+    """What each case changes, and what the estimator assumes if that is not what was drawn."""
+    lines = [f"case {name}: {', '.join(map(factor_text, own)) or 'no change'}" for name, own in study.cases.items()]
+    if study.assumed is None:
+        return lines
+    assumed = study.assumed.about_shot(study.scene.rig.stability, still=False)
+    motion = "still target"
+    if assumed.motion is not None:
+        speed_mm_s, rate_deg_s = 1e3 * assumed.motion.speed_sd_m_s, degrees(assumed.motion.rate_sd_rad_s)
+        motion = f"motion by {speed_mm_s:g} mm/s and {rate_deg_s:g} deg/s (sd) of targets that are not still"
+    ring = f"ring tolerance {1e3 * assumed.ring_tolerance_m:g} mm"
+    return [*lines, f"assumed: {motion}, {ring}, rig stability times {study.assumed.rig_stability:g}"]
+
+
+def factor_text(factor: Factor) -> str:
+    """Name and values of a factor."""
+    if factor.uniform is not None:
+        return f"{factor.name} from {factor.uniform[0]:g} to {factor.uniform[1]:g}"
+    return f"{factor.name} {'drawn from ' if factor.drawn else ''}" + ", ".join(map(str, factor.values))
 
 
 def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[str]]:
@@ -205,6 +230,8 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
         rows += [[label, *(number(each.median(name) * 1e3) for each in found)] for label, name in PAPER_TIMES]
     rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
     rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
+    if any(each.targets < each.shots for each in found):
+        rows.append(["poses without a ring", *(f"{each.false_poses}/{each.shots - each.targets}" for each in found)])
     return rows
 
 

@@ -27,7 +27,7 @@ from ringpose.errors import CannotCreateError, DataError, NoInputError
 from ringpose.files import atomic
 from ringpose.files.io import read_bytes
 from ringpose.files.records import line_of, parsed_record, plain
-from ringpose.types.study import INTEGERS, SWITCHES, TEXT_COLUMNS, TEXTS, Row
+from ringpose.types.study import CASE, INTEGERS, SWITCHES, TEXT_COLUMNS, TEXTS, Row
 
 ROWS_PER_GROUP = 5_000
 """Rows of a table that are in memory at once while it is written."""
@@ -208,7 +208,7 @@ def _read_csv(path: Path) -> Iterator[Row]:
 
 
 def _value(place: str, name: str, cell: str) -> str | float | int | bool | None:
-    if name in TEXT_COLUMNS or name in TEXTS:
+    if name in (*TEXT_COLUMNS, *TEXTS, CASE):
         return cell
     if cell == "":
         return None

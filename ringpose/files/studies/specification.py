@@ -1,10 +1,9 @@
-"""study.yaml, the input of `ringpose bench study`; man/ringpose-bench.1 documents its keys."""
+"""study.yaml, the input of `ringpose bench study`; man/ringpose-study.5 documents its keys."""
 
 import hashlib
 import json
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from math import degrees
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -69,7 +68,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     scene_file = path.parent / fields.text("scene")
     scene = read_scene(scene_file)
     factors = _factors(fields.fields("vary", _FACTORS), scene)
-    cases = _cases(fields, factors, scene) if fields.has("cases") else {}
+    cases = _cases(fields, factors, scene) if "cases" in fields.values else {}
     if cases:
         factors = (Factor(name=CASE, values=tuple(cases)), *factors)
     grid = [factor.name for factor in factors if not factor.drawn]
@@ -88,7 +87,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         methods=methods,
         table=table,
         cases=cases,
-        assumed=_assumed(fields) if fields.has("assume") else None,
+        assumed=_assumed(fields) if "assume" in fields.values else None,
         calibrate=fields.boolean("calibrate") if fields.has("calibrate") else False,
         run=_run(fields, methods),
         limits=_limits(fields),
@@ -140,14 +139,19 @@ def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
 def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[str, tuple[Factor, ...]]:
     """By the name of each case, the factors that it replaces; they have one value, or are drawn."""
     single = [factor.name for factor in factors if factor.drawn or len(factor.values) == 1]
-    entries = fields.fields("cases")
-    cases = {}
-    for name in map(str, entries.values):
-        entry = entries.fields(name, tuple(single))
-        cases[name] = tuple(_factor(entry, str(key), scene) for key in entry.values if not str(key).startswith("x_"))
-        for factor in cases[name]:
-            if not factor.drawn and len(factor.values) > 1:
-                raise entry.problem(factor.name, "has several values", "give one, or {choice: [...]}")
+    entries, cases = fields.fields("cases"), {}
+    for name in entries.values:
+        if not isinstance(name, str) or not name.isprintable() or not name.strip():
+            raise fields.problem("cases", f"has the name {name!r}", "give a text of one line")
+        entry = entries.fields(name, _FACTORS)
+        own = [str(key) for key in entry.values if not str(key).startswith("x_")]
+        for key in own:
+            if key not in single:
+                raise entry.problem(key, "has not one value in vary", "give it one there, the one of the other cases")
+            given = entry.raw(key)
+            if isinstance(given, list) and len(given) != 1:
+                raise entry.problem(key, "has several values", "give one, or {choice: [...]}")
+        cases[name] = tuple(_factor(entry, key, scene) for key in own)
     if not cases:
         raise fields.problem("cases", "names no case")
     return cases
@@ -156,9 +160,12 @@ def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[st
 def _assumed(fields: Fields) -> AssumptionOptions:
     """What the estimator assumes; keys that are not given have the defaults of `ringpose pose`."""
     entry = fields.fields("assume", ("still", "max_speed_m_s", "max_rate_rad_s", "ring_tolerance_m", "rig_stability"))
+    still = entry.boolean("still") if entry.has("still") else False
+    if still and (entry.has("max_speed_m_s") or entry.has("max_rate_rad_s")):
+        raise entry.problem("still", "excludes max_speed_m_s and max_rate_rad_s", "give one of them")
     rate_rad_s = entry.optional("max_rate_rad_s", partial(entry.number, least=0.0, most=10.0))
     return AssumptionOptions(
-        still=entry.boolean("still") if entry.has("still") else False,
+        still=still,
         max_speed_m_s=entry.optional("max_speed_m_s", partial(entry.number, least=0.0, most=10.0)),
         max_rate_deg_s=None if rate_rad_s is None else degrees(rate_rad_s),
         ring_tolerance_m=entry.optional("ring_tolerance_m", partial(entry.number, least=0.0, most=MAX_TOLERANCE_M)),
@@ -248,28 +255,36 @@ def _check(fields: Fields, study: Study) -> None:
         raise fields.problem(
             "", f"has {study.shots} shots, must have at most {MAX_SHOTS}", "give a smaller grid or count"
         )
-    for factor in (*study.factors, *chain.from_iterable(study.cases.values())):
-        if factor.name in NUMBERS and NUMBERS[factor.name].only_features and study.level == "images":
-            raise fields.problem(f"vary.{factor.name}", "is not rendered in images", "give level: features")
-        if factor.name == "rig_errors" and True in factor.values and study.scene.rig.covariance is None:
-            remedy = "give a rig.yaml with a covariance, as calibrate-planes writes it"
-            raise fields.problem("vary.rig_errors", "needs the rig's covariance, and the scene's rig has none", remedy)
-        if factor.name == "radius_outer_m":
-            _check_radii(fields, factor, study.scene)
+    for factor in study.factors:
+        _check_factor(fields, "vary", factor, study)
+    for name, own in study.cases.items():
+        for factor in own:
+            if factor.name == study.table:
+                raise fields.problem("table", f"is {study.table!r}, which a case changes", "give table: case")
+            _check_factor(fields, f"cases.{name}", factor, study)
     if study.calibrate and study.level == "features":
         raise fields.problem("calibrate", "needs images", "give level: images")
     if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
         raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
 
 
-def _check_radii(fields: Fields, factor: Factor, scene: Scene) -> None:
-    smallest_m = min(cast(tuple[float, ...], factor.uniform or factor.values))
-    inward_m = scene.ring.radius_outer_m - float(scene.ring.profile_m[:, 0].min())
-    if smallest_m <= inward_m:
-        raise fields.problem(
-            "vary.radius_outer_m",
-            f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section",
-        )
+def _check_factor(fields: Fields, place: str, factor: Factor, study: Study) -> None:
+    key, scene = f"{place}.{factor.name}", study.scene
+    if factor.name in NUMBERS and NUMBERS[factor.name].only_features and study.level == "images":
+        raise fields.problem(key, "is not rendered in images", "give level: features")
+    if factor.name == "rig_errors" and True in factor.values and scene.rig.covariance is None:
+        remedy = "give a rig.yaml with a covariance, as calibrate-planes writes it"
+        raise fields.problem(key, "needs the rig's covariance, and the scene's rig has none", remedy)
+    if factor.name == "stripe_dn" and study.level == "features":
+        largest_dn = max(cast(tuple[float, ...], factor.uniform or factor.values))
+        if largest_dn > 2**scene.sensor.bits - 1:
+            raise fields.problem(key, f"has {largest_dn:g}; drawn features do not saturate", "give level: images")
+    if factor.name == "radius_outer_m":
+        smallest_m = min(cast(tuple[float, ...], factor.uniform or factor.values))
+        inward_m = scene.ring.radius_outer_m - float(scene.ring.profile_m[:, 0].min())
+        if smallest_m <= inward_m:
+            found = f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section"
+            raise fields.problem(key, found)
 
 
 def require_same(recorded: dict[str, Any], current: dict[str, Any], place: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.study.shots import scene_of, setting_of, study_rows
+from ringpose.bench.study.shots import scene_of, setting_of, study_rows, study_shot
 from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import read_study, study_path
@@ -166,6 +166,19 @@ def test_a_case_replaces_single_factors(study):
     assert [each["case"] for each in settings] == ["none"] * 4 + ["turned"] * 4
     assert [each["plane_tilt_rad"] for each in settings[:4]] == [0.0] * 4
     assert all(0.01 < each["plane_tilt_rad"] < 0.02 for each in settings[4:])
+    assert [each["tilt_rad"] for each in settings[:4]] == [each["tilt_rad"] for each in settings[4:]]
+
+
+def test_a_slightly_turned_plane_leaves_the_others_where_they_are(study):
+    """Although the projectors of a calibrated rig are not exactly in their planes."""
+    rig = study.scene.rig
+    lasers = replace(rig.lasers, projector_m=rig.lasers.projector_m + np.array([0.0, 0.002, 0.0]))
+    study = replace(study, scene=replace(study.scene, rig=replace(rig, lasers=lasers)))
+    setting = {"distance_m": 0.5, "light": "normal"}
+
+    exact, turned = (study_shot(study, 0, {**setting, "plane_tilt_rad": each}).truth for each in (0.0, 1e-9))
+
+    np.testing.assert_allclose(turned.break_points_px, exact.break_points_px, atol=1e-4)
 
 
 def test_a_turned_plane_contradicts_the_rig_that_measures(study):
