@@ -159,7 +159,7 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
         name, _, values = word.partition("=")
         if name not in SWEPT or name in sweep:
             raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(SWEPT)}", hint(name, SWEPT))
-        sweep[name] = sorted(set(numbers(values, f"--vary {name}", "such as 0.3,0.5,1", bounds[name])))
+        sweep[name] = sorted(set(numbers(values, f"--vary {name}", "give numbers separated by commas", bounds[name])))
         if name == "lasers" and any(value != round(value) for value in sweep[name]):
             raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
     number = prod(map(len, sweep.values()))

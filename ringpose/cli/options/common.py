@@ -37,7 +37,7 @@ def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, flo
     except ValueError:
         raise UsageError(option, f"{text!r} is not a list of numbers", remedy) from None
     if not all(limits[0] <= number <= limits[1] for number in found):
-        raise UsageError(option, f"{text!r} must be from {limits[0]:g} to {limits[1]:g}")
+        raise UsageError(option, f"{text!r} are not all from {limits[0]:g} to {limits[1]:g}", remedy)
     return found
 
 
