@@ -249,7 +249,7 @@ def measurements_of(
         edges=edges,
         has_covariances=has_covariances,
         reference_s=reference_s,
-        moving=math.isfinite(reference_s) and len(np.unique(every[np.isfinite(every)])) > 1,
+        moving=math.isfinite(reference_s) and bool(np.nanmin(every) < np.nanmax(every)),
         camera=camera,
     )
 
