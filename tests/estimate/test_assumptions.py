@@ -154,6 +154,21 @@ def test_a_target_faster_than_assumed_is_flagged_as_motion(scene_of, face_points
     assert mahalanobis_squared(error_m_s, result.velocity.covariance[:3, :3]) < 25
 
 
+@pytest.mark.parametrize("zero", ["speed_sd_m_s", "rate_sd_rad_s"])
+def test_a_rate_that_is_assumed_to_be_zero_is_the_limit_of_a_small_one(scene_of, face_points, rng, zero):
+    scene = scene_of("B", distance_m=0.5)
+    points = replace(face_points(scene, 0.3, 0.02, rng), stamp_s=STAMPS_S)
+
+    none, small = (
+        pose_result(points, scene.rig, assumptions=Assumptions(motion=replace(PRIOR, **{zero: sd})))
+        for sd in (0.0, 1e-9)
+    )
+
+    assert none.flags == small.flags
+    np.testing.assert_allclose(none.pose.center_m, small.pose.center_m, atol=1e-6)
+    np.testing.assert_allclose(none.pose.covariance, small.pose.covariance, rtol=1e-3)
+
+
 def test_frames_of_one_instant_do_not_depend_on_the_motion_prior(scene_of, face_points, rng):
     scene = scene_of("B", distance_m=0.5)
     points = replace(face_points(scene, 0.3, 0.02, rng), stamp_s=np.full(3, 100.0))
