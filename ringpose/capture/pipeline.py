@@ -321,10 +321,11 @@ def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: flo
     for laser in range(lasers.count):
         lasers.set_mask(1 << laser)
         lasers.wait(MAX_SETTLE_S)
-        pixels = lit_pixels(camera.trigger(1 << laser, exposure_s).image, [dark], saturation_dn)
+        lit = camera.trigger(1 << laser, exposure_s).image
+        pixels = lit_pixels(lit, [dark], saturation_dn)
         if pixels is not None:
             times_s += [_steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (0, 1 << laser)]
-        require_off(camera, lasers, laser, pixels, MAX_SETTLE_S, exposure_s)
+        dark = require_off(camera, lasers, laser, pixels, (dark, lit), MAX_SETTLE_S, exposure_s)
     if not times_s:
         raise DeviceError("--settle auto", "no laser shows in the image", "give a time, such as --settle 0.05")
     return SETTLE_MARGIN * max(times_s)

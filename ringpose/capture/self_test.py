@@ -114,8 +114,9 @@ def _check_laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Im
     full_dn, check = camera.describe().saturation_dn, f"laser {laser + 1}"
     lasers.set_mask(1 << laser)
     lasers.wait(MAX_SETTLE_S)
-    pixels = lit_pixels(camera.trigger(1 << laser).image, [dark], full_dn)
-    require_off(camera, lasers, laser, pixels, MAX_SETTLE_S)
+    lit = camera.trigger(1 << laser).image
+    pixels = lit_pixels(lit, [dark], full_dn)
+    require_off(camera, lasers, laser, pixels, (dark, lit), MAX_SETTLE_S)
     if pixels is None:
         remedy = "check that it shines on something in the image, and that the exposure is long enough"
         return None, Check(check=check, verdict="fault", found="is not seen", remedy=remedy)

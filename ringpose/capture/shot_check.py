@@ -153,20 +153,26 @@ def require_off(
     lasers: LaserDriver,
     laser: int,
     pixels: LitPixels | None,
+    before: tuple[UInt[Array, "row column"], UInt[Array, "row column"]],
     wait_s: float,
     exposure_s: float | None = None,
-) -> None:
-    """Switch all off, and check that a laser which was on alone goes off within `wait_s`.
+) -> UInt[Array, "row column"]:
+    """Switch all off, and check that a laser which was on alone goes off within `wait_s`; the image without it.
 
-    `pixels` are those that it lit; None if it was not seen. Raises `LaserSafetyError` if it stays on, or may be on all
-    the time.
+    `before` are images without and with it; `pixels` are those that it lit, None if it was not seen. Raises
+    `LaserSafetyError` if it stays on, or may be on all the time. Ambient light may change meanwhile: a narrow line is
+    recognised by its surroundings.
     """
     image = _dark_frame(camera, lasers, wait_s, exposure_s).image
     if pixels is None and shows_stripe(image):
         found = "is not seen to go on or off, and a stripe shows while all are off"
         raise LaserSafetyError(f"laser {laser + 1}", found, STRIPE_REMEDY)
-    if pixels is not None and pixels.are_lit_in(image):
-        raise LaserSafetyError(f"laser {laser + 1}", "is seen after it was switched off", "cut the power")
+    if pixels is not None:
+        dark, lit = before
+        is_line = pixels.stand_out_in(lit) and not pixels.stand_out_in(dark)
+        if pixels.stand_out_in(image) if is_line else pixels.are_lit_in(image):
+            raise LaserSafetyError(f"laser {laser + 1}", "is seen after it was switched off", "cut the power")
+    return image
 
 
 def _dark_frame(

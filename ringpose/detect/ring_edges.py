@@ -132,6 +132,8 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     wider = 1.0
     if len(found.trace.edge_sign) < MOSTLY_VISIBLE * len(trace.edge_sign):
         wider = uncertainty_factor(points, refined.arcs, stripes, break_points, frame, rig)
+        if not math.isfinite(wider):
+            return None
         points = replace(points, sigma_px=wider * points.sigma_px)
     curvature, curvature_sd = refined.arcs.curvature, wider * math.sqrt(refined.covariance[CURVATURE, CURVATURE])
     if len(stripes.measured.lines.laser) == ONE_STRIPE:
@@ -186,7 +188,7 @@ def uncertainty_factor(
     logarithm = np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1) / INDEPENDENT_STEPS
     weight = np.exp(logarithm - logarithm.max()) * np.cosh(CURVATURES)
     variance = float(weight @ away**2 / weight.sum())
-    return max(1.0, math.sqrt(variance * information))
+    return max(1.0, math.sqrt(variance * information)) if math.isfinite(variance) else math.inf
 
 
 def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:

@@ -100,7 +100,7 @@ class Solved(NamedTuple):
     def score(self) -> float:
         """Penalised chi-squared, visible edges included by their mean: less is better."""
         total = self.estimate.chi2 + self.hypothesis.penalty
-        return total + EDGE_NUMBERS * max(_edge_mean_square(self.estimate) - 1.0, 0.0)
+        return total + EDGE_NUMBERS * max(edge_mean_square(self.estimate) - 1.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -390,10 +390,10 @@ def _contradicts_itself(estimate: Estimate) -> bool:
     """
     dof = estimate.degrees_of_freedom
     fails_test = dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
-    return fails_test or _edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
+    return fails_test or edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
 
 
-def _edge_mean_square(estimate: Estimate) -> float:
+def edge_mean_square(estimate: Estimate) -> float:
     """Mean square of the whitened edge residuals, each limited as in the robust fit; 0 without visible edges."""
     squares = np.minimum(estimate.edge_residuals**2, OUTLIER_SIGMAS**2)
     return float(squares.mean()) if len(squares) else 0.0

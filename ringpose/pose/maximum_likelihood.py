@@ -31,7 +31,7 @@ from ringpose.estimate.covariance import (
     standard_deviation,
     with_second_order,
 )
-from ringpose.estimate.explanation import RADIUS_SIGMAS, Explanation, explain
+from ringpose.estimate.explanation import RADIUS_SIGMAS, Explanation, edge_mean_square, explain
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior
@@ -280,11 +280,15 @@ def _priors(best: Explanation, rig: Rig, source: str) -> Priors:
 
 
 def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
-    """Joint covariance; of an inconsistent shot times its reduced chi-squared, plus that of the competing fits."""
+    """Joint covariance; of an inconsistent shot times its reduced chi-squared, plus that of the competing fits.
+
+    Without redundancy of stripes and break points the visible edges contradict the shot, by their mean square.
+    """
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
     if best.flag & PoseFlag.INCONSISTENT:
-        covariance = covariance * max(estimate.chi2 / estimate.degrees_of_freedom, 1.0)
+        freedom = estimate.degrees_of_freedom
+        covariance = covariance * max(estimate.chi2 / freedom if freedom else edge_mean_square(estimate), 1.0)
         for other in best.competing:
             difference = difference_from(other, quantities(other), estimate, found)
             covariance = covariance + np.outer(difference, difference)

@@ -1,14 +1,22 @@
 """The self-test and the settling time, with a simulated camera and lasers with injected faults, in virtual time."""
 
+from contextlib import nullcontext
+from unittest.mock import create_autospec
+
+import numpy as np
 import pytest
 from drawn_camera import DrawnCamera
 from virtual_time import VirtualTime
 
+from ringpose.capture.cameras.driver import CameraDriver
+from ringpose.capture.laser_check import lit_pixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import SETTLE_MARGIN, measured_settle_s
 from ringpose.capture.self_test import run_self_test
+from ringpose.capture.shot_check import require_off
 from ringpose.errors import LaserSafetyError
 from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
+from ringpose.types.image import Frame
 
 EXPOSURE_S = 0.005
 
@@ -103,3 +111,22 @@ def test_the_settling_time_is_the_slowest_delay_to_within_one_exposure(devices, 
         settle_s = measured_settle_s(camera, lasers, EXPOSURE_S)
 
     assert delay_s - 1e-9 < settle_s / SETTLE_MARGIN < delay_s + EXPOSURE_S + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("ambient_dn", "stays_on"),
+    [((40.0, 70.0), False), ((60.0, 30.0), True), ((40.0, 40.0), False), ((40.0, 40.0), True)],
+)
+def test_whether_a_laser_went_off_is_seen_in_changing_ambient_light(rng, ambient_dn, stays_on):
+    def image(level_dn, is_on):
+        grey = rng.normal(level_dn, 2.0, (300, 400))
+        grey[150:153, 50:350] += 40.0 * is_on
+        return grey.clip(0, 255).astype(np.uint8)
+
+    camera, lasers = create_autospec(CameraDriver, instance=True), create_autospec(LaserDriver, instance=True)
+    camera.trigger.return_value = Frame(image=image(ambient_dn[1], stays_on), lasers=0, stamp_s=0.0, exposure_s=0.01)
+    before = image(ambient_dn[0], False), image(ambient_dn[0], True)
+    pixels = lit_pixels(before[1], [before[0]], 255)
+
+    with pytest.raises(LaserSafetyError, match="seen after") if stays_on else nullcontext():
+        require_off(camera, lasers, 0, pixels, before, 0.0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
@@ -173,3 +173,20 @@ def test_samples_scatter_as_the_covariance_says(scene_of, face_points, rng, dist
     root = np.linalg.cholesky(predicted.covariance_grasp_m2)
     white = np.linalg.solve(root, np.cov(values.T)) @ np.linalg.inv(root).T
     assert np.abs(np.linalg.eigvalsh(white) - 1).max() < 4 * np.sqrt(2 / (samples - 1))
+
+
+def test_edges_that_contradict_a_shot_without_redundancy_are_flagged(scene_of, face_points, visible_edges):
+    """Shots with as many numbers of stripes and ends as a ring has parameters."""
+    scene = scene_of("B", distance_m=0.5)
+    for seed in (21, 96):
+        rng = np.random.default_rng(seed)
+        points = face_points(scene, 0.3, 0.03, rng)
+        points = without(points, *zip(*np.nonzero(rng.random((3, 2)) < 0.5), strict=True))
+        for laser in np.flatnonzero(rng.random(3) < 0.5):
+            points = without_line(points, laser)
+        edges = visible_edges(scene, int(rng.choice([4, 6, 20])), 0.3, rng)
+        displaced_px = rng.normal(0, rng.choice([1, 5, 20]), len(edges.edge))[:, None] * edges.normal
+
+        result = pose_result(points, scene.rig, ring_edges=replace(edges, position_px=edges.position_px + displaced_px))
+
+        assert PoseFlag.INCONSISTENT in result.flags

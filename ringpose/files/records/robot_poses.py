@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.errors import DataError, NoInputError
+from ringpose.errors import DataError, NoInputError, RingposeError
 from ringpose.files.inputs import Input, Problem, Record, inputs
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
@@ -51,15 +51,21 @@ class RobotPoseStream:
     def __init__(self, report: Callable[[DataError | NoInputError], None]) -> None:
         """`report` receives the errors of invalid poses, which are left out."""
         self._report, self._poses, self._ended = report, deque[RobotPose](), False
+        self._failure: RingposeError | None = None
         self._changed = threading.Condition()
         threading.Thread(target=self._read, name="robot poses", daemon=True).start()
 
     def until(self, stamp_s: float, patience_s: float) -> RobotPoses:
-        """The poses so far, once there is one at `stamp_s` or later, for which it waits at most `patience_s`."""
+        """The poses so far, once there is one at `stamp_s` or later, for which it waits at most `patience_s`.
+
+        Raises what ended the reading of standard input, if that was an error.
+        """
         with self._changed:
             self._changed.wait_for(
                 lambda: self._ended or (len(self._poses) > 1 and self._poses[-1].stamp_s >= stamp_s), patience_s
             )
+            if self._failure is not None:
+                raise self._failure
             return _joined(list(self._poses))
 
     def _read(self) -> None:
@@ -69,6 +75,8 @@ class RobotPoseStream:
                     self._add(_robot_pose(item), getattr(item, "location", STDIN))
                 except (DataError, NoInputError) as problem:
                     self._report(problem)
+        except RingposeError as failure:
+            self._failure = failure
         finally:
             with self._changed:
                 self._ended = True
