@@ -128,7 +128,10 @@ def without_outliers(
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, camera=camera)
-        best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False, precise=False)
+        try:
+            best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False, precise=False)
+        except np.linalg.LinAlgError:
+            best = None
     if best is not None and straight(*best.estimate.curvature_alone):
         return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:
