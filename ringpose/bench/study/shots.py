@@ -119,14 +119,13 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     start_s = perf_counter()
     scene = scene_of(study, index, setting)
     deviations = _deviations(setting)
-    rng = np.random.default_rng([_RIG, study.seed, index])
     turned = _with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
     taken_by = replace(scene, rig=turned)
     run: list[tuple[Shot | Detection, Truth]]
     if study.level == "features":
         run = [(drawn.detection, drawn.truth) for drawn in drawn_features(taken_by, deviations)]
     else:
-        rig, form = common_errors(taken_by, rng, deviations)
+        rig, form = common_errors(taken_by, np.random.default_rng([_RIG, study.seed, index]), deviations)
         taken_by = replace(taken_by, rig=rig, ring=replace(scene.ring, form=form if form.any() else None))
         run = [simulated_shot(taken_by, taken_by.views, number) for number in range(len(taken_by.views))]
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
@@ -255,10 +254,7 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         start_s = perf_counter()
         if method is StudyMethod.TRACK:
             lines = [pose_line(each, rig, options=options) for each in (*before, detection)]
-            assumed = _motion(shot.setting)
-            if study.assumed is not None:
-                assumed = options.about_shot(rig.stability, still=False).motion
-            (estimate, reason), bound = tracked(lines, rig, assumed), None
+            (estimate, reason), bound = tracked(lines, rig, options.about_shot(rig.stability, still=False).motion), None
         else:
             line = measured_line(detection, rig, method, radii, options)
             estimate, reason = replace(estimate_of(line, truth.shot), method=method.value), line.reason
