@@ -21,7 +21,7 @@ from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import intersect, nearest_plane, rays, towards_camera, undistorted_rays
+from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
 from ringpose.kernels.ends import EndParams, Ends, LitLines, MarkParams, flagged_ends, stripe_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
@@ -328,21 +328,19 @@ def beside_occluder(ends: Ends, tracks: Float64[Array, "track column=11"], rig: 
     own = (tracks[:, LASER] == np.arange(len(seen))[:, None]) | (tracks[:, LASER] == UNLABELLED)
     near = seen[..., None] & own[:, None] & (outward > -BESIDE_PX / 4) & (outward < BESIDE_PX)
     laser, side, track = np.nonzero(near)
-    if not len(laser) or seen.sum() < MIN_POINTS_OF_PLANE:
+    known = seen & np.isfinite(ends.straight_px[..., 0])
+    if not len(laser) or known.sum() < MIN_POINTS_OF_PLANE:
         return beside
-    seen_lasers = np.nonzero(seen)[0]
-    directions = rays(ends.position_px[seen], rig.camera)
-    points = intersect(directions, rig.lasers.normal[seen_lasers], rig.lasers.distance_m[seen_lasers])
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < MIN_POINTS_OF_PLANE:
-        return beside
-    mean = points.mean(axis=0)
-    towards = towards_camera(nearest_plane(points)[0], mean)
     x = near_x[side, track]
     y = tracks[track, MIDDLE_Y] + tracks[track, SLOPE] * (x - tracks[track, MIDDLE_X])
-    stripe = intersect(
-        undistorted_rays(np.stack([x, y], axis=-1), rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser]
-    )
-    in_front = (stripe - mean) @ towards > IN_FRONT_M
+    pixels = np.concatenate([ends.straight_px[known], np.stack([x, y], axis=-1)])
+    of = np.concatenate([np.nonzero(known)[0], laser])
+    points = intersect(undistorted_rays(pixels, rig.camera), rig.lasers.normal[of], rig.lasers.distance_m[of])
+    face, stripe = np.split(points, [len(points) - len(laser)])
+    face = face[np.isfinite(face).all(axis=1)]
+    if len(face) < MIN_POINTS_OF_PLANE:
+        return beside
+    mean = face.mean(axis=0)
+    in_front = (stripe - mean) @ towards_camera(nearest_plane(face)[0], mean) > IN_FRONT_M
     beside[laser[in_front], side[in_front]] = True
     return beside

@@ -231,7 +231,9 @@ def _templates(reach_px: int, blur_px: float) -> Templates:
     across = np.arange(-reach_px - INSIDE_PX, reach_px + OUTSIDE_PX + 1, dtype=np.float64)
     position = np.arange(-reach_px, reach_px + PLACES / 2, PLACES)
     beyond = across - position[:, None]
-    step = np.array([[0.5 * math.erfc(-u / (blur_px * math.sqrt(2))) for u in row] for row in beyond])
+    grid, index = np.unique(beyond, return_inverse=True)
+    blurred = np.array([0.5 * math.erfc(-u / (blur_px * math.sqrt(2))) for u in grid.tolist()])
+    step = blurred[index].reshape(beyond.shape)
     sigma = np.sqrt(1 + (CHANGE * np.maximum(beyond, 0)) ** 2)  # the intensity beyond the edge is a random walk
     orthonormal, triangle = np.linalg.qr(np.stack([np.ones_like(step), step], axis=-1) / sigma[..., None])
     basis = orthonormal / sigma[..., None]

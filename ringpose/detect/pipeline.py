@@ -14,11 +14,17 @@ import cv2
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
-from ringpose.detect.difference_images import LaserImage, laser_images, repeated_image
+from ringpose.detect.difference_images import (
+    LaserImage,
+    exposure_advice,
+    hidden_by_saturation,
+    laser_images,
+    repeated_image,
+    saturated_along_stripes,
+)
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, displaced_lasers, planes_per_m, ring_face, surface_in_front
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.saturation import exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays

@@ -10,7 +10,7 @@ score decides.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -134,6 +134,9 @@ That of a single segment cannot be verified by its score, so that any other poss
 CONFIRMED = 3
 """Number of segments below which coplanarity may be a coincidence, so that other explanations are examined."""
 
+FURTHER_OFF_PX = 3.0
+"""Maximum distance in rows of a further laser's segment from the plane of three, whose extrapolation errs, too."""
+
 MAX_TO_SHORTEST = 2.5
 """Maximum ratio of the lengths of stripes on one face: they cross it at 45 degrees or more, and half of one may be
 occluded; segments on foil have any length."""
@@ -181,13 +184,76 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     if best is None:
         return None
     chosen = every[list(best.tracks)]
-    return Face(
+    face = Face(
         lasers=best.lasers,
         tracks=chosen,
         score=best.score,
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
         or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
     )
+    return face if len(face.lasers) < CONFIRMED else _with_further_lasers(face, every, lasers, rig)
+
+
+def _with_further_lasers(
+    face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+) -> Face:
+    """The face with the segments of a rig's fourth and further lasers: near the plane of the others, as long.
+
+    Whether their ends lie on its circles is judged by the estimator. Neighbouring stripes of many lasers may fit when
+    all of them are shifted by one: the assignment is ambiguous if another one leaves no more lasers without a segment.
+    """
+    found = _segments_on_plane(face, tracks, lasers, rig)
+    unlabelled = bool((face.tracks[:, LASER] == UNLABELLED).any())
+    count = len(rig.lasers.names)
+    for shift in range(-count, count) if unlabelled else ():
+        shifted = tuple(laser + shift for laser in face.lasers)
+        if shift and set(shifted) <= set(lasers):
+            other = _segments_on_plane(replace(face, lasers=shifted), tracks, lasers, rig)
+            if len(other) >= len(found):
+                return replace(face, ambiguous=True)
+    return replace(face, lasers=tuple(sorted(found)), tracks=np.array([found[laser] for laser in sorted(found)]))
+
+
+def _segments_on_plane(
+    face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+) -> dict[int, list[float]]:
+    """The segments of the face, and of each other laser the longest one on its plane; none if they have no plane."""
+    ends_m, lengths_m, origin, normal = _plane_of(face, rig)
+    used = face.tracks.tolist()
+    found = {
+        laser: row
+        for laser, row in zip(face.lasers, used, strict=True)
+        if _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX
+    }
+    if len(found) < len(used) or float(ends_m[:, :, 2].min()) < DEPTH_RANGE_M[0]:
+        return {}
+    for row in sorted(tracks.tolist(), key=lambda row: -row[CENTERS]):
+        for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
+            if laser in found or row in found.values():
+                continue
+            length_m = math.dist(*_points_m(row, laser, rig))
+            as_long = max(lengths_m) / MAX_TO_SHORTEST < length_m < MAX_TO_SHORTEST * min(lengths_m)
+            in_front = min(_depths_m(row, laser, rig)) > DEPTH_RANGE_M[0]
+            if in_front and as_long and _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX:
+                found[laser] = row
+    return found
+
+
+def _off_plane_px(
+    row: Sequence[float], laser: int, origin_m: Float64[Array, "xyz=3"], normal: Float64[Array, "xyz=3"], rig: Rig
+) -> float:
+    """Largest distance in rows of a segment's ends from the line in which a plane meets that laser's light plane.
+
+    That line is (a - n / (n . o)) . (x, y, 1) = 0, with the light plane a . P = 1.
+    """
+    optics = lens(rig.camera)
+    line = np.array(_plane_numbers(rig)[laser]) - normal / (normal @ origin_m)
+    off_px = []
+    for x_px in (row[X_START], row[X_END]):
+        x = (x_px - optics.cx) / optics.fx
+        y_px = row[MIDDLE_Y] + row[SLOPE] * (x_px - row[MIDDLE_X])
+        off_px.append(abs(optics.cy - optics.fy * float((line[0] * x + line[2]) / (line[1] or math.nan)) - y_px))
+    return max(off_px)
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:

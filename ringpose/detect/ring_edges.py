@@ -29,8 +29,8 @@ from ringpose.detect.edge_search import (
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, refine_ring
+from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
+from ringpose.estimate.solver import estimate_ring, refine_ring
 from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import (

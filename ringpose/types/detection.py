@@ -87,6 +87,12 @@ class BreakPoints:
         seen: Bool[Array, "laser edge=2"] = ~np.isnan(self.position_px[..., 0])
         return seen
 
+    @property
+    def of_lasers(self) -> Bool[Array, "laser"]:
+        """The lasers of which a break point or a line on the face was measured."""
+        lasers: Bool[Array, "laser"] = self.seen.any(axis=1) | ~np.isnan(self.face_start_px[:, 0])
+        return lasers
+
     def with_edges_exchanged(self) -> "BreakPoints":
         """The break points with inner edges taken for outer ones and the reverse."""
         return replace(

@@ -99,20 +99,6 @@ def test_an_image_without_anchors_has_no_chains():
     assert (chains.pixels.shape, chains.starts.tolist()) == ((0, 2), [0])
 
 
-def test_neighbours_in_a_chain_touch(rng):
-    found = chains_of(image_gradient(clutter(rng), 3.0))
-
-    steps = np.concatenate([np.diff(chain, axis=0) for chain in found])
-    assert len(steps) > 500
-    assert set(abs(steps).max(axis=1)) == {1}
-
-
-def test_no_pixel_belongs_to_two_chains_or_to_one_twice(rng):
-    pixels = edge_chains(image_gradient(clutter(rng), 3.0), 1.5, 3).pixels
-
-    assert len(np.unique(pixels, axis=0)) == len(pixels)
-
-
 def test_a_chain_turns_by_more_than_45_degrees_at_its_anchor_only(rng):
     found = chains_of(image_gradient(clutter(rng), 3.0), shortest=8)
 

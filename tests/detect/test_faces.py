@@ -1,14 +1,18 @@
 """Which tracks make a face: stripes of like length on one band, and none that the body behind may show as well."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
+from ring_scenes import line_of_face, make_scene
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.rim import best_hypothesis, displaced_lasers, may_be_background, ring_face, surface_in_front
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints
+from ringpose.types.rig import LaserPlanes
 
 RIG = stripe_rig()
 ALL = (0, 1, 2)
@@ -91,6 +95,37 @@ def test_a_labelled_stripe_is_not_assigned_to_another_laser():
     tracks = np.array([row(*body_ends(0, 2), laser=0)])
 
     assert not may_be_background(tracks, (0,), ALL, RIG)
+
+
+def five_lasers(labelled):
+    """Stripes on a ring's face of a rig with five lasers, and that rig."""
+    pitch = np.deg2rad([-14.0, -7.0, 0.0, 7.0, 14.0])
+    normal = np.stack([np.zeros(5), np.cos(pitch), np.sin(pitch)], axis=-1)
+    projector_m = np.tile([0.0, -0.08, 0.0], (5, 1))
+    distance_m = (normal * projector_m).sum(axis=1)
+    lasers = LaserPlanes(names=tuple("abcde"), normal=normal, distance_m=distance_m, projector_m=projector_m)
+    scene = make_scene(replace(RIG, lasers=lasers), distance_m=0.5)
+    rows = [row(*line_of_face(scene, laser), laser if labelled else UNLABELLED) for laser in range(5)]
+    return np.array(rows), scene.rig
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_a_rig_with_five_lasers_uses_all_stripes(labelled):
+    tracks, rig = five_lasers(labelled)
+
+    face = ring_face(tracks, range(5), rig)
+
+    assert face.lasers == (0, 1, 2, 3, 4)
+    np.testing.assert_array_equal(face.tracks, tracks)
+
+
+def test_a_stripe_of_a_fourth_laser_off_the_rings_plane_is_not_used():
+    tracks, rig = five_lasers(labelled=True)
+    tracks[4, TRACK_COLUMNS.index("middle_y")] += 6.0
+
+    face = ring_face(tracks, range(5), rig)
+
+    assert face.lasers == (0, 1, 2, 3)
 
 
 def in_front(ends, laser, height_m, slope, shift_m=0.05):

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ringpose.detect.line_segments import (
     MAX_STEPS,
@@ -56,16 +54,6 @@ def test_anchors_of_a_step_lie_on_it_with_its_orientation(across, orientation):
     assert set(np.flatnonzero(inside & (across == 0) & (along % 8 == 0))) <= set(gradient.anchors)
     assert abs(across[row, column]).max() <= orientation % 2
     assert set(gradient.orientation[inside[row, column]]) == {orientation}
-
-
-@given(shift_x=st.integers(0, 9), shift_y=st.integers(0, 9))
-def test_moving_the_image_moves_its_gradient(shift_x, shift_y):
-    scene = np.random.default_rng(7).integers(0, 256, (40, 44), np.uint8)
-    here = image_gradient(scene[:30, :34], 5.0).magnitude
-
-    moved = image_gradient(scene[shift_y : shift_y + 30, shift_x : shift_x + 34], 5.0).magnitude
-
-    np.testing.assert_array_equal(moved[3 : 27 - shift_y, 3 : 31 - shift_x], here[3 + shift_y : 27, 3 + shift_x : 31])
 
 
 def test_the_steepest_pattern_stays_within_sixteen_bits():

@@ -7,8 +7,7 @@ import pytest
 from ring_scenes import RIGS, break_points_of, pixels_of
 
 from ringpose.detect.break_points import without_outliers
-from ringpose.detect.difference_images import LaserImage
-from ringpose.detect.saturation import exposure_advice, hidden_by_saturation, saturated_along_stripes
+from ringpose.detect.difference_images import LaserImage, exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 

@@ -64,13 +64,6 @@ def test_the_length_condition_alone_does_not_see_a_monotone_corner():
     assert pieces_of(CORNER, share_change=SHARES_OFF) == [[0, 80]]
 
 
-def test_the_length_condition_cuts_a_roof_at_its_ridge():
-    first, second = pieces_of(ROOF, share_change=SHARES_OFF)
-
-    assert abs(first[1] - 90) <= 3
-    assert [first[0], second[1]] == [0, 180]
-
-
 def test_the_direction_shares_alone_do_not_see_a_roof():
     assert pieces_of(ROOF, deviation_px=LENGTH_OFF) == [[0, 180]]
 
@@ -211,14 +204,6 @@ def test_an_image_that_is_a_view_gives_the_segments_of_its_copy():
     view, copy = find_segments(image[::2, ::-1]), find_segments(image[::2, ::-1].copy())
 
     np.testing.assert_array_equal(view.start_px, copy.start_px)
-
-
-def test_refined_is_the_default():
-    image, _ = half_plane(0.3, 0.2)
-
-    default, refined = find_segments(image), find_segments(image, method=SegmentMethod.REFINED)
-
-    np.testing.assert_array_equal(default.start_px, refined.start_px)
 
 
 def broken_edge(gap_px, step_px=0.0):

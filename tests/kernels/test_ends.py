@@ -132,6 +132,20 @@ def test_sixteen_bits_are_read():
     assert found[:, 0] == pytest.approx([100.0, 200.0], abs=0.03)
 
 
+@pytest.mark.parametrize("rows", [5, 6])
+def test_stripes_on_a_body_a_few_rows_beside_the_ends_do_not_displace_them(rng, rows):
+    """Without a frame that shows the background, the rows beside the stripe give its level."""
+    bright = {"peak": 400.0 + 400.0 * (rows == 5), "sigma": 1.2, "ambient": 0.0}
+    body = np.roll(drawn(-50.0, 100.0, **bright) + drawn(200.0, 400.0, **bright), rows, axis=0)
+    speckle = np.kron(rng.normal(1.0, 0.1, 160), np.ones(2))
+    lit = image(drawn(100.3, 199.6, sigma=1.0, ambient=0.0) * speckle + body, rng, 1.5)
+
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES)[0]
+
+    assert found[:, 0] == pytest.approx([100.3, 199.6], abs=0.5)
+    assert np.all(found[:, SIGMA] < 0.3)
+
+
 def test_ends_are_the_same_whether_one_frame_shows_both_stripes_or_each_of_two_frames_has_one(rng):
     lower = np.add(LINE, [0.0, 30.0, 0.0, 0.0, 0.0])
     blurred = np.roll(drawn(110.2, 190.7, blur=1.4, ambient=0.0), 30, axis=0)

@@ -100,8 +100,26 @@ def test_ends_belong_to_the_lasers_of_their_tracks(rng):
 
     for number, laser in enumerate(lasers):
         alone = flagged_ends(drawn[[number]], ends[[number]], (0,), 1, RULES)
-        for each, own in zip(found, alone, strict=True):
-            np.testing.assert_array_equal(each[laser], own[0])
+        np.testing.assert_array_equal(found.position_px[laser], alone.position_px[0])
+        np.testing.assert_array_equal(found.flags[laser], alone.flags[0])
+        np.testing.assert_array_equal(found.straight_px[laser], alone.straight_px[0])
+
+
+@pytest.mark.parametrize(
+    ("scatter_px", "lowest_px", "highest_px"),
+    [(0.01, 0.02, 0.05), (0.05, 0.05, 0.05), (0.4, 0.29, 0.4)],
+    ids=["small by chance", "as the others", "on textured background"],
+)
+def test_scatter_of_a_stripe_is_estimated_together_with_that_of_the_others(scatter_px, lowest_px, highest_px):
+    """Of three stripes of 68 columns; the fit of a line then takes 5 / sqrt(3) columns from each."""
+    track = np.array([[-1.0, 68.0, 300.0, 500.0, 400.0, 200.0, 0.0, 0.05, 1.0, 0.0, 0.0]] * 3)
+    track[2, 7] = scatter_px
+
+    found = flagged_ends(track, clean_ends(3), (0, 1, 2), 3, RULES)
+
+    middle_px = found.straight_sigma_px[2, 0] / np.hypot(1, np.sqrt(3) * 68 / 60)
+    assert lowest_px <= middle_px * np.sqrt(60 - 5 / np.sqrt(3)) * 1.001
+    assert middle_px * np.sqrt(60 - 5 / np.sqrt(3)) <= highest_px * 1.001
 
 
 def test_an_end_errs_along_its_line_by_its_own_sigma_and_across_by_the_lines(rng):

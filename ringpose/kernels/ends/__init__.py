@@ -135,7 +135,8 @@ def flagged_ends(
 
     `tracks` and `found` are the results of `stripe_line_segments` and `stripe_ends`. The error along the line is that
     of the edge; the error across is that of the line: the scatter of the track's centres, divided by the root of the
-    number of independent columns, and errors that all its centres share (background, saturation).
+    number of independent columns, and errors that all its centres share (background, saturation). The scatter is pooled
+    over the tracks.
     """
     both = (lasers, 2)
     position, covariance, flags = np.empty((*both, 2)), np.empty((*both, 2, 2)), np.empty(both, np.int64)

@@ -187,6 +187,30 @@ static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, Strip
     return done;
 }
 
+/* Weight of all stripes of a shot in the scatter of one, and the largest decrease of its logarithm by the others. */
+#define SHARED_WEIGHT 0.75
+#define MAX_DECREASE 0.3
+
+/* Mean logarithm of the error of the mean of a stripe's centres, times the root of their number. */
+static double mean_log_error(const Track *track, Py_ssize_t tracks) {
+    double sum = 0, columns = 0;
+    for (Py_ssize_t i = 0; i < tracks; i++) {
+        sum += track[i].count * log(track[i].scatter * sqrt(track[i].correlation));
+        columns += track[i].count;
+    }
+    return sum / columns;
+}
+
+/* The track with its scatter pooled with that of the others: surface, lens and speckle are the same for all stripes of a
+   shot, and the scatter of 40 correlated columns is uncertain by a third. That of a single stripe may be larger, on
+   textured background. */
+static Track with_pooled_scatter(Track track, double mean_log) {
+    double own = log(track.scatter * sqrt(track.correlation));
+    if (!isfinite(own) || !isfinite(mean_log)) return track;
+    track.scatter *= exp(fmax(SHARED_WEIGHT * (mean_log - own), -MAX_DECREASE));
+    return track;
+}
+
 /* Standard deviations of errors that all centres of a track have in common, so that their scatter does not show them:
    the background, which shifts a centre by the relative change of the amplitude times the section's sigma; and
    clipping. */
@@ -235,10 +259,11 @@ static void place(const StripeEnd *end, double across, double position[2], doubl
     covariance[3] = along * end->slope * end->slope + across * across;
 }
 
-static void mark_ends(const Track *track, const StripeEnd end[2], ptrdiff_t laser, const MarkParams *params,
-                      Marks *marks) {
+/* `fit_dof`: independent columns that the fit of the line removes from the estimate of the scatter. */
+static void mark_ends(const Track *track, const StripeEnd end[2], ptrdiff_t laser, double fit_dof,
+                      const MarkParams *params, Marks *marks) {
     HiddenErrors hidden = hidden_errors(track, end, params);
-    double middle = fmax(middle_sigma(track, params->fit_dof, params->min_columns), hidden.background);
+    double middle = fmax(middle_sigma(track, fit_dof, params->min_columns), hidden.background);
     for (int side = 0; side < 2; side++) {
         ptrdiff_t k = 2 * laser + side;
         double x = side ? track->x_end : track->x_start;
@@ -327,10 +352,15 @@ PyObject *call_marks(PyObject *module, PyObject *tuple) {
     const int64_t *laser = a.view[2].buf;
     const Track *track = a.view[0].buf;
     const StripeEnd *end = a.view[1].buf;
+    const MarkParams *params = (const MarkParams *)a.number[3];
     Marks marks = {a.view[4].shape[0], a.view[4].buf, a.view[5].buf, a.view[6].buf, a.view[7].buf, a.view[8].buf};
     if (!check_lasers(laser, tracks, marks.lasers)) return close_arguments(&a, NULL);
     clear_marks(&marks);
-    for (Py_ssize_t i = 0; i < tracks; i++)
-        mark_ends(&track[i], &end[2 * i], (ptrdiff_t)laser[i], (const MarkParams *)a.number[3], &marks);
+    const double mean_log = mean_log_error(track, tracks);
+    const double fit_dof = params->fit_dof / sqrt((double)tracks);
+    for (Py_ssize_t i = 0; i < tracks; i++) {
+        const Track pooled = with_pooled_scatter(track[i], mean_log);
+        mark_ends(&pooled, &end[2 * i], (ptrdiff_t)laser[i], fit_dof, params, &marks);
+    }
     return close_arguments(&a, Py_BuildValue(""));
 }

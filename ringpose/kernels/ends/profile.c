@@ -17,10 +17,14 @@ typedef struct {
     double offset[MAX_ROWS], shape[MAX_ROWS], bright[MAX_ROWS], ambient[MAX_ROWS];
 } Section;
 
-/* Rows of a section that are used: those beyond `inner` from the line; those beyond `flank` give the background level. */
+/* Rows of a section that are used: those beyond `inner` from the line; those beyond `flank` give the background level,
+   those of a side that is brighter than the other by more than `contrast` excepted. */
 typedef struct {
-    double inner, flank;
+    double inner, flank, contrast;
 } Parts;
+
+/* Offset of a row that is not used. */
+#define UNUSED (-1.0)
 
 typedef struct {
     double value, residual_variance, gain; /* amplitude; gain: variance of the amplitude over that of a pixel */
@@ -234,6 +238,24 @@ static inline void shape_sections(const double *y, double sigma, int reach, Sect
 /* A vector where a mask is set, else 0. */
 #define WHERE(mask, vector) ((Doubles)((Masks)(vector) & (mask)))
 
+/* Leaves out the rows of a brighter side, where a stripe on the body lies a few rows beside the line. Sections at the
+   image's border, and the last columns of a profile, are fitted one by one, with both sides. */
+static inline void leave_out_brighter_sides(Sections *sections, int rows, const Parts *parts) {
+    const Doubles zero = {0}, one = zero + 1;
+    Doubles sum[2] = {zero, zero}, count[2] = {zero, zero};
+    for (int k = 0; k < rows; k++) {
+        Masks flank = sections->offset[k] > parts->flank;
+        sum[k > rows / 2] += WHERE(flank, sections->value[k]);
+        count[k > rows / 2] += WHERE(flank, one);
+    }
+    Doubles difference = sum[1] * count[0] - sum[0] * count[1], limit = parts->contrast * count[0] * count[1];
+    Masks second = difference > limit, first = -difference > limit;
+    for (int k = 0; k < rows; k++) {
+        Masks unused = (sections->offset[k] > parts->flank) & (k > rows / 2 ? second : first);
+        sections->offset[k] = WHERE(unused, zero + UNUSED) + WHERE(~unused, sections->offset[k]);
+    }
+}
+
 static inline void fit_peaks(const Sections *sections, int rows, const Parts *parts, Doubles peak[3]) {
     const Doubles zero = {0}, one = zero + 1;
     Doubles level = zero, under = zero, beside = zero, used = zero, residuals = zero;
@@ -279,6 +301,7 @@ static void fitted_peaks(const Images *images, const double *y, ptrdiff_t first,
     Doubles found[3];
     load_sections(images, y, first, reach, &sections);
     shape_sections(y, sigma, reach, &sections);
+    if (isfinite(parts->contrast)) leave_out_brighter_sides(&sections, 2 * reach + 1, parts);
     fit_peaks(&sections, 2 * reach + 1, parts, found);
     for (int i = 0; i < TOGETHER; i++) peak[i] = (Peak){found[0][i], found[1][i], found[2][i]};
 }
@@ -298,6 +321,12 @@ enum { PEAK_COLUMNS = 24 };
 /* Range of the ambient light across a section, in amplitudes of the stripe, from which its subtraction may leave texture:
    a tenth of it remains where the target has moved by a tenth of a pixel. */
 #define MIN_CONTRAST 0.3
+
+/* Ambient light, in amplitudes of the stripe, below which light beside the stripe is that of lasers. */
+#define MAX_AMBIENT 0.1
+
+/* Difference of both sides, in the same unit, above which the brighter one shows another stripe. */
+#define MIN_SIDE_CONTRAST 0.05
 
 /* Mean over lower quartile of the residual variances of sections with normal noise. */
 #define LOW_TO_MEAN 1.4
@@ -484,8 +513,9 @@ static ptrdiff_t next_peaks(const Images *images, const Profile *profile, ptrdif
     return 1;
 }
 
-/* Amplitude and residual variance of every column; the gain is that of the first one. */
-static void fill_peaks(const Images *images, Profile *profile, int reach, const Parts *parts) {
+/* Amplitude and residual variance of every column; the gain is that of the first one. Returns the amplitude on the face
+   (median). */
+static double fill_peaks(const Images *images, Profile *profile, int reach, const Parts *parts) {
     Peak peak[TOGETHER];
     for (ptrdiff_t i = 0, found; i < profile->count; i += found) {
         found = next_peaks(images, profile, i, reach, parts, peak);
@@ -495,6 +525,9 @@ static void fill_peaks(const Images *images, Profile *profile, int reach, const 
             profile->residual_variance[i + k] = peak[k].residual_variance;
         }
     }
+    size_t face = (size_t)(profile->face_last - profile->face_first + 1);
+    memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
+    return fmax(median(profile->scratch, face), 1);
 }
 
 /* Marks saturation in a column; returns its brightest ambient light. */
@@ -533,10 +566,12 @@ static void fill_profile(const Images *images, Profile *profile, const EndParams
     for (ptrdiff_t i = 0; i < profile->count; i++)
         brightest = fmax(brightest, scan_column(images, profile, i, reach, params));
     double inner = saturated_half_width(profile->scratch + profile->face_first, face, profile->sigma, params);
-    Parts parts = {inner, images->dark ? INFINITY : fmax(2 * profile->sigma, inner + 1)};
-    fill_peaks(images, profile, reach, &parts);
-    memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
-    double expected = fmax(median(profile->scratch, face), 1);
+    Parts parts = {inner, images->dark ? INFINITY : fmax(2 * profile->sigma, inner + 1), INFINITY};
+    double expected = fill_peaks(images, profile, reach, &parts);
+    if (!images->dark && brightest < MAX_AMBIENT * expected) {
+        parts.contrast = MIN_SIDE_CONTRAST * expected;
+        expected = fill_peaks(images, profile, reach, &parts);
+    }
     if (expected + brightest > params->saturation) {
         expected = unclipped_peak(images, profile, reach, &parts, expected, params);
         fill_room(images, profile, reach, &parts, expected, params);
