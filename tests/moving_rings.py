@@ -54,6 +54,30 @@ class Motion:
         return self.rate_rad_s - (self.rate_rad_s @ normal) * normal
 
 
+class Pushed:
+    """A motion whose velocity and angular velocity change at once."""
+
+    def __init__(self, motion: Motion, time_s: float, change_m_s, change_rad_s=(0.0, 0.0, 0.0)) -> None:
+        self.before, self.time_s = motion, time_s
+        self.after = replace(
+            motion,
+            ring=motion.at(time_s),
+            velocity_m_s=motion.velocity_m_s + change_m_s,
+            rate_rad_s=motion.rate_rad_s + change_rad_s,
+        )
+
+    def _piece(self, time_s: float) -> tuple[Motion, float]:
+        return (self.before, time_s) if time_s < self.time_s else (self.after, time_s - self.time_s)
+
+    def at(self, time_s: float) -> Ring:
+        piece, rest_s = self._piece(time_s)
+        return piece.at(rest_s)
+
+    def velocity_at(self, time_s: float) -> np.ndarray:
+        piece, rest_s = self._piece(time_s)
+        return piece.velocity_at(rest_s)
+
+
 class Wandering:
     """Motion with white acceleration of the centre and of the angular velocity across the normal."""
 

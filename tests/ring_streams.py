@@ -22,6 +22,14 @@ def moved(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
     return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
 
 
+def within_stability(rig, rng):
+    """A rig that has changed since its calibration as its stability states."""
+    tilt_sd_rad, distance_sd_m = rig.stability.plane_tilt_rad, rig.stability.plane_distance_m
+    for laser in range(len(rig.lasers.normal)):
+        rig = moved(rig, laser, tilt_sd_rad * rng.normal(size=2), distance_sd_m * rng.normal())
+    return rig
+
+
 def poses_before(rig, rng, shots):
     """Scenes at many poses, seen by a rig, and their noisy break points."""
     for _ in range(shots):
@@ -30,14 +38,15 @@ def poses_before(rig, rng, shots):
         yield scene, face_points_of(scene, 0.3, 0.02, rng)
 
 
-def measured_stream(rig, scenes, until=None):
-    """The lines of a stream, as `ringpose pose` computes them, and the warnings by shot.
+def measured_stream(rig, scenes, until=None, assumed=ASSUMED):
+    """The lines of a stream of scenes, break points and perhaps edges, and the warnings by shot.
 
     It ends early at a warning that contains the text `until`.
     """
     monitor, lines, warnings = DriftMonitor(rig, rig.stability), [], {}
-    for number, (_, points) in enumerate(scenes):
-        result = pose_result(points, monitor.rig, assumptions=replace(ASSUMED, stability=monitor.rig.stability))
+    for number, (_, points, *edges) in enumerate(scenes):
+        assumptions = replace(assumed, stability=monitor.rig.stability)
+        result = pose_result(points, monitor.rig, ring_edges=edges[0] if edges else None, assumptions=assumptions)
         pose = None if isinstance(result.pose, NoPose) else result.pose
         line = PoseLine(
             shot=str(number),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors, edge_jacobian
+from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors
 from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
 from ringpose.geometry.ring import (
     CURVATURE,
@@ -304,7 +304,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
     wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
     wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
     wrt_camera = estimate.fixed.camera[:rows]
-    own = edge_jacobian(estimate.residuals, measured)[:rows] if len(measured.edges.edge) else np.zeros((rows, 0))
+    own = estimate.fixed.columns[:rows, estimate.fixed.columns.shape[1] - estimate.fixed.edge_errors :]
     residual = estimate.residuals.residual[:rows]
 
     # z - h(x) = r falls by -J dx: the derivative of the prediction h is minus that of the residual

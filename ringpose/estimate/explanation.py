@@ -25,9 +25,8 @@ from ringpose.estimate.hypotheses import (
     single_stripe_estimates,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
+from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
 from ringpose.estimate.solver import (
-    DECISION_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
@@ -280,7 +279,11 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, toleran
     wider = 0.0
     if everything is not None and hypothesis.flag & WIDER:
         # the likelihood of a wider prior: what it explains, less all that it could have explained
-        wider = max(estimate.log_determinant - everything.estimate.log_determinant, 0.0)
+        assumed: Estimate | None = everything.estimate
+        if hypothesis.measured is not everything.hypothesis.measured:  # a frame was left out as well
+            prior = everything.hypothesis.prior
+            assumed = estimate_ring(hypothesis.measured, rig, prior, tolerance_sigmas=tolerance_sigmas)
+        wider = 0.0 if assumed is None else max(estimate.log_determinant - assumed.log_determinant, 0.0)
     return Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate)
 
 

@@ -13,14 +13,8 @@ import numpy as np
 
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import fixed_columns
-from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
-from ringpose.estimate.solver import (
-    DECISION_SIGMAS,
-    STRIPES_OF_A_PLANE,
-    estimate_ring,
-    nuisance_columns,
-    ring_residuals,
-)
+from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
+from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, nuisance_columns, ring_residuals
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
@@ -56,6 +50,10 @@ MIN_DEVIATION_M = 0.001
 
 BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0, 100.0)
 """Where a stripe on the background may be seen: range of its line's position, of the change along it, of its ends."""
+
+LINEAR_SIGMAS = 100.0
+"""Standard deviation of a predicted number, in those of the measured one, from which its error is not linear and does
+not count: with more, the prediction of right stripes by visible edges is often missed."""
 
 
 class Hypothesis(NamedTuple):
@@ -94,7 +92,7 @@ def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled:
 
 
 def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
-    """The target moves faster, or the ring is less round and flat, than assumed: nothing is rejected."""
+    """The target moves faster, or less evenly, or the ring is less round and flat, than assumed."""
     motion, tolerance_m = prior.assumptions.motion, prior.assumptions.ring_tolerance_m
     times_s = measured.times_s(measured.stamp_s)
     if times_s.any():
@@ -106,6 +104,12 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
         remark = "the target moved within the shot" if motion is None else "the target moves faster than assumed"
         assumptions = replace(prior.assumptions, motion=faster)
         yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, OUTLIER_PENALTY)
+        once = measured.once()
+        left_out = len(measured.points.x) - len(once.points.x) + 2 * (len(measured.lines.laser) - len(once.lines.laser))
+        if left_out:
+            remark = "the frame with all lasers contradicts those with one; it was left out"
+            penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * left_out
+            yield Hypothesis(once, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, penalty)
     deviation_m = max(WIDER_BY * tolerance_m, MIN_DEVIATION_M)
     remark = "the ring deviates from a circle or a plane by more than assumed"
     assumptions = replace(prior.assumptions, ring_tolerance_m=deviation_m)
@@ -229,3 +233,44 @@ def _predicted_residuals(
     return (residuals.residual + jacobian @ step)[rows], (
         np.eye(residuals.data_rows) + jacobian[rows] @ covariance @ jacobian[rows].T
     )
+
+
+def edge_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> float:
+    """Log likelihood ratio of a single stripe on the ring that the visible edges predict, against one anywhere.
+
+    The stripe's whitened residuals r at the common ring have the covariance 1 - H, with its block H of the hat matrix:
+    the edges alone predict the stripe with the precision W^T (1 - H) W, W its whitening, and the prediction is missed
+    by r^T (1 - H)^-1 r in squared standard deviations. What the edges leave open, such as the scale, is as likely as
+    anywhere: ln N(0; 0, range^2 / 2 pi) = -ln(range). The edges count as those of the face, not as the feet of walls,
+    whose depth would leave the prediction open.
+    """
+    if len(measured.points.x) + 2 * len(measured.lines.laser) > measured.stripe_numbers:
+        measured = measured.once()  # it must not predict itself
+    measured = replace(measured, edges=replace(measured.edges, walls=False))
+    again = estimate_ring(measured, rig, estimate.prior, estimate, tolerance_sigmas=DECISION_SIGMAS)
+    if again is None:
+        return -np.inf
+    estimate = again
+    residuals, points, focal = estimate.residuals, measured.points, rig.camera.camera_matrix[[0, 1], [0, 1]]
+    count, ends = residuals.stripe_rows, residuals.ends
+    rows = np.concatenate([residuals.jacobian, estimate.nuisance], axis=1) * np.sqrt(estimate.weights)[:, None]
+    prior = np.eye(rows.shape[1])[PARAMETERS:]
+    basis = np.linalg.qr(np.concatenate([rows, prior]))[0][:count]  # the normal equations of one stripe are singular
+    free = np.eye(count) - basis @ basis.T
+    remaining = estimate.remaining[:count]
+    missed = remaining @ np.linalg.solve(free + np.eye(count) / LINEAR_SIGMAS**2, remaining)
+
+    # in pixels: ordinates of the line's two ends, abscissae of the break points, ordinates of those without a line
+    of_points = [1.0 / points.sigma_x / focal[0], residuals.ordinates.scale / focal[1]]
+    whitening = np.diag(np.concatenate([np.ones(ends), *of_points]))
+    whitening[:ends, :ends] = measured.observations(rig.lasers).whitening / focal[1]
+    position_px, change_px, end_px, _ = BACKGROUND_RANGE_PX
+    range_px = np.full(count, position_px)
+    range_px[ends : ends + len(points.x)] = end_px
+    to_range = np.eye(count)
+    if ends:
+        range_px[1], to_range[:2, :2] = change_px, [[0.5, 0.5], [-1.0, 1.0]]  # position and change of the line
+    anywhere = to_range.T @ np.diag(2.0 * np.pi / range_px**2) @ to_range
+    predicted = whitening.T @ free @ whitening + anywhere
+    log_ring = 0.5 * (np.linalg.slogdet(predicted / (2.0 * np.pi))[1] - missed)
+    return float(log_ring + np.log(range_px).sum())

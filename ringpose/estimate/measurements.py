@@ -119,6 +119,8 @@ class Edges:
     """Derivatives with respect to the common errors (unit variance), in the points' standard deviations."""
     stamp_s: Float64[Array, "visible"]
     """Mid exposure of the frame in which they were measured; NaN if unknown."""
+    walls: bool = True
+    """Whether the edges beside a single stripe may be the feet of the ring's walls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,6 +159,7 @@ class Measurements:
             edge_sign=2.0 * self.points.edge - 1.0,
             visible_rays=self.edges.ray,
             visible_sign=2.0 * self.edges.edge - 1.0,
+            visible_step=self.edges.step,
             instant_s=instant_s,
             of_sample=instant[: len(laser)],
             of_visible=instant[len(laser) :],

@@ -42,6 +42,10 @@ FORM_PARAMETERS = tuple(
 with the angle phi from the middle of the arc that was seen."""
 
 
+WALL_SD_M = 0.03
+"""Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigErrors:
     """The uncertain parameters of a rig, and the square root R of their covariance R R^T."""
@@ -154,11 +158,10 @@ def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior
         variance = measured.camera.mount.covariance
         uncertain = np.diag(variance) > 0
         columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
-    if len(measured.edges.edge):
-        columns.append(edge_jacobian(residuals, measured))
-    edge_errors = measured.edges.common.shape[1] if len(measured.edges.edge) else 0
-    every = np.concatenate(columns, axis=1)
-    return FixedColumns(by_rig, form, residuals.wrt_camera, mean_ray, every, edge_errors)
+    columns.append(edge_jacobian(residuals, measured))
+    return FixedColumns(
+        by_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
+    )
 
 
 def rig_jacobian(
@@ -226,9 +229,22 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
 
 
 def edge_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row error"]:
-    """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations."""
-    jacobian = np.zeros((len(residuals.residual), measured.edges.common.shape[1]))
-    jacobian[residuals.data_rows - len(measured.edges.edge) : residuals.data_rows] = measured.edges.common
+    """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
+
+    What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
+    face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
+    a tilt has the same effect. The depth of the foot below the face is then an error of each edge.
+    """
+    rows = slice(residuals.data_rows - len(measured.edges.edge), residuals.data_rows)
+    columns = [measured.edges.common] if len(measured.edges.edge) else []
+    if columns and measured.edges.walls and len(measured.lasers) == 1:
+        outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
+        of_edge = measured.edges.edge[:, None] == range(len(EDGE_SIGN))
+        wall_seen = of_edge & (outward[:, None] * EDGE_SIGN > 0.0)
+        columns.append(WALL_SD_M * wall_seen * outward[:, None])
+    jacobian = np.zeros((len(residuals.residual), sum(each.shape[1] for each in columns)))
+    if columns:
+        jacobian[rows] = np.concatenate(columns, axis=1)
     return jacobian
 
 

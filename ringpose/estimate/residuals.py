@@ -46,6 +46,9 @@ TILT_SD_RAD = 0.6
 EXPECTED_HALF_BAND_M, HALF_BAND_SD_M = 0.015, 0.015
 """Prior on half the width of the face if only one edge was seen: faces in launcher manuals are 0.03 m wide."""
 
+DECISION_SIGMAS = 0.01
+"""Estimated distance from the optimum, in standard deviations, from which explanations are compared: their chi-squared
+is then known to 1e-4."""
 
 STILL = Rates(np.zeros(3), np.zeros(3))
 
@@ -159,6 +162,11 @@ class Estimate:
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the iteration came near the optimum before it reached its limit."""
+        return self.distance_sigmas < DECISION_SIGMAS
 
     @property
     def regularized(self) -> bool:

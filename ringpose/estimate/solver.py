@@ -61,12 +61,9 @@ MIN_RATIO, MAX_EXTRAPOLATED = 0.005, 0.5
 NEAR_SIGMAS = 0.1
 """Length of a step, in standard deviations, below which the robust phase ends."""
 
-PRECISE_SIGMAS, DECISION_SIGMAS = 5e-9, 0.01
-"""Estimated distance from the optimum, in standard deviations, at which the iteration ends.
-
-Of a pose: the measurement of a record and its priors give it to a nanometre. To decide between explanations: their
-chi-squared is then known to 1e-4.
-"""
+PRECISE_SIGMAS = 5e-9
+"""Estimated distance from the optimum, in standard deviations, at which the iteration of a pose ends: the measurement
+of a record and its priors give it to a nanometre."""
 
 HOPELESS = 1e4
 """Factor on the limits of `poorly_determined` beyond which an iteration that starts without weak priors ends."""

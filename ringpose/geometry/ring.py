@@ -402,6 +402,8 @@ class RingView(NamedTuple):
     visible_rays: Float64[Array, "visible xyz=3"]
     visible_sign: Float64[Array, "visible"]
     """The same of the visible edge points."""
+    visible_step: Float64[Array, "visible xy=2"]
+    """Their displacement by one standard deviation, along the edge's normal in the image."""
     instant_s: Float64[Array, "instant"]
     """Mid exposures of the frames, from the reference time."""
     of_sample: Int64[Array, "sample"]
@@ -432,13 +434,35 @@ def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingP
         of_samples, of_edges = rings.at_rows(view.of_sample), rings.at_rows(of_edge)
     stripes = predicted_stripes(of_samples, view.rays[:, 0], view.light_normal, view.light_distance_m)
     rays = np.concatenate([stripes.rays[view.ends :], view.visible_rays])
-    edges = edge_distances(of_edges, rays, np.concatenate([view.edge_sign, view.visible_sign]))
+    sign = np.concatenate([view.edge_sign, view.visible_sign])
+    edges = edge_distances(of_edges, rays, sign)
+    if len(view.visible_rays):
+        edges = _linearized_on_edges(edges, of_edges, rays, sign, view)
     if derivatives is not None:
         stripes = stripes._replace(y_wrt_step=(stripes.y_wrt_step[:, None] @ derivatives[view.of_sample])[:, 0])
         edges = edges._replace(wrt_step=(edges.wrt_step[:, None] @ derivatives[of_edge])[:, 0])
     count = len(view.edge_sign)
     points, visible = (EdgeDistances(*(each[part] for each in edges)) for part in (slice(count), slice(count, None)))
     return RingPrediction(stripes, points, visible)
+
+
+def _linearized_on_edges(
+    measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], sign: Float64[Array, "n"], view: RingView
+) -> EdgeDistances:
+    """The distances with the visible points' derivatives at the predicted edge, in the direction of their errors.
+
+    Derivatives at the measured points would be correlated with the points' errors, which biases what many shots have
+    in common.
+    """
+    step = np.zeros((len(rays), 2))
+    step[len(view.edge_sign) :] = view.visible_step
+    rate = (measured.wrt_ray * step).sum(axis=1)
+    offset = np.divide(measured.distance_m, rate, out=np.zeros(len(rays)), where=np.abs(rate) > np.finfo(float).tiny)
+    on_edge = rays.copy()
+    on_edge[:, :2] -= offset[:, None] * step
+    predicted = edge_distances(arcs, on_edge, sign)
+    along_step = offset * (predicted.wrt_ray * step).sum(axis=1)
+    return predicted._replace(distance_m=predicted.distance_m + along_step)
 
 
 def _at_instants(

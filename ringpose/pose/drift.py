@@ -1,21 +1,32 @@
 """Errors of the light planes over a stream of shots (ringpose-method(7), section 11).
 
-A light plane that has moved leaves the same residuals in every shot, noise leaves other ones in each. From the shot on
-in which the evidence (`ringpose.pose.plane_evidence`) shows a plane that has moved, the stream is measured with that
-plane as estimated.
+A light plane that has moved leaves the same residuals in every shot, noise leaves other ones in each. Each shot
+contributes the Schur complement of its own parameters in the information matrix of section 9: rows A q = y in the
+errors q of the rig. For each plane, the likelihood that it has moved is compared with the likelihood of a rig within
+its calibration and stability. From the shot on in which a plane is shown to have moved, the stream is measured with
+that plane as estimated.
 """
 
-from dataclasses import replace
-from math import nan, sqrt
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import degrees, hypot, nan, sqrt
 
 import numpy as np
 
-from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.pose.plane_evidence import MovedPlane, RigEvidence
-from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import RigStability
-from ringpose.types.pose import PoseFlag, PoseLine
-from ringpose.types.rig import PLANE_PARAMETERS, PlaneCorrection, Rig
+from ringpose.estimate.explanation import chi2_quantile
+from ringpose.estimate.measurements import Measurements
+from ringpose.estimate.nuisance import (
+    light_plane_bases,
+    rig_errors,
+    rig_jacobian,
+    total_covariance,
+)
+from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate
+from ringpose.geometry.rotations import angle_between, tilt_basis, tilted
+from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
+from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
+from ringpose.types.rig import PLANE_PARAMETERS, PlaneCorrection, Rig, laser_parameters
 
 FORGETTING = 0.98
 """Weight of earlier shots in the share of contradictory ones: about fifty count."""
@@ -110,7 +121,7 @@ class DriftMonitor:
                 ""  # contradictory shots are over; what the evidence has shown holds until the rig is updated
             )
 
-    def _correct(self, moved: MovedPlane) -> None:
+    def _correct(self, moved: "MovedPlane") -> None:
         """Measure the next shots with the plane as estimated, with its covariance instead of the calibration's."""
         lasers, laser, given = self.rig.lasers, moved.laser, self._given.lasers
         normal, distance_m = lasers.normal.copy(), lasers.distance_m.copy()
@@ -126,3 +137,231 @@ class DriftMonitor:
             moved_planes={**self.rig.moved_planes, lasers.names[laser]: correction},
         )
         self._evidence = RigEvidence(self.rig, self._stability, SHOTS_KEPT)
+
+
+# Evidence of shots, and its tests
+
+STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
+"""At most one in a thousand streams of this number of shots may have a false alarm: a normal quantile."""
+
+MOVED_TILT_RAD, MOVED_DISTANCE_M = 0.05, 0.02
+"""Standard deviations of a plane that has moved."""
+
+SHOTS_LEFT_OUT = 2
+"""Number of shots without which the others must still show a drift: one shot may have a wrong stripe."""
+
+CLEARLY = 8.0
+"""Margin in chi-squared by which one plane's error must explain more than any other's, or than a turn of the camera
+against all planes, for the plane to be named: a factor of 50 in likelihood."""
+
+SAME_TILT_RAD, SAME_PLACE_M = 0.003, 0.001
+"""A shot nearer than this to one of the last poses shows nothing new: on a target at rest the noise is the same."""
+
+POSES_REMEMBERED = 50
+"""Number of last poses that new ones are compared with."""
+
+REDUNDANT_STRIPES = 3
+"""Stripes from which a single shot shows an error of the rig."""
+
+_PLANE = len(PLANE_PARAMETERS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MovedPlane:
+    """A light plane that has moved, as shots show it."""
+
+    laser: int
+    change: Float64[Array, "parameter=3"]
+    """Tilts in radians and distance in metres, relative to the rig before."""
+    covariance: Float64[Array, "parameter=3 parameter=3"]
+
+    def description(self, depth_m: float) -> str:
+        """Angle, and displacement in millimetres at the working distance."""
+        tilt_rad = hypot(*self.change[:2].tolist())
+        shift_m = hypot(depth_m * tilt_rad, float(self.change[2]))
+        return f"has moved by {degrees(tilt_rad):.2f} degrees, {1e3 * shift_m:.2g} mm"
+
+
+class RigEvidence:
+    """The evidence of many shots for errors of a rig, and its tests."""
+
+    def __init__(
+        self, rig: Rig, stability: RigStability, shots_kept: int | None = None, left_out: int = SHOTS_LEFT_OUT
+    ) -> None:
+        self.rig = rig
+        self._left_out = left_out
+        self.parameters, self.prior = _parameters_and_prior(rig, stability)
+        self._kept = shots_kept
+        self._rows: list[Float64[Array, "row column"]] = []
+        self._all: Float64[Array, "row column"] | None = None
+        self._poses: list[tuple[Float64[Array, "3"], Float64[Array, "3"]]] = []
+
+    @property
+    def shots(self) -> int:
+        """Number of shots whose evidence counts."""
+        return len(self._rows)
+
+    @property
+    def limit(self) -> float:
+        """Chi-squared of a plane above which the rig has changed: for tests of each shot of a stream (Bonferroni)."""
+        # a normal quantile z of a probability p becomes about sqrt(z^2 + 2 ln n) for p / n
+        tests = len(self.rig.lasers.names) * STREAM_SHOTS
+        return chi2_quantile(_PLANE, sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * np.log(tests)))
+
+    def add(self, evidence: PlaneEvidence) -> bool:
+        """Add the rows of a shot; whether it shows the target at another pose than the last ones, and counts."""
+        for normal, place_m in self._poses:
+            tilt_rad = float(angle_between(normal[None], evidence.normal[None])[0])
+            if tilt_rad < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
+                return False
+        self._poses = [*self._poses, (evidence.normal, evidence.place_m)][-POSES_REMEMBERED:]
+        rows = np.zeros((len(evidence.rows), len(self.parameters) + 1))
+        known = [index for index, name in enumerate(evidence.parameters) if name in self.parameters]  # others are exact
+        rows[:, [self.parameters.index(evidence.parameters[index]) for index in known]] = evidence.rows[:, known]
+        rows[:, -1] = evidence.rows[:, -1]
+        self._rows.append(rows)
+        if self._kept is not None:
+            self._rows = self._rows[-self._kept :]
+        self._all = None
+        return True
+
+    def chi2_of_planes(self, moved: Sequence[int] = ()) -> Float64[Array, "laser"]:
+        """By how much chi-squared falls if each plane has moved, Eq. (11.2), beside those that have moved anyway.
+
+        A drift must show in most shots.
+        """
+        stable, lasers = self._chi2(self._prior_if_moved(moved)), range(len(self.rig.lasers.names))
+        chi2 = np.array([stable - self._chi2(self._prior_if_moved([*moved, laser])) for laser in lasers])
+        for laser in np.flatnonzero(chi2 > self.limit).tolist():
+            chi2[laser] = min(chi2[laser], self._explained_in_most_shots(laser, moved))
+        return chi2
+
+    def moved_laser(self, chi2: Float64[Array, "laser"]) -> tuple[int | None, bool]:
+        """The laser whose plane has moved, and whether a rotation of the camera explains the evidence about as well.
+
+        The laser is None if the plane of another one, or the rotation of the camera, explains it better or as well.
+        """
+        worst = int(np.argmax(chi2))
+        turned = self._chi2(self.prior) - self._chi2(self._prior_if_camera_turned())
+        if not (np.delete(chi2, worst) + CLEARLY < chi2[worst]).all() or turned >= chi2[worst] + CLEARLY:
+            return None, False
+        return worst, bool(turned + CLEARLY >= chi2[worst])
+
+    def moved_plane(self, laser: int, moved: Sequence[int] = ()) -> MovedPlane:
+        """The plane's change by the evidence, and its covariance, if the planes in `moved` may have moved, too."""
+        mean, covariance = self.posterior(sorted({laser, *moved}))
+        at = self.columns(laser)
+        block = covariance[np.ix_(at, at)]
+        return MovedPlane(laser=laser, change=mean[at], covariance=0.5 * (block + block.T))
+
+    def posterior(
+        self, moved: Sequence[int]
+    ) -> tuple[Float64[Array, "parameter"], Float64[Array, "parameter parameter"]]:
+        """Mean and covariance of the rig's errors by the evidence, if the planes of these lasers have moved."""
+        prior, rows = self._prior_if_moved(moved), self._evidence()
+        jacobian, target = rows[:, :-1], rows[:, -1]
+        gain = np.linalg.solve(np.eye(len(target)) + jacobian @ prior @ jacobian.T, jacobian @ prior).T
+        return gain @ target, prior - gain @ jacobian @ prior
+
+    def columns(self, laser: int) -> Int64[Array, "3"]:
+        """Where the parameters of a light plane stand."""
+        names = laser_parameters([self.rig.lasers.names[laser]])
+        return np.array([self.parameters.index(name) for name in names])
+
+    def _evidence(self) -> Float64[Array, "row column"]:
+        if self._all is None:
+            self._all = np.zeros((0, len(self.parameters) + 1))
+            if self._rows:
+                self._all = np.asarray(np.linalg.qr(np.concatenate(self._rows), mode="r"))
+        return self._all
+
+    def _explained_in_most_shots(self, laser: int, moved: Sequence[int]) -> float:
+        """By how much chi-squared falls by the plane's estimated change, without the shots in which it falls most.
+
+        A shot with a wrong stripe may contradict the rig as strongly as a drift does in many shots.
+        """
+        change, prior = self.posterior([*moved, laser])[0], self._prior_if_moved(moved)
+        falls = []
+        for rows in self._rows:
+            jacobian, target = rows[:, :-1], rows[:, -1]
+            precision = np.linalg.inv(np.eye(len(target)) + jacobian @ prior @ jacobian.T)
+            left = target - jacobian @ change
+            falls.append(float(target @ precision @ target - left @ precision @ left))
+        return float(sum(sorted(falls)[: len(falls) - self._left_out]))
+
+    def _prior_if_moved(self, lasers: Sequence[int]) -> Float64[Array, "parameter parameter"]:
+        prior = self.prior.copy()
+        for laser in lasers:
+            at = self.columns(laser)
+            prior[at, at] += np.array([MOVED_TILT_RAD, MOVED_TILT_RAD, MOVED_DISTANCE_M]) ** 2
+        return prior
+
+    def _prior_if_camera_turned(self) -> Float64[Array, "parameter parameter"]:
+        """The camera turned by r against all light planes together: their normals n become n + r x n."""
+        lasers, bases = self.rig.lasers, light_plane_bases(self.rig)
+        root = np.zeros((len(self.parameters), 3))
+        for laser, (normal, basis) in enumerate(zip(lasers.normal, bases, strict=True)):
+            root[self.columns(laser)[:2]] = MOVED_TILT_RAD * np.cross(normal, basis)  # e . (r x n) = r . (n x e)
+        return self.prior + root @ root.T
+
+    def _chi2(self, prior: Float64[Array, "parameter parameter"]) -> float:
+        """Chi-squared of y = A q + noise for q ~ N(0, prior), y^T (1 + A P A^T)^-1 y."""
+        rows = self._evidence()
+        if not len(rows):
+            return 0.0
+        jacobian, target = rows[:, :-1], rows[:, -1]
+        return float(target @ np.linalg.solve(np.eye(len(target)) + jacobian @ prior @ jacobian.T, target))
+
+
+def _parameters_and_prior(
+    rig: Rig, stability: RigStability
+) -> tuple[tuple[str, ...], Float64[Array, "parameter parameter"]]:
+    """The rig's parameters, among them those of all light planes, and their covariance."""
+    total = total_covariance(rig, stability)
+    more = tuple(name for name in total_covariance(rig, TYPICAL_STABILITY).parameters if name not in total.parameters)
+    known = len(total.parameters)
+    covariance = np.zeros((known + len(more), known + len(more)))
+    covariance[:known, :known] = total.data
+    return (*total.parameters, *more), covariance
+
+
+def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> PlaneEvidence | None:
+    """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
+
+    The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
+    their priors: the Schur complement of section 9.
+    """
+    if estimate.regularized or len(measured.stripes) < REDUNDANT_STRIPES:
+        return None
+    errors = rig_errors(rig, TYPICAL_STABILITY)
+    if errors is None:
+        return None
+    residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
+    of_rig = estimate.mean_ray_wrt_nuisance.shape[1]
+    own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
+    by_rig = rig_jacobian(residuals, measured.observations(rig.lasers), errors, rig)
+    rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
+    eliminated = PARAMETERS + own.shape[1]
+    prior = np.zeros((eliminated, rows.shape[1]))
+    diagonal = range(eliminated)
+    prior[diagonal, diagonal] = np.concatenate([np.full(PARAMETERS, sqrt(RIDGE)), np.ones(own.shape[1])])
+    prior[PARAMETERS : PARAMETERS + rates, -1] = -residuals.rate_deviations
+    triangle = np.linalg.qr(np.concatenate([prior, np.sqrt(estimate.weights)[:, None] * rows]), mode="r")
+    return PlaneEvidence(
+        parameters=errors.parameters,
+        rows=np.asarray(triangle)[eliminated:, eliminated:],
+        normal=estimate.arcs.normal,
+        place_m=estimate.arcs.origin,
+    )
+
+
+def evidence_for_file(line: PoseLine) -> PlaneEvidence | None:
+    """The evidence of a recorded shot for errors of the rig in the file: corrections of its planes are taken back."""
+    evidence = line.plane_evidence
+    if evidence is None or line.priors is None or PoseFlag.RADIUS_INCONSISTENT in line.flags:
+        return None
+    rows = evidence.rows.copy()
+    for laser, correction in line.priors.moved_planes.items():
+        columns = [evidence.parameters.index(name) for name in laser_parameters([laser])]
+        rows[:, -1] += rows[:, columns] @ correction.change
+    return replace(evidence, rows=rows)

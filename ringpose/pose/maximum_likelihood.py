@@ -31,7 +31,8 @@ from ringpose.estimate.covariance import (
     standard_deviation,
     with_second_order,
 )
-from ringpose.estimate.explanation import RADIUS_SIGMAS, Explanation, edge_mean_square, explain
+from ringpose.estimate.explanation import COINCIDENCE, RADIUS_SIGMAS, Explanation, edge_mean_square, explain
+from ringpose.estimate.hypotheses import edge_evidence
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior
@@ -39,7 +40,7 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.plane_evidence import REDUNDANT_STRIPES, plane_evidence
+from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -55,6 +56,7 @@ from ringpose.types.pose import (
     RadiusPrior,
     Ring,
     RingPose,
+    RingVelocity,
 )
 from ringpose.types.rig import Rig
 
@@ -66,8 +68,7 @@ VERIFIED_BELOW = 0.01 / RADIUS_SIGMAS
 error of 1 % then contradicts the shot. With 1 % here, radii up to 4 % off were neither contradicted nor flagged."""
 
 ALL_WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
-"""Flags of all quantities: of a pose whose ring may not be one, or whose errors are not known."""
-
+"""Flags of all quantities but the velocity: of a pose whose ring may not be one, or whose errors are not known."""
 NOT_TIMED = "the frames have no time stamps of their own: give --still if the target was still"
 """Reason of the flags of a switched shot without stamps whose target may have moved."""
 
@@ -95,8 +96,8 @@ def most_likely_pose(
     `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
-    found = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
-    without = PoseResult(pose=NoPose.NOT_FINITE, lasers=unused_lasers(rig, lasers_on, found), rejected=tuple(rejected))
+    lasers = unused_lasers(rig, lasers_on, break_points.of_lasers)
+    without = PoseResult(pose=NoPose.NOT_FINITE, lasers=lasers, rejected=tuple(rejected))
     unusable = _unusable(measured, rig, camera)
     if unusable is not None:
         return replace(without, pose=unusable)
@@ -118,7 +119,7 @@ def most_likely_pose(
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
-    doubts, remark = untimed or _displaced(rejected) or _ring_doubts(best, break_points)
+    doubts, remark = untimed or _displaced(rejected) or _ring_doubts(best, break_points, rig)
     result = replace(result, flags=result.flags | doubts, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
@@ -186,12 +187,23 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     if not measured.has_covariances:
         unknown = PoseFlag(0) if best.prior.assumptions.motion is None else PoseFlag.VELOCITY_WEAK
         return replace(result, pose=pose, flags=flags | ALL_WEAK | unknown)
-    velocity = ring_velocity(estimate)  # where the shot does not determine it, with the mean and variance of the prior
-    if velocity is not None and ("velocity" in best.differing or not best.side_known):
-        velocity, flags = None, flags | PoseFlag.VELOCITY_WEAK  # that of the centre depends on its side
+    velocity, of_velocity = _velocity(best, flags)
     errors = rig_errors(rig, best.prior.assumptions.stability)
     measurement = ring_measurement(estimate, measured, errors)
-    return replace(result, pose=pose, flags=flags, velocity=velocity, measurement=measurement)
+    return replace(result, pose=pose, flags=flags | of_velocity, velocity=velocity, measurement=measurement)
+
+
+def _velocity(best: Explanation, flags: PoseFlag) -> tuple[RingVelocity | None, PoseFlag]:
+    """The velocity, with the mean and variance of the prior where the shot does not determine it, and its flags.
+
+    That of the centre depends on its side, and on the radius: within the errors of an unknown radius not linearly.
+    """
+    velocity = ring_velocity(best.estimate)
+    if velocity is None:
+        return None, PoseFlag(0)
+    if "velocity" in best.differing or not best.side_known:
+        return None, PoseFlag.VELOCITY_WEAK
+    return velocity, PoseFlag.VELOCITY_WEAK if PoseFlag.CENTER_WEAK in flags else PoseFlag(0)
 
 
 def _timed(
@@ -201,7 +213,7 @@ def _timed(
 
     Stripes that were taken one after the other need stamps of their own.
     """
-    seen = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
+    seen = break_points.of_lasers
     stamps = [] if break_points.stamp_s is None else break_points.stamp_s[seen].tolist()
     distinct = len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))
     moving = moving or assumptions.motion is not None  # the camera or the target
@@ -221,22 +233,28 @@ def _displaced(rejected: Sequence[Rejection]) -> tuple[PoseFlag, str] | None:
     return PoseFlag.INCONSISTENT, f"the stripe of laser {lasers[0]} is near the ring of the others, but not on it"
 
 
-def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
+def _ring_doubts(best: Explanation, break_points: BreakPoints, rig: Rig) -> tuple[PoseFlag, str]:
     """Flags of a shot that something else than a ring may have left, such as the side of a board, and why.
 
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
-    ends of a single stripe alone may be those of any surface.
+    ends of a single stripe alone may be those of any surface: visible edges must predict it.
     """
+    unknown = ALL_WEAK if best.prior.assumptions.motion is None else ALL_WEAK | PoseFlag.VELOCITY_WEAK
+    if not best.estimate.converged:
+        return unknown, "the estimate did not converge"
     curvature, sd = best.estimate.curvature_alone
-    if best.prior.radii is None and not abs(curvature) > CURVED_SIGMAS * sd:
-        return ALL_WEAK, "the edges may be straight: the shot does not show that it is a ring"
+    if best.prior.radii is None and not curvature > CURVED_SIGMAS * sd:
+        return unknown, "the edges may be straight: the shot does not show that it is a ring"
     if len(best.measured.edges.edge):
+        single = len(best.measured.lasers) == 1
+        if single and not edge_evidence(best.estimate, best.measured, rig) >= COINCIDENCE:  # also if it is NaN
+            return unknown, "the single stripe may lie on another surface than the visible edges"
         return PoseFlag(0), ""
-    seen, lines = break_points.seen, np.isfinite(break_points.face_start_px[:, 0])
+    seen = break_points.seen
     clear = int((seen & (break_points.flags & int(BreakPointFlag.UNCLEAR) == 0)).sum())
-    one_missing = bool((seen.sum(axis=1)[lines | seen.any(axis=1)] < len(EDGE_SIGN)).any())
+    one_missing = bool((seen.sum(axis=1)[break_points.of_lasers] < len(EDGE_SIGN)).any())
     if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
-        return ALL_WEAK, "too few ends of stripes are clear to show that it is a ring"
+        return unknown, "too few ends of stripes are clear to show that it is a ring"
     return PoseFlag.GRASP_WEAK if len(best.measured.stripes) == 1 else PoseFlag(0), ""
 
 

@@ -164,7 +164,8 @@ def pose_result(
             flags = PoseFlag(0) if isinstance(pose, NoPose) else pose.flags
             return PoseResult(pose=pose, flags=flags, rejected=tuple(rejected))
     except np.linalg.LinAlgError:
-        return PoseResult(pose=NoPose.SINGULAR)
+        states = unused_lasers(rig, lasers_on, break_points.of_lasers)
+        return PoseResult(pose=NoPose.SINGULAR, lasers=states, rejected=tuple(rejected))
 
 
 def _reason(result: PoseResult, source: Detection) -> str | None:

@@ -47,7 +47,7 @@ def seen_lasers(
     for laser in np.flatnonzero(on).tolist():
         contributed = bool(used[laser].any() or has_line[laser])
         mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
-        found = bool(mine or break_points.seen[laser].any() or np.isfinite(break_points.face_start_px[laser, 0]))
+        found = bool(mine or break_points.of_lasers[laser])
         if contributed:
             clipped = break_points.flags[laser] & int(BreakPointFlag.CLIPPED) != 0
             expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image

@@ -337,8 +337,6 @@ class Ring:
     radius_inner_m: tuple[float, float]
     """Lower and upper limit."""
     radius_outer_m: tuple[float, float]
-    nominal: bool
-    """Whether the intervals were derived from a nominal interface diameter, not from a drawing or a measurement."""
     source: str = ""
     tolerance_m: float | None = None
     """Standard deviation of the edges from circles, and of the face from a plane."""

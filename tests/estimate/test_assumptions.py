@@ -12,7 +12,7 @@ from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, til
 from ringpose.geometry.ring import motion_derivatives, ring_arcs
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.pipeline import pose_result
-from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, MotionPrior, RigStability
+from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, MotionPrior, RigStability, motion_prior
 from ringpose.types.pose import NoPose, PoseFlag
 
 PERIOD_S = 1 / 30
@@ -127,6 +127,27 @@ def test_errors_of_a_moving_ring_are_as_stated(scene_of, face_points, visible_ed
     if lit:
         assert len(errors["center"]) > 50
         assert 0.6 < np.mean(errors["center"]) < 1.4
+
+
+def test_a_fast_target_of_unknown_radius_has_no_wrong_grasp_point_without_a_flag(scene_of, face_points):
+    """Radial velocity and curvature exchange roles: the centre may come to lie beyond the outer edge."""
+    rng = np.random.default_rng(7)
+    fast = motion_prior(0.2, 8.0)
+    errors = []
+    for _ in range(60):
+        scene = scene_of("B", distance_m=float(rng.uniform(0.3, 0.7)), tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
+        velocity_m_s = fast.speed_sd_m_s * rng.normal(size=3)
+        motion = velocity_m_s, fast.rate_sd_rad_s * rng.normal(size=2) @ tilt_basis(scene.ring.normal)
+        points = replace(face_points(moving_scene(scene, *motion), 0.3, 0.02, rng), stamp_s=STAMPS_S)
+        result = pose_result(points, scene.rig, assumptions=Assumptions(motion=fast))
+        if not isinstance(result.pose, NoPose) and PoseFlag.GRASP_WEAK not in result.flags:
+            truth = moved(scene.ring, result.stamp_s - STAMPS_S[1], *motion)
+            axes, across_m = circle_error(result.pose.grasp_m, truth.center_m, truth.normal, truth.radius_m.mean())
+            errors.append(mahalanobis_squared(across_m, axes @ result.pose.covariance_grasp_m2 @ axes.T) / 2)
+
+    assert len(errors) > 40
+    assert max(errors) < 12
+    assert np.mean(errors) < 1.5
 
 
 def test_a_moving_ring_that_is_assumed_still_is_flagged(scene_of, face_points, rng):
@@ -312,6 +333,21 @@ def test_a_frame_with_all_lasers_shows_that_a_target_that_is_assumed_still_moves
 
     assert bool(result.flags & PoseFlag.MOTION) == flagged
     assert result.measurement.degrees_of_freedom == 5  # twelve distinct numbers less seven parameters
+
+
+@pytest.mark.parametrize("assumptions", [Assumptions(), MOVING], ids=["still", "moving"])
+def test_a_frame_with_all_lasers_that_no_steady_motion_explains_is_left_out_and_flagged_as_motion(
+    scene_of, face_points, rng, assumptions
+):
+    scene = scene_of("B", distance_m=0.5)
+    points = seen_twice(scene, np.zeros(3), face_points, rng)
+    jumped = seen_twice(scene, np.array([0.0, 0.0, 0.1]), face_points, rng).repeated
+
+    result = pose_result(replace(points, repeated=jumped), scene.rig, assumptions=assumptions)
+
+    assert PoseFlag.MOTION in result.flags
+    error_m = result.pose.center_m - scene.ring.center_m
+    assert mahalanobis_squared(error_m, result.pose.covariance_center_m2) < 21.1  # 99.99 % of 3
 
 
 def test_a_frame_with_all_lasers_measures_the_velocity_and_never_the_ring_better_than_a_still_shot(

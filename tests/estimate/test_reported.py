@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import pixels_of
 
-from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import KnownRadii, PoseFlag
+from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 
@@ -35,6 +36,25 @@ def test_one_stripe_and_the_radii_have_the_covariance_of_the_radii(scene_of, fac
     pose = estimate_pose(with_stripe(face_points(scene, 0.3, 0.01), 1), scene.rig, known=KNOWN)
 
     assert np.isfinite(np.diag(pose.covariance)).tolist() == [False] * 5 + [True] * 2
+
+
+@pytest.mark.parametrize(("behind_m", "weak"), [(0.0, False), (0.05, True)])
+def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(
+    scene_of, face_points, visible_edges, rng, behind_m, weak
+):
+    flagged = 0
+    for _ in range(4):
+        scene = scene_of("B", distance_m=1.0, side=rng.choice([-1, 1]), across=rng.uniform(-0.1, 0.1))
+        edges = visible_edges(scene, 60, 0.1, rng)
+        surface = replace(scene.ring, center_m=scene.ring.center_m - behind_m * scene.ring.normal)
+        points_m = surface.break_points_m(scene.rig.lasers)
+        behind = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+        points = with_stripe(face_points(behind, 0.05, 0.01, rng), 1)
+
+        result = pose_result(points, scene.rig, ring_edges=edges)
+
+        flagged += isinstance(result.pose, NoPose) or bool(result.flags & PoseFlag.GRASP_WEAK)
+    assert flagged == (4 if weak else 0)
 
 
 @pytest.mark.parametrize(("line_px", "warned"), [(0.005, False), (0.05, True)])

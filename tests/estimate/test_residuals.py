@@ -1,5 +1,7 @@
 """Jacobians of all residuals, against central differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,3 +68,22 @@ def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, 
     )
 
     np.testing.assert_allclose(residuals.jacobian[-2:, parameter], (forward - backward) / (2 * STEP), rtol=0, atol=1e-4)
+
+
+def test_derivatives_of_visible_edges_do_not_contain_errors_of_the_points(scene_of, face_points, visible_edges, rng):
+    """A correlation of both would bias what many shots have in common, such as errors of the rig."""
+    scene = scene_of("B")
+    points, exact, errors = face_points(scene, 0.3, 0.03), visible_edges(scene, 40, 0.3), rng.normal(size=40)
+    noisy = replace(exact, position_px=exact.position_px + 0.3 * errors[:, None] * exact.normal)
+    ring = scene.ring
+    arcs = ring_arcs(ring.center_m, ring.normal, ring.radius_m, scene.points_m.mean(axis=(0, 1)))
+
+    without, with_errors = (
+        ring_residuals(arcs, measurements_of(points, scene.rig, edges).observations(scene.rig.lasers), Prior())
+        for edges in (exact, noisy)
+    )
+
+    rows = slice(without.stripe_rows, without.data_rows)
+    np.testing.assert_allclose(np.abs(with_errors.residual[rows]), np.abs(errors), atol=0.003)
+    scale = np.abs(without.jacobian[rows]).max(axis=0)
+    assert (np.abs(with_errors.jacobian[rows] - without.jacobian[rows]) < 2e-5 * scale).all()

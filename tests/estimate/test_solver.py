@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior, initial_guess
-from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, precise_ring, ring_residuals
+from ringpose.estimate.residuals import DECISION_SIGMAS, Prior, initial_guess
+from ringpose.estimate.solver import estimate_ring, precise_ring, ring_residuals
 from ringpose.geometry.ring import CURVATURE, LIFT
-from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import KnownRadii, NoPose, RingPose
+from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, RingPose
 from ringpose.types.rig import ParameterCovariance
 
 INNER_ONLY = KnownRadii(radius_m=np.array([0.567, np.nan]), sd_m=np.full(2, 1e-4))
@@ -71,6 +71,19 @@ def test_an_estimate_is_the_same_from_any_start(noisy):
         assert other.chi2 == pytest.approx(estimate.chi2, rel=1e-9)
         assert abs(other.arcs.curvature - estimate.arcs.curvature) < 1e-7 * sd[CURVATURE]
         assert abs(estimate.arcs.normal @ (other.arcs.origin - estimate.arcs.origin)) < 1e-7 * sd[LIFT]
+
+
+@pytest.mark.parametrize(("iterations", "status"), [(2, "degraded"), (20, "ok")])
+def test_a_pose_whose_iteration_ends_at_its_limit_is_not_ok(scene_of, face_points, monkeypatch, iterations, status):
+    scene = scene_of("B", distance_m=0.5, turn_rad=0.7, size="R597")
+    points = face_points(scene, 0.01, 0.01)
+    monkeypatch.setattr("ringpose.estimate.solver.MAX_ITERATIONS", iterations)
+
+    result = pose_result(points, scene.rig)
+
+    weak = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
+    assert (weak in result.flags) == (status == "degraded")
+    assert ("converge" in result.remark) == (status == "degraded")
 
 
 @pytest.mark.parametrize("side", [-1, 1])

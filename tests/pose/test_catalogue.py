@@ -15,7 +15,6 @@ RINGS = [
         name=name,
         radius_inner_m=(inner - 0.002, inner + 0.002),
         radius_outer_m=(outer - 0.002, outer + 0.002),
-        nominal=False,
     )
     for name, (inner, outer) in SIZES.items()
 ]

@@ -4,21 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_streams import measured_stream, moved, poses_before
+from ring_streams import measured_stream, moved, poses_before, within_stability
 
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
+from ringpose.pose.drift import RigEvidence
 from ringpose.types.pose import PoseFlag
 
 SHOTS = 50
 TILT_RAD, SHIFT_M = np.radians(0.1), 0.3e-3
-
-
-def drawn(rig, rng):
-    """A rig that has changed since its calibration as its stability states."""
-    tilt_sd_rad, distance_sd_m = rig.stability.plane_tilt_rad, rig.stability.plane_distance_m
-    for laser in range(3):
-        rig = moved(rig, laser, tilt_sd_rad * rng.normal(size=2), distance_sd_m * rng.normal())
-    return rig
 
 
 def camera_turned(rig, angle_rad):
@@ -40,7 +33,7 @@ def rig(scene_of):
 
 
 def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
-    lines, warnings = measured_stream(rig, poses(drawn(rig, rng)))
+    lines, warnings = measured_stream(rig, poses(within_stability(rig, rng)))
 
     assert not warnings
     assert max(lines[-1].rig_health.values()) < 3.0
@@ -55,13 +48,35 @@ def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
     ],
 )
 def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
-    lines, warnings = measured_stream(rig, poses(moved(drawn(rig, rng), laser, **by), 25))
+    lines, warnings = measured_stream(rig, poses(moved(within_stability(rig, rng), laser, **by), 25))
 
     named = [text for text in warnings.values() if "the light plane of laser" in text]
     assert named
     assert all(f"laser {rig.lasers.names[laser]} " in text for text in named)
     assert PoseFlag.RIG_DRIFT in lines[-1].flags
     assert lines[-1].status != "ok"
+
+
+def test_a_plane_that_has_moved_is_named_where_the_edges_are_visible(poses, visible_edges, rng, rig):
+    real = moved(rig, 1, (0.0, TILT_RAD))
+    scenes = [(scene, points, visible_edges(scene, 40, 0.3, rng)) for scene, points in poses(real, 6)]
+
+    _, warnings = measured_stream(rig, scenes)
+
+    assert any("laser middle " in text for text in warnings.values())
+
+
+@pytest.mark.slow
+def test_visible_edges_do_not_bias_the_evidence_for_errors_of_the_rig(poses, visible_edges, rng, rig):
+    scenes = [(scene, points, visible_edges(scene, 80, 0.3, rng)) for scene, points in poses(rig, 50)]
+    evidence = RigEvidence(rig, rig.stability)
+
+    for line in measured_stream(rig, scenes)[0]:
+        evidence.add(line.plane_evidence)
+
+    for laser in range(3):
+        plane = evidence.moved_plane(laser)
+        assert (np.abs(plane.change) < 3.5 * np.sqrt(np.diag(plane.covariance))).all()
 
 
 def test_after_a_drift_was_named_the_poses_are_right_again(poses, rng, rig):
@@ -149,7 +164,7 @@ def test_shots_without_a_pose_since_a_plane_has_moved_count_too(poses, rig):
 @pytest.mark.slow
 def test_no_false_alarm_in_many_streams(poses, rng, rig):
     for _ in range(100):
-        _, warnings = measured_stream(rig, poses(drawn(rig, rng)))
+        _, warnings = measured_stream(rig, poses(within_stability(rig, rng)))
         assert not warnings
 
 
@@ -160,7 +175,7 @@ def test_nine_in_ten_planes_that_have_moved_are_named_within_fifty_shots(poses, 
     for _ in range(60):
         laser, direction = int(rng.integers(3)), rng.uniform(0, 2 * np.pi)
         tilt_rad = TILT_RAD * np.array([np.cos(direction), np.sin(direction)]) if by == "tilt" else np.zeros(2)
-        real = moved(drawn(rig, rng), laser, tilt_rad, SHIFT_M if by == "shift" else 0.0)
+        real = moved(within_stability(rig, rng), laser, tilt_rad, SHIFT_M if by == "shift" else 0.0)
         name = f"laser {rig.lasers.names[laser]} "
         _, warnings = measured_stream(rig, list(poses(real)), until=name)
         named += any(name in text for text in warnings.values())

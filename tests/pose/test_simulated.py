@@ -8,10 +8,10 @@ import pytest
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.pose.pipeline import estimate_pose, pose_line
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.pose import KnownRadii, PoseFlag
-from ringpose.types.scene import Approach
+from ringpose.types.scene import Approach, RingView
 
 SCENE = Path(__file__).parents[2] / "examples" / "scene-full.yaml"
 SHOTS = 14
@@ -62,3 +62,19 @@ def test_errors_on_simulated_images_are_those_that_are_told(detections, distance
     # 95 % of chi-squared over both quantities of all twelve cases: 3.1 sigmas of each
     spread = np.sqrt(2.0 / (len(told) * np.array([3.0, 2.0])))
     assert np.abs((np.mean(told, axis=0) - 1.0) / spread).max() < 3.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_stripe_beside_the_foot_of_a_dark_wall_gives_no_wrong_normal(seed):
+    scene = read_scene(SCENE)
+    matrix = np.array([[711.0, 0.0, 322.5], [0.0, 710.6, 235.5], [0.0, 0.0, 1.0]])
+    camera = replace(scene.rig.camera, image_width=640, image_height=480, camera_matrix=matrix)
+    rig = replace(scene.rig, camera=camera)
+    normal = np.array([0.0422, 0.0773, -0.9961]) / np.linalg.norm([0.0422, 0.0773, -0.9961])
+    view = RingView(name="single", center_m=np.array([-0.5742, -0.0007, 0.1897]), normal=normal, light="normal")
+
+    ((shot, truth),) = simulate(replace(scene, rig=rig, views=(view,), approaches=(), seed=seed))
+    pose = pose_line(detect(shot, rig), rig).pose
+
+    assert pose is None or PoseFlag.NORMAL_WEAK in pose.flags or squares(pose, truth)[1] < 10.0
