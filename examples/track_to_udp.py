@@ -36,6 +36,10 @@ class Newest:
         self.ended = True
 
 
+HOLD_ON = {"grasp_weak", "inconsistent", "normal_weak", "rig_drift", "side_unknown", "velocity_weak"}
+"""Flags of a track with which the controller does not move; a velocity just after a push is weak."""
+
+
 def command(record, heard_s, limits, now_s):
     """What the controller is to do now."""
     silent_s = time.monotonic() - heard_s
@@ -43,7 +47,7 @@ def command(record, heard_s, limits, now_s):
         return {"do": "hold", "why": f"no track for {silent_s:.1f} s"}
     if record["validity"] != "valid":
         return {"do": "hold", "why": f"the track is {record['validity']}"}
-    if set(record["flags"]) & {"grasp_weak", "normal_weak", "side_unknown", "rig_drift"}:
+    if set(record["flags"]) & HOLD_ON:
         return {"do": "hold", "why": ", ".join(record["flags"])}
     ahead_s = now_s - record["stamp_s"]
     if not -limits.patience <= ahead_s <= limits.patience:

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE, STEP, TILT_ALONG, TILT_INWARD
-from ringpose.track.filters import Bank, Innovation, continued, started, tempered
+from ringpose.track.filters import Bank, Innovation, continued, pushed, started
 from ringpose.track.observation import Observation
 from ringpose.track.states import charted, moved, step_rates
 from ringpose.types.arrays import Array, Float64
@@ -32,15 +32,6 @@ Less probable models with more process noise would let outliers pass.
 
 MIN_PROBABILITY = 1e-12
 """Probability below which a test ratio is that of the model that fits best."""
-
-TEMPERED_FROM = 2
-"""Rejections in a row from which the evidence of the motion models is tempered ..."""
-
-TEMPERATURE = 2.0
-"""... by this factor at each further one: a target that is pushed is no longer described by the models that were best.
-
-Single outliers leave the evidence as it is.
-"""
 
 MAX_BIAS_SIGMAS = 1.0
 """Bias of a measurement at the track's state, because it was linearised elsewhere, from which it is not used."""
@@ -75,9 +66,10 @@ class Track:
     """Time between the last two measurements that were used."""
     resets: int = 0
     rejections: int = 0
-    """Number of measurements that were rejected since the last one that was used."""
+    """Number of measurements that contradicted the track since the last one that was used."""
     pending: "Track | None" = None
-    """The track that begins with a measurement that does not continue this one."""
+    """The track after the newest measurement, if only this one contradicts it: of a target that was pushed since the
+    measurement before, or, after a gap, one that begins with it. A second measurement that agrees confirms it."""
 
     @property
     def stamp_s(self) -> float:
@@ -117,7 +109,7 @@ def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | 
 def track_after(
     track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions
 ) -> tuple[Track, Fusion]:
-    """The track after a measurement that is not older than it, and what became of the measurement."""
+    """The track after a measurement that is not older than the track, and how the measurement was used."""
     gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
     if not observed.determines_plane and not gap_s <= options.predict_for_s:  # nor without a track
         return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE)
@@ -125,34 +117,44 @@ def track_after(
         started_anew = new_track(observed, options.motion, radius)
         return replace(started_anew, resets=track.resets), Fusion(status=FusionStatus.FUSED)
     if gap_s < options.lost_after_s:
-        continued, ratio = _continued(track, observed)
-        if ratio <= 1.0 and _bias_sigmas(continued.likeliest, observed) > MAX_BIAS_SIGMAS:
+        after, ratio = _continued(track, observed)
+        if ratio <= 1.0 and _bias_sigmas(after.likeliest, observed) > MAX_BIAS_SIGMAS:
             return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=ratio)
         if ratio <= 1.0:
-            return continued, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
-    if gap_s <= options.predict_for_s:
-        return _with_rejection(track), Fusion(status=FusionStatus.REJECTED_GATE, test_ratio=ratio)
-    return _restarted(track, observed, radius, options, ratio)
+            return after, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
+    return _contradicted(track, observed, radius, options, ratio)
 
 
-def _restarted(
+def _contradicted(
     track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions, ratio: float
 ) -> tuple[Track, Fusion]:
-    """The track that two measurements in agreement begin after a gap; `ratio` is the test ratio against the old one."""
+    """As `track_after`, for a measurement with a test ratio above 1: an outlier unless a second one agrees with it."""
+    gap_s = observed.stamp_s - track.stamp_s
+    if gap_s <= options.predict_for_s:
+        anew, its_ratio = _continued(track, observed, pushed_with=options.motion)
+        status = FusionStatus.REJECTED_GATE
+    else:
+        anew, its_ratio = replace(new_track(observed, options.motion, radius), resets=track.resets + 1), 0.0
+        status = FusionStatus.PENDING
     pending = track.pending
     if pending is not None and observed.stamp_s - pending.stamp_s <= options.lost_after_s:
-        again, ratio = _continued(pending, observed)
-        if ratio <= 1.0:
-            return replace(again, resets=track.resets + 1), Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
-    pending = new_track(observed, options.motion, radius)
-    return replace(track, pending=pending), Fusion(status=FusionStatus.PENDING, test_ratio=ratio)
+        confirmed, agreement = _continued(pending, observed)
+        if agreement <= 1.0:
+            # A push during the first of the two shots makes that one wrong: it is left out where there is a track.
+            used = anew if status is FusionStatus.REJECTED_GATE and its_ratio <= 1.0 else confirmed
+            if _bias_sigmas(used.likeliest, observed) > MAX_BIAS_SIGMAS:
+                return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=agreement)
+            return used, Fusion(status=FusionStatus.FUSED, test_ratio=agreement)
+    rejected = replace(track, rejections=track.rejections + 1, pending=anew if its_ratio <= 1.0 else None)
+    return rejected, Fusion(status=status, test_ratio=ratio)
 
 
 def _bias_sigmas(bank: Bank, observed: Observation) -> float:
-    """About how far the rows of a measurement are off at the state after it, in standard deviations.
+    """Approximate linearisation error of a measurement at the updated state, in standard deviations.
 
-    Its derivatives change by about as much, relative to themselves, as the normal turns (rad) from the linearisation
-    point: what the rows have changed by since is wrong by this share. A single stripe is often linearised far away.
+    Between the linearisation point and the state, the derivatives of the rows change by about the angle between the
+    two normals (rad), relative to themselves; the change of the rows is wrong by this share. A single stripe is often
+    linearised far from the state.
     """
     observed, best = observed.towards(bank.chart.axes[0, 0]), slice(bank.best, bank.best + 1)
     found = charted(bank.chart, moved(bank.chart, bank.coordinates[best]))
@@ -162,32 +164,27 @@ def _bias_sigmas(bank: Bank, observed: Observation) -> float:
     return float(tilt_rad * np.linalg.norm(changed))
 
 
-def _with_rejection(track: Track) -> Track:
-    """The track after a measurement that was rejected."""
-    rejections = track.rejections + 1
-    if rejections < TEMPERED_FROM:
-        return replace(track, rejections=rejections)
-    return replace(track, rejections=rejections, banks=tuple(tempered(bank, TEMPERATURE) for bank in track.banks))
+def _continued(track: Track, observed: Observation, pushed_with: MotionPrior | None = None) -> tuple[Track, float]:
+    """The track with the measurement, and the test ratio of the explanation that it fits best.
 
-
-def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
-    """The track with the measurement, and the test ratio of the explanation that it fits best."""
+    `pushed_with`: the target was pushed since the measurement before; its motion has this prior.
+    """
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        after, found = continued(bank, seen)
+        after, found = continued(bank, seen) if pushed_with is None else pushed(bank, seen, pushed_with)
         ratios.append(test_ratio(bank, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
         banks.append(after)
     interval_s = observed.stamp_s - track.stamp_s
-    return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)), min(ratios)
+    after_all = replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)
+    return _pruned(after_all), min(ratios)
 
 
 def test_ratio(bank: Bank, found: Innovation) -> float:
-    """Chi-squared of an innovation over the limit of the gate; above 1 it is rejected.
+    """Chi-squared of an innovation over the limit of the gate; above 1 the measurement is rejected.
 
-    The probability of a larger one is the weighted mean over the motion models that take part, and the ratio that of
-    the chi-squared which has this probability. Improbable models do not: those with much process noise would open the
-    gate for outliers.
+    The p-value is the weighted mean over the probable motion models, and the ratio is that of the chi-squared with this
+    p-value. Improbable models are left out, because those with much process noise would let outliers pass the gate.
     """
     from scipy.special import chdtrc, chdtri
 

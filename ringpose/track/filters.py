@@ -57,6 +57,12 @@ leaves to the others are below `NEGLIGIBLE_WEIGHT`.
 NEGLIGIBLE_WEIGHT = 1e-3
 """Weight below which a model does not contribute to the reported state."""
 
+PUSH_LOG_ODDS = -4.0
+"""Logarithm of the odds that a target is pushed between two measurements."""
+
+MIN_INTERVAL_S = 1e-3
+"""Shortest time between two measurements in which a target is assumed to be pushed."""
+
 LOST = -1e6
 """Log likelihood of a measurement for a filter whose ring misses the place where one was seen."""
 
@@ -66,7 +72,7 @@ _PLACE_SD = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bank:
-    """Filters of one explanation, all at one time."""
+    """Kalman filters of one explanation, one for each motion model, at one time."""
 
     stamp_s: float
     models: MotionModels
@@ -208,12 +214,6 @@ def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, 
     return 1.0 / mean_m, half_band_m, (wrt_both * np.array([sds_m[edge], HALF_BAND_SD_M]) ** 2) @ wrt_both.T
 
 
-def tempered(bank: Bank, temperature: float) -> Bank:
-    """The bank with less decided evidence: its differences between the models are divided by the temperature."""
-    best = float(bank.log_evidence.max())
-    return replace(bank, log_evidence=best + (bank.log_evidence - best) / temperature)
-
-
 def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
     """The bank after a further measurement, and the innovation of the measurement by the bank's prediction.
 
@@ -230,6 +230,32 @@ def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
         about = bank.coordinates + (gain @ found.remaining[..., None])[..., 0]
         at, transition, found = _ahead(bank, observed, about)
     return updated(at, observed, found), first
+
+
+def pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank, Innovation]:
+    """As `continued`, for a target that may have been pushed at any time since the last measurement.
+
+    Velocities before and after have the prior variance s^2 per axis, so that the change has 2 s^2. At a time that is
+    evenly distributed over an interval T, it has the covariance of white acceleration with the density 2 s^2 / T.
+    Filters whose own process noise explains the measurement better, at the odds of a push, go on without one.
+    """
+    interval_s = max(observed.stamp_s - bank.stamp_s, MIN_INTERVAL_S)
+    models = bank.models._replace(
+        velocity_noise=bank.models.velocity_noise + 2.0 * motion.speed_sd_m_s**2 / interval_s,
+        rate_noise=bank.models.rate_noise + 2.0 * motion.rate_sd_rad_s**2 / interval_s,
+    )
+    steady, _ = continued(bank, observed)
+    after, found = continued(replace(bank, models=models), observed)
+    evidence = after.log_evidence + PUSH_LOG_ODDS
+    keep = steady.log_evidence > evidence
+    either = replace(
+        steady,
+        coordinates=np.where(keep[:, None], steady.coordinates, after.coordinates),
+        own=np.where(keep[:, None, None], steady.own, after.own),
+        common=np.where(keep[:, None, None], steady.common, after.common),
+        log_evidence=np.maximum(steady.log_evidence, evidence),
+    )
+    return either, found
 
 
 def _ahead(
@@ -257,7 +283,7 @@ def predicted(bank: Bank, stamp_s: float) -> Bank:
 def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
     """The bank for a measurement whose common errors have another prior, as after a correction of the rig.
 
-    What the errors before have done to the states is an error of the past then, independent of those that follow.
+    The effect of the previous common errors on the states then counts as an error that is independent of the new ones.
     """
     root = observed.common_root
     if bank.common_root is root or np.array_equal(bank.common_root, root):

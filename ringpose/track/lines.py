@@ -109,6 +109,8 @@ def track_line(
     flags |= _weak_flags(found, options)
     if weights.max() < RESOLVED_FROM:
         flags |= PoseFlag.SIDE_UNKNOWN
+    if track.rejections:
+        flags |= PoseFlag.INCONSISTENT
     models, chosen, gripper = bank.models, bank.best, lines.gripper
     return replace(
         lost,
@@ -180,7 +182,7 @@ class _Reported:
         self.basis = tilt_basis(self.value[_NORMAL])
 
     def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
-        """Of some of the quantities."""
+        """Covariance of some of the quantities."""
         return self._of(np.concatenate([self._jacobian[part] for part in parts]))
 
     def _of(self, rows: Float64[Array, "n error"]) -> Float64[Array, "n n"]:
@@ -217,7 +219,7 @@ def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
 
 
 def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
-    """Flags of what is poorly determined, by the limits of single shots."""
+    """Flags of the quantities whose standard deviations exceed the limits of single shots."""
     flags = PoseFlag(0)
     limit_m = WEAK_SD * float(np.abs(found.value[_RADII]).min())
     if standard_deviation(found.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:

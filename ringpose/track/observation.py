@@ -82,9 +82,9 @@ class Observation:
         return _chart(self.arcs)
 
     def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
-        """The same, described for a ring whose centre lies in this direction.
+        """The same observation, described for a ring whose centre lies in the direction `inward`.
 
-        If that is the other side, inner and outer edge are exchanged (`RingArcs.with_center_opposite`).
+        If this is opposite to the present one, inner and outer edge are exchanged (`RingArcs.with_center_opposite`).
         """
         if float(inward @ self.arcs.axes[0]) >= 0.0:
             return self

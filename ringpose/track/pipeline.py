@@ -91,7 +91,7 @@ class Tracker:
         lines: LineOptions | None = None,
         camera: CameraMotion | None = None,
     ) -> None:
-        """With the motion of its `camera` the track is in the robot's base frame."""
+        """If the motion of the `camera` is given, the track is in the robot's base frame."""
         self._rig, self.options = rig, options or TrackOptions()
         self.camera = camera
         """The motion of the camera, which may be replaced by one with further poses; None if it is not known."""
@@ -148,7 +148,7 @@ class Tracker:
         return (used[-1] if used else self._base_flags) & REPORTED_FLAGS
 
     def _fused(self, line: PoseLine, now_s: float, inflation: float) -> tuple[FusionStatus, float, str]:
-        """What becomes of a record, the ratio of its test, and why it is not used."""
+        """How a record is used, its test ratio, and the reason if it is not used."""
         measurement, newest_s = line.measurement, self.track.stamp_s
         if measurement is None or not isfinite(line.pose_stamp_s):
             return FusionStatus.NONE, nan, _why_none(line)
@@ -181,7 +181,7 @@ class Tracker:
         return status, fusion.test_ratio, REASONS.get(status, "")
 
     def _inserted(self, entry: _Entry) -> Fusion:
-        """Put an entry in its place, and repeat those after it."""
+        """Insert an entry by its stamp, and process the entries after it again."""
         place = bisect_left([each.key for each in self._entries], entry.key)
         if place < len(self._entries) and self._entries[place].key == entry.key:
             raise DataError(entry.observed.shot, "repeats a record", "give each record once")

@@ -111,9 +111,10 @@ def _are_apart(ends_px: Float64[Array, "stripe end=2 xy=2"], sigma_px: Float64[A
 
 
 def motion_px(track: Track, from_s: float, to_s: float, rig: Rig, camera: CameraMotion | None = None) -> float:
-    """How far the ring's edges near the place seen move across themselves in the image; infinite if it is unknown.
+    """Largest displacement in the image of the ring's edges between two instants, perpendicular to them, in pixels.
 
-    The instants may also be before the newest measurement.
+    Edges near the place seen are taken; the result is infinite if the pose of the camera is unknown. The instants may
+    also be before the newest measurement.
     """
     bank, shown = track.likeliest.probable(), []
     mean, _ = mixed(bank)

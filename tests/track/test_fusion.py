@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from moving_rings import START_S, Shots, drawn_motion, record, stream
+from moving_rings import START_S, Pushed, Shots, drawn_motion, record, stream
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
@@ -230,28 +230,39 @@ def test_improbable_models_do_not_change_the_test_of_an_innovation(records):
     assert explanations.test_ratio(bank, found) == pytest.approx(1.0)
 
 
-class Pushed:
-    """A motion whose velocity changes at once."""
+@pytest.mark.parametrize(
+    ("push_s", "change_m_s", "change_rad_s"),
+    [(2.99, 0.01, 0.0), (2.99, 0.03, 0.0), (2.99, 0.0, 0.02), (2.99, 0.02, 0.05), (3.06, 0.03, 0.0)],
+)
+def test_a_shot_after_a_push_flags_the_track_and_the_next_one_follows_it(rng, push_s, change_m_s, change_rad_s):
+    motion = drawn_motion(rng)
+    across = tilt_basis(motion.ring.normal)[0]
+    truth = Pushed(motion, push_s, change_m_s * motion.ring.normal, change_rad_s * across)
+    tracker, found, flagged = Tracker(None), [], []
 
-    def __init__(self, motion, time_s: float, change_m_s) -> None:
-        self.before, self.time_s = motion, time_s
-        self.after = replace(motion, ring=motion.at(time_s), velocity_m_s=motion.velocity_m_s + change_m_s)
+    for line in stream(truth, 4.0, Shots(), rng):
+        found.append(tracker.add(line).fusion_status)
+        flagged.append(PoseFlag.INCONSISTENT in tracker.line_at(line.pose_stamp_s).flags)
 
-    def at(self, time_s: float):
-        return self.before.at(time_s) if time_s < self.time_s else self.after.at(time_s - self.time_s)
-
-
-def test_a_target_that_is_pushed_is_tracked_again_within_a_second(rng):
-    motion = Pushed(drawn_motion(rng), 1.0, np.array([0.0, 0.005, 0.01]))
-    tracker = Tracker(None)
-
-    found = statuses(tracker, stream(motion, 2.5, Shots(), rng))
-
-    assert FusionStatus.REJECTED_GATE in found
-    assert found[-3:] == [FusionStatus.FUSED] * 3
+    pushed = found.index(FusionStatus.REJECTED_GATE)
+    assert pushed in (18, 19)
+    assert found.count(FusionStatus.REJECTED_GATE) == 1
+    assert flagged == [number == pushed for number in range(len(found))]
     assert tracker.track.resets == 0
-    line = tracker.line_at(0.0)
-    np.testing.assert_allclose(line.velocity.center_m_s, motion.after.velocity_m_s, atol=0.008)
+    found = tracker.line_at(0.0)
+    error_m_s = found.velocity.center_m_s - truth.velocity_at(found.stamp_s - START_S)
+    assert error_m_s @ np.linalg.solve(found.velocity.covariance[:3, :3], error_m_s) < 21.1  # 99.99 % of 3
+
+
+def test_a_ring_that_no_push_can_have_moved_to_where_it_is_seen_is_rejected(rng):
+    motion = drawn_motion(rng)
+    jumped = replace(motion, ring=replace(motion.ring, center_m=motion.ring.center_m + 0.1 * motion.ring.normal))
+    tracker = Tracker(None)
+    statuses(tracker, stream(motion, 2.0, Shots(), rng))
+
+    found = statuses(tracker, [record(jumped, 2.0 + number / 6.0, Shots(), rng) for number in range(6)])
+
+    assert found == [FusionStatus.REJECTED_GATE] * 6
 
 
 def test_after_a_gap_a_record_inside_the_gate_continues_the_track(rng):
