@@ -26,18 +26,13 @@ PLOTS = (
 RING_POINTS = 90
 """Vertices of a circle in the scene."""
 
-ESTIMATE_COLOR, TRUTH_COLOR, TRACK_COLOR = (31, 95, 191), (70, 160, 60), (225, 120, 0)
-
-SKY_COLOR = (24, 26, 34)
+RING_COLORS = {"estimate": (31, 95, 191), "truth": (70, 160, 60), "track": (225, 120, 0)}
 
 PANEL_PX = (400, 600, 900)
 """Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
 
 BELOW_ALL = 1e9
 """Order of a control below those that are added later."""
-
-UNSEEN = np.zeros((1, 2, 3))
-"""A line of length 0, for what is not known."""
 
 
 def opened_server(host: str, port: int) -> viser.ViserServer:
@@ -47,14 +42,18 @@ def opened_server(host: str, port: int) -> viser.ViserServer:
 
     with redirect_stdout(io.StringIO()):  # viser announces its address; stdout is for records
         server = viser.ViserServer(host=host, port=port, label="ringpose", verbose=False)
-    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=True)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(PANEL_PX[0])
     server.gui.set_panel_label("ringpose")
     width: Any = server.gui.add_dropdown("panel width (px)", [f"{each}" for each in PANEL_PX], order=BELOW_ALL)
     width.on_update(lambda _: server.gui.main_panel.set_width(int(width.value)))
     server.scene.set_up_direction("-y")
-    server.scene.set_background_image(np.full((4, 4, 3), SKY_COLOR, np.uint8), format="png")
+    # viser's lights, shadows and reflections take five times as long for each frame without a GPU
+    server.scene.configure_default_lights(enabled=False)
+    server.scene.configure_environment_map(None)
+    server.scene.add_light_ambient("/ambient", intensity=0.8)
+    server.scene.add_light_directional("/lamp", intensity=2.5, position=(-1.0, -1.0, -1.0))
     return server
 
 
@@ -83,6 +82,7 @@ class SceneView:
             "/camera", *_field_of_view(rig.camera), scale=0.12, color=(200, 200, 200), thickness=2.0,
             thickness_units="screen",
         )  # fmt: skip
+        self._center = server.scene.add_icosphere("/estimate/center", 1.0, (176, 48, 144), visible=False)
 
     def show_image(self, jpeg: bytes) -> None:
         """Show the image of the measurement camera in its frustum."""
@@ -101,40 +101,44 @@ class SceneView:
     def show_stripes(self, segments: Float64[Array, "laser 2 xyz=3"], mask: int) -> None:
         """Where the light planes of the lasers of the mask meet the ring's face; NaN where they do not."""
         seen = np.isfinite(segments).all(axis=(1, 2)) & np.array([mask >> k & 1 == 1 for k in range(len(segments))])
-        colors = np.array([[color_of(int(laser))[::-1]] * 2 for laser in np.flatnonzero(seen)] or [[(0, 0, 0)] * 2])
-        self._server.scene.add_line_segments(
-            "/stripes", segments[seen] if seen.any() else UNSEEN, colors.astype(np.uint8), thickness=5.0,
-            thickness_units="screen", visible=bool(seen.any()),
-        )  # fmt: skip
+        self._show_lines("/stripes", segments[seen], [color_of(int(each))[::-1] for each in np.flatnonzero(seen)], 5.0)
 
     def show_rings(self, pose: RingPose | None, truth: Truth | None, track: RingPose | None) -> None:
         """The estimated ring with the error ellipsoid of its centre, the true one and that of the track."""
-        self._show_ring("estimate", pose, ESTIMATE_COLOR)
-        self._show_ring("truth", truth, TRUTH_COLOR)
-        self._show_ring("track", track, TRACK_COLOR)
+        for ring, (name, color) in zip((pose, truth, track), RING_COLORS.items(), strict=True):
+            segments = _ring_segments(ring)
+            self._show_lines(f"/{name}/ring", segments, [color] * len(segments), 2.0)
         covariance = None if pose is None else pose.covariance_center_m2
-        known = covariance is not None and bool(np.isfinite(covariance).all())
-        variance, axes = np.linalg.eigh(np.zeros((3, 3)) if covariance is None or not known else covariance)
-        axes = axes * np.sign(np.linalg.det(axes))
-        first, second, third = (3 * np.sqrt(np.maximum(variance, 1e-12))).tolist()
-        self._server.scene.add_icosphere(
-            "/estimate/center", 1.0, (176, 48, 144), scale=(first, second, third), visible=known,
-            wxyz=viser.transforms.SO3.from_matrix(axes).wxyz,
-            position=pose.center_m if known and pose is not None else np.zeros(3),
-        )  # fmt: skip
+        self._center.visible = is_known = covariance is not None and bool(np.isfinite(covariance).all())
+        if is_known and pose is not None and covariance is not None:
+            variance, axes = np.linalg.eigh(covariance)
+            first, second, third = (3 * np.sqrt(np.maximum(variance, 1e-12))).tolist()
+            self._center.scale = (first, second, third)
+            self._center.wxyz = viser.transforms.SO3.from_matrix(axes * np.sign(np.linalg.det(axes))).wxyz
+            self._center.position = pose.center_m
 
-    def _show_ring(self, name: str, ring: RingPose | Truth | None, color: tuple[int, int, int]) -> None:
-        """Both edges and the normal, as far as they are known."""
-        segments = []
-        center_m, normal = (None, None) if ring is None else (ring.center_m, ring.normal)
-        if ring is not None and center_m is not None and normal is not None and np.isfinite([*center_m, *normal]).all():
-            radii = [each for each in (ring.radius_inner_m, ring.radius_outer_m) if each is not None]
-            segments = [_circle(center_m, normal, radius) for radius in radii if np.isfinite(radius)]
-            segments.append(np.array([[center_m, center_m + 0.15 * normal]]))
+    def _show_lines(
+        self, name: str, segments: Float64[Array, "n 2 xyz=3"], colors: Sequence[tuple[int, ...]], thickness_px: float
+    ) -> None:
+        """Replace the line segments of a name, with a color each; none hides them."""
         self._server.scene.add_line_segments(
-            f"/{name}/ring", np.concatenate(segments) if segments else UNSEEN, color, thickness=2.0,
-            thickness_units="screen", visible=bool(segments),
-        )  # fmt: skip
+            name,
+            segments if len(segments) else np.zeros((1, 2, 3)),
+            np.repeat(np.array(colors or [(0, 0, 0)], np.uint8)[:, None], 2, axis=1),
+            thickness=thickness_px,
+            thickness_units="screen",
+            visible=len(segments) > 0,
+        )
+
+
+def _ring_segments(ring: RingPose | Truth | None) -> Float64[Array, "n 2 xyz=3"]:
+    """Both edges and the normal, as far as they are known."""
+    center_m, normal = (None, None) if ring is None else (ring.center_m, ring.normal)
+    if ring is None or center_m is None or normal is None or not np.isfinite([*center_m, *normal]).all():
+        return np.empty((0, 2, 3))
+    radii = [each for each in (ring.radius_inner_m, ring.radius_outer_m) if each is not None and np.isfinite(each)]
+    circles = [_circle(center_m, normal, radius) for radius in radii]
+    return np.concatenate([*circles, np.array([[center_m, center_m + 0.15 * normal]])])
 
 
 class Plots:

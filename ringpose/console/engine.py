@@ -1,10 +1,12 @@
 """The work behind the console: previews, measurements and pictures, each in a thread of its own.
 
 Each thread works on the newest state only, so that a preview never waits for a measurement; the kernels run in
-parallel. States are worked on only while a browser shows the page.
+parallel. States are worked on only while a browser shows the page. While states change, measurements pause after each
+one: without the pauses they would take a core from previews and browser.
 """
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -34,6 +36,15 @@ PREVIEW_WIDTH = 640
 """Largest width of a preview, which is rendered with one ray a pixel."""
 
 JPEG_QUALITY = 85
+
+QUIET_S = 0.3
+"""Time without a change after which the state is measured at once; longer than a preview takes to reach the screen."""
+
+PAUSE = 2.0
+"""Pause after a measurement while states change, in durations of that measurement: a third of the time is measured."""
+
+POLL_S = 0.05
+"""Between two checks whether a waiting item can be worked on."""
 
 Item = TypeVar("Item")
 
@@ -73,9 +84,9 @@ class Stage(Generic[Item]):
         name: str,
         work: Callable[[Item], None],
         fail: Callable[[BaseException], None],
-        is_watched: Callable[[], bool] = lambda: True,
+        is_ready: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._work, self._fail, self._is_watched = work, fail, is_watched
+        self._work, self._fail, self._is_ready = work, fail, is_ready
         self._changed = threading.Condition()
         self._newest: Item | None = None
         self._ended = False
@@ -107,8 +118,8 @@ class Stage(Generic[Item]):
 
     def _taken(self) -> Item | None:
         with self._changed:
-            while not self._ended and (self._newest is None or not self._is_watched()):
-                self._changed.wait(0.2 if self._newest is not None else None)
+            while not self._ended and (self._newest is None or not self._is_ready()):
+                self._changed.wait(POLL_S if self._newest is not None else None)
             item, self._newest = self._newest, None
             return None if self._ended else item
 
@@ -131,22 +142,28 @@ class Engine:
         self._tracker, self._tracked = Tracker(None), (-1, 0.0)
         self._ended = threading.Event()
         self.failure: BaseException | None = None
+        self._changed_s = self._due_s = -np.inf
         pictures = [
-            Stage[ConsolePicture](name, lambda picture: show(picture, picture.jpeg), self._fail)
+            Stage[ConsolePicture](name, lambda picture: show(picture, picture.jpeg), self.fail)
             for name in ("preview pictures", "measured pictures")
         ]
 
         def measure(state: ConsoleState) -> None:
+            began_s = time.monotonic()
             picture = self.measured(state)
+            self._due_s = time.monotonic() + PAUSE * (time.monotonic() - began_s)
             record(picture)
             pictures[1].put(picture)
+
+        def may_measure() -> bool:
+            return is_watched() and time.monotonic() > min(self._changed_s + QUIET_S, self._due_s)
 
         def preview(state: ConsoleState) -> None:
             pictures[0].put(self.preview(state))
 
         self._workers = [
-            Stage[ConsoleState]("previews", preview, self._fail, is_watched),
-            Stage[ConsoleState]("measurements", measure, self._fail, is_watched),
+            Stage[ConsoleState]("previews", preview, self.fail, is_watched),
+            Stage[ConsoleState]("measurements", measure, self.fail, may_measure),
         ]
         self._stages: list[Stage[Any]] = [*self._workers, *pictures]
 
@@ -159,8 +176,14 @@ class Engine:
         for stage in self._stages:
             stage.end()
 
-    def show(self, state: ConsoleState) -> None:
-        """Show and measure this state as soon as possible, instead of earlier ones that are not begun yet."""
+    def show(self, state: ConsoleState, *, measure_now: bool = False) -> None:
+        """Show this state as soon as possible, then measure it, instead of earlier ones that are not begun yet."""
+        now_s = time.monotonic()
+        if now_s > self._changed_s + QUIET_S:  # the first change for a while: its preview comes first
+            self._due_s = max(self._due_s, now_s + QUIET_S)
+        self._changed_s = now_s
+        if measure_now:
+            self._due_s = now_s
         for worker in self._workers:
             worker.put(state)
 
@@ -168,7 +191,8 @@ class Engine:
         """Return when a thread has failed, which is its `failure`."""
         self._ended.wait()
 
-    def _fail(self, failure: BaseException) -> None:
+    def fail(self, failure: BaseException) -> None:
+        """End `wait_for_failure`."""
         self.failure = failure
         self._ended.set()
 

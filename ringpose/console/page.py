@@ -24,7 +24,7 @@ from ringpose.console.display import (
     surface,
     track_text,
 )
-from ringpose.console.engine import ConsolePicture, Engine
+from ringpose.console.engine import ConsolePicture, Engine, Stage
 from ringpose.console.state import ConsoleState, Trajectory, first_state
 from ringpose.errors import DataError, RingposeError
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
@@ -35,8 +35,11 @@ from ringpose.types.scene import Earth, RingView, Scene
 from ringpose.types.session import parsed_sequence, steps_of, written_sequence
 from ringpose.types.target import MATERIALS, MOTION_PRESETS, Box, Part
 
-PERIOD_S = 0.05
+PERIOD_S = 0.07
 """Time between two states while the motion plays."""
+
+ORBIT_PERIOD_S = 0.4
+"""Least time between two updates of the orbit view; viser draws it anew for 0.25 s after each."""
 
 END_S = 60.0
 """Of the motion that the controls set; then it starts again."""
@@ -87,14 +90,18 @@ class ConsolePage:
         self._ended = threading.Event()
         self._rows: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
         self._measured = 0
-        self._drawn_since = self._shown_measurement = -1
+        self._drawn_since = self._sought = -1
+        self._measurement: ConsolePicture | None = None
+        self._measured_s = 0.0
         self._server = opened_server(host, port)
         self._engine = Engine(scene, self._show, self._record_shot, lambda: bool(self._server.get_clients()))
+        self._orbit = Stage[tuple[ConsolePicture, bytes]]("orbit view", self._draw_orbit_view, self._engine.fail)
 
     def __enter__(self) -> "ConsolePage":
         self._view3d = SceneView(self._server, self._scene.rig, self._state.center_m)
         self._add_target()
         self._add_gui()
+        self._orbit.start()
         self._engine.__enter__()
         self._change()
         self._player = threading.Thread(target=self._play, name="console player", daemon=True)
@@ -105,6 +112,7 @@ class ConsolePage:
         self._ended.set()
         self._player.join()
         self._engine.__exit__()
+        self._orbit.end()
         self._server.stop()
 
     @property
@@ -122,7 +130,7 @@ class ConsolePage:
 
     def _add_gui(self) -> None:
         gui = self._server.gui
-        self._live = Picture(self._server, "measurement camera")
+        self._live = Picture(self._server, "camera")
         self._text = gui.add_markdown("waiting for the first measurement")
         self._playing = gui.add_checkbox("play", False)
         tabs = gui.add_tab_group()
@@ -146,8 +154,8 @@ class ConsolePage:
             self._auto, self._exposure, *self._on, self._sequence, *self._tilts, *self._shifts, self._ambient,
             self._sun, *self._sun_angles, self._earth,
         ):  # fmt: skip
-            handle.on_update(lambda _: self._change())
-        self._time.on_update(lambda _: self._change(is_time_only=True))
+            handle.on_update(lambda event: None if event.client is None else self._change())
+        self._time.on_update(lambda event: None if event.client is None else self._seek(self._time.value))
 
     def _add_target_controls(self) -> None:
         gui, state = self._server.gui, self._state
@@ -223,8 +231,8 @@ class ConsolePage:
             ]
             self._earth: Any = gui.add_checkbox("Earth", light.earth is not None)
 
-    def _change(self, *, is_time_only: bool = False) -> None:
-        """Take over the positions of all controls."""
+    def _change(self, time_s: float | None = None, *, is_time_only: bool = False, measure_now: bool = False) -> None:
+        """Take over the positions of all controls, at a time or that of the last state."""
         with self._lock:
             number, pitch, yaw, roll = self._state.number + 1, *(np.radians(each.value) for each in self._angles)
             azimuth, elevation = (np.radians(handle.value) for handle in self._sun_angles)
@@ -241,7 +249,7 @@ class ConsolePage:
                 spin_rad_s=float(np.radians(self._spin.value)),
                 tumble_rad_s=float(np.radians(self._tumble.value)),
                 drift_m_s=1e-3 * np.array([handle.value for handle in self._drift], dtype=np.float64),
-                time_s=float(self._time.value),
+                time_s=self._state.time_s if time_s is None else time_s,
                 rig_change=replace(
                     self._state.rig_change,
                     focal_scale=self._focal.value / 100,
@@ -257,7 +265,7 @@ class ConsolePage:
                 number=number,
                 since=self._state.since if is_time_only else number,
             )
-            self._engine.show(self._state)
+            self._engine.show(self._state, measure_now=measure_now)
 
     def _masks(self) -> tuple[int, ...]:
         """The sequence; that before while the text is not one."""
@@ -279,9 +287,9 @@ class ConsolePage:
             values = [*state.center_m.round(4), *np.degrees(angles).round(3), *_angles_deg(state.light.sun_direction)]
             for handle, value in zip((*self._center, *self._angles, *self._sun_angles), values, strict=True):
                 handle.value = float(value)
-            self._ambient.value, self._sun.value, self._time.value = state.light.ambient_w_m2, state.light.sun_w_m2, 0.0
+            self._ambient.value, self._sun.value = state.light.ambient_w_m2, state.light.sun_w_m2
             self._earth.value = state.light.earth is not None
-        self._change()
+        self._change(0.0)
 
     def _apply_motion(self) -> None:
         """Spin and tumble of a motion by name."""
@@ -307,8 +315,7 @@ class ConsolePage:
             self._state = replace(self._state, trajectory=trajectory)
             self._time.max = END_S if trajectory is None else max(float(trajectory.time_s[-1]), 0.1)
         self._loaded.content = text
-        self._time.value = 0.0
-        self._change()
+        self._change(0.0)
 
     def _pick_rig(self, uploaded: Any) -> None:
         """Take over camera and lasers of a rig file."""
@@ -352,10 +359,18 @@ class ConsolePage:
 
     def _advance_in_step(self) -> None:
         if self._playing.value and self._speed.value == IN_STEP:
-            self._advance(STEP_S)
+            self._advance(STEP_S, measure_now=True)
 
-    def _advance(self, step_s: float) -> None:
-        self._time.value = float((self._time.value + step_s) % self._time.max)  # calls _change
+    def _advance(self, step_s: float, *, measure_now: bool = False) -> None:
+        """Go on in time; the slider follows with the picture."""
+        with self._lock:
+            time_s = float((self._state.time_s + step_s) % self._time.max)
+            self._change(time_s, is_time_only=True, measure_now=measure_now)
+
+    def _seek(self, time_s: float) -> None:
+        with self._lock:
+            self._change(float(time_s), is_time_only=True)
+            self._sought = self._state.number
 
     # The scene in three dimensions
 
@@ -420,30 +435,45 @@ class ConsolePage:
     # Pictures
 
     def _show(self, picture: ConsolePicture, jpeg: bytes) -> None:
-        """Show a preview, or a measurement; called by two threads of the engine."""
-        state = picture.state
-        stamp = f"state {state.number}, {state.time_s:.2f} s"
+        """Show a preview, or a measurement; called by two threads of the engine.
+
+        The panel is updated first, and alone: such an update is drawn at once, one of the scene with its next frame.
+        """
+        state, shown = picture.state, self._measurement
         is_newest = state.number == self._state.number
-        if picture.line is None and state.number <= self._shown_measurement:
-            return
+        stamp = f"state {state.number}, {state.time_s:.2f} s"
+        if picture.line is not None:
+            self._measurement, self._measured_s = picture, time.monotonic()
+        elif shown is not None:
+            if state.number <= shown.state.number:
+                return  # its measurement is shown already
+            stamp += f"; measured {time.monotonic() - self._measured_s:.1f} s ago"
         with self._server.atomic():
-            if picture.line is None:
-                self._place_target(picture)
-            elif is_newest:
-                self._shown_measurement = state.number
-            if picture.line is None or is_newest:
-                self._live.show(jpeg, f"measurement camera: {stamp}")
-                self._view3d.show_image(jpeg)
             if picture.line is not None:
                 self._show_measurement(picture, jpeg, stamp)
+            if picture.line is None or is_newest:
+                self._live.show(jpeg, f"camera: {stamp}")
+                self._orbit.put((picture, jpeg))
+                if state.number >= self._sought:  # else the slider was moved since
+                    self._time.value = state.time_s
         if picture.line is not None:
             self._advance_in_step()
+
+    def _draw_orbit_view(self, shown: tuple[ConsolePicture, bytes]) -> None:
+        """Update the scene in three dimensions, at most once in a period."""
+        picture, jpeg = shown
+        with self._server.atomic():
+            self._place_target(picture)
+            self._view3d.show_image(jpeg)
+            if (measured := self._measurement) is not None and measured.line is not None:
+                track = measured.track
+                self._view3d.show_rings(measured.line.pose, None, None if track is None else track.pose)
+        self._ended.wait(ORBIT_PERIOD_S)
 
     def _show_measurement(self, picture: ConsolePicture, jpeg: bytes, stamp: str) -> None:
         line, errors, track = picture.line, picture.errors or {}, picture.track
         assert line is not None
         self._result.show(jpeg, f"newest measurement: {stamp}")
-        self._view3d.show_rings(line.pose, None, None if track is None else track.pose)  # the target shows the truth
         self._text.content = line_text(line, stamp, errors)
         if track is not None:
             status = f"{track.validity}, {track.attempt.fusion_status}"

@@ -172,10 +172,10 @@ def test_while_the_motion_plays_every_picture_has_the_stamp_of_its_state(page):
     for _ in range(5):
         page.wait_for_function(
             "before => !document.body.innerText.includes(before)",
-            arg=f"measurement camera: state {stamps[-1][0]}," if stamps else "waiting for the first measurement",
+            arg=f"camera: state {stamps[-1][0]}," if stamps else "waiting for the first measurement",
             timeout=WAIT_MS,
         )
-        number, time_s = re.search(r"measurement camera: state (\d+), ([\d.]+) s", page.inner_text("body")).groups()
+        number, time_s = re.search(r"camera: state (\d+), ([\d.]+) s", page.inner_text("body")).groups()
         stamps.append((int(number), float(time_s)))
     page.get_by_role("checkbox", name="play").click()
     assert stamps == sorted(set(stamps))

@@ -2,9 +2,9 @@
 
 import json
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from ringpose.files.scenes.scene import read_scene
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.rays import project
 from ringpose.simulate.placement import ring_views, target_placement
+from ringpose.simulate.renderer import render_view
 from ringpose.simulate.serve.preview import preview
 from ringpose.types.scene import Beacon, Earth, Light
 from ringpose.types.target import Box
@@ -213,18 +214,51 @@ def test_previews_do_not_wait_for_a_measurement(scene, state, monkeypatch):
         shown.wait_for(lambda picture: picture.line is not None and picture.state.number == 4)
 
 
-def test_a_preview_costs_less_than_half_of_a_measurement(scene, state):
-    engine = Engine(scene, lambda *_: None)
-    state = replace(state, width=200)
-    costs = []
-    for work in (engine.preview, engine.measured):
-        work(state)
-        began_s = time.thread_time()
-        for number in range(5):
-            work(replace(state, number=number))
-        costs.append(time.thread_time() - began_s)
+def test_a_preview_renders_one_frame_with_one_ray_a_pixel_and_measures_nothing(scene, state, monkeypatch):
+    rendered = []
 
-    assert costs[0] < 0.5 * costs[1]
+    def render(*arguments, samples, **others):
+        rendered.append(samples)
+        return render_view(*arguments, samples=samples, **others)
+
+    monkeypatch.setattr("ringpose.console.engine.render_view", render)
+    for name in ("simulated_shot", "detect", "pose_line"):
+        monkeypatch.delattr(f"ringpose.console.engine.{name}")
+
+    picture = Engine(scene, lambda *_: None).preview(replace(state, width=200))
+
+    assert rendered == [1]
+    assert picture.image.shape[1] == 200
+    assert picture.line is None
+
+
+def test_while_states_change_measurements_pause_for_twice_their_duration(scene, state, monkeypatch):
+    clock, measured, polled = [100.0], threading.Semaphore(0), threading.Semaphore(0)
+    monkeypatch.setattr("ringpose.console.engine.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    picture = Engine(scene, lambda *_: None).preview(replace(state, width=40))
+
+    def measure(engine, state):
+        clock[0] += 1.0
+        measured.release()
+        return replace(picture, state=state)
+
+    monkeypatch.setattr(Engine, "measured", measure)
+    monkeypatch.setattr(Engine, "preview", lambda _, state: replace(picture, state=state))
+    with Engine(scene, lambda *_: None, is_watched=lambda: polled.release() or True) as engine:
+        engine.show(state)
+        clock[0] += 0.31  # without a change
+        assert measured.acquire(timeout=60)
+        for number in range(1, 10):  # within the pause of 2 s
+            clock[0] += 0.2
+            engine.show(replace(state, number=number))
+            while polled.acquire(blocking=False):
+                pass
+            for _ in range(2):
+                assert polled.acquire(timeout=60)
+        assert not measured.acquire(blocking=False)
+        clock[0] += 1.0  # and no further change
+        assert measured.acquire(timeout=60)
+    assert engine.failure is None
 
 
 def test_nothing_is_rendered_without_a_viewer(scene, state):
