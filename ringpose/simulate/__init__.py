@@ -1,1 +1,1 @@
-"""Scene -> frames with truth."""
+"""Simulation: frames of a scene and their ground truth."""

@@ -1,6 +1,6 @@
 """How images of a view show the ring: exposure, and the errors of stripes, break points and visible edges.
 
-Computed once a view: small motions, errors of the rig and outliers do not change it.
+It is computed once per view, because small motions, rig errors and outliers do not change it.
 """
 
 from functools import lru_cache
@@ -52,7 +52,7 @@ class LaserFrames(NamedTuple):
     """Whether another frame without these lasers is subtracted."""
 
     def labelled(self, seen: Bool[Array, "laser"]) -> bool:
-        """Whether the stripes are assigned to lasers by the frames alone."""
+        """Whether each frame shows the stripe of one laser only, so that no stripe has to be assigned."""
         return bool((self.together[seen] == 1).all())
 
 
@@ -104,7 +104,7 @@ class VisibleEdges(NamedTuple):
 
 @lru_cache(maxsize=16)
 def expected_appearance(scene: Scene, view: RingView) -> Appearance:
-    """The errors of stripes and edges in the images of a view."""
+    """Exposure of a view, and the standard deviations of stripes, break points and edges in its images."""
     illuminated, lasers = illuminated_ring(scene, view, scene.sequence), scene.rig.lasers
     frames = laser_frames(scene.sequence, len(lasers.names))
     exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)

@@ -7,21 +7,17 @@ Newton's method. A break point is part of the truth if it is visible to the came
 
 import numpy as np
 
+from ringpose.estimate.nuisance import FORM_ORDERS
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.kernels.render import blocked
-from ringpose.simulate.light import IlluminatedTarget, in_fan, sheets
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.simulate.light import IlluminatedTarget, in_fan
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.rig import Camera
-from ringpose.types.target import RingShape
+from ringpose.types.target import RingForm, RingShape
 
 _INSIDE_M = 1e-6
 """Visibility is tested at a point this far inside the edge and above the rim, which the rim itself does not occlude."""
-
-_NEWTON_STEPS = 6
-
-_FIRST_ORDER = 2
-"""Lowest order of the deviations of a ring's form."""
 
 
 def true_break_points_px(
@@ -43,7 +39,9 @@ def break_points_px_at(
     radius_m = np.array([ring.radius_inner_m, ring.radius_outer_m])
     point_m = ring_crossings_m(illuminated, ring, radius_m, side)
     if ring.form is not None:
-        point_m = _on_form(illuminated, ring, point_m)
+        placement = illuminated.placement
+        center_m = placement.points_camera(np.array([0.0, 0.0, ring.height_m]))
+        point_m += form_displacement(ring.form, point_m, center_m, placement.rotation, illuminated.planes.normal)
     pixel = project(point_m, camera)
     shown = in_image(pixel, camera) & _visible_and_lit(illuminated, ring, point_m)
     return np.where(shown[..., None], pixel, np.nan)
@@ -75,34 +73,43 @@ def ring_crossings_m(
     return predicted_break_points(arcs, planes.normal, planes.distance_m)
 
 
-def _on_form(
-    illuminated: IlluminatedTarget, ring: RingShape, point_m: Float64[Array, "laser edge=2 xyz=3"]
+FORM_STEPS = 4
+"""Newton steps to the break points of a deviating ring; the third one is shorter than 1e-9 m."""
+
+
+def form_displacement(
+    form: RingForm,
+    point_m: Float64[Array, "laser edge=2 xyz=3"],
+    center_m: Float64[Array, "xyz=3"],
+    axes: Float64[Array, "3 3"],
+    light_normal: Float64[Array, "laser xyz=3"],
 ) -> Float64[Array, "laser edge=2 xyz=3"]:
-    """The points moved along the edges of the real ring onto their light planes, by Newton's method in the angle."""
-    form, light = ring.form, sheets(illuminated.planes, illuminated.laser_light, illuminated.placement)
-    assert form is not None
-    target = illuminated.placement.points_target(point_m.reshape(-1, 3).T).T.reshape(point_m.shape)
-    angle = np.arctan2(target[..., 1], target[..., 0])
-    order = _FIRST_ORDER + np.arange(form.axial_m.shape[0])
-    radius_m = np.array([ring.radius_inner_m, ring.radius_outer_m])
+    """Displacement of break points on the inner and the outer edge by the ring's form, by Newton's method.
 
-    def edge(angle: Float64[Array, "laser edge=2"]) -> tuple[Array, Array]:
-        """Points of the edges, and their derivatives by the angle."""
-        phase = angle[..., None] * order
-        waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
-        change = order[:, None] * np.stack([-np.sin(phase), np.cos(phase)], axis=-1)
-        radial, radial_by = (radius_m + (waves * form.radial_m).sum((-1, -2))), (change * form.radial_m).sum((-1, -2))
-        axial, axial_by = ring.height_m + (waves * form.axial_m).sum((-1, -2)), (change * form.axial_m).sum((-1, -2))
-        cosine, sine = np.cos(angle), np.sin(angle)
-        point = np.stack([radial * cosine, radial * sine, axial], axis=-1)
-        by = np.stack([radial_by * cosine - radial * sine, radial_by * sine + radial * cosine, axial_by], axis=-1)
-        return point, by
+    The points stay on their light planes. The columns of `axes` are the x, y and z axes of the ring.
+    """
+    normal, in_plane = axes[:, 2], point_m - center_m
+    radius_m = np.linalg.norm(in_plane, axis=-1)
+    displacement = np.zeros_like(point_m)
+    for _ in range(FORM_STEPS):
+        place_m = in_plane + displacement
+        height_m = place_m @ normal
+        outward = place_m - height_m[..., None] * normal
+        distance_m = np.linalg.norm(outward, axis=-1)
+        radial_m, axial_m = form_deviations(form, place_m @ axes, np.array([0, 1]))
+        rows = np.stack(np.broadcast_arrays(light_normal[:, None], normal, outward / distance_m[..., None]), axis=-2)
+        values = np.stack([np.zeros_like(radius_m), axial_m - height_m, radius_m + radial_m - distance_m], axis=-1)
+        displacement = displacement + np.linalg.solve(rows, values[..., None])[..., 0]
+    return displacement
 
-    for _ in range(_NEWTON_STEPS):
-        point, by = edge(angle)
-        off_m = (point * light.normal[:, None]).sum(axis=-1) - light.distance_m[:, None]
-        angle = angle - off_m / (by * light.normal[:, None]).sum(axis=-1)
-    return illuminated.placement.points_camera(edge(angle)[0])
+
+def form_deviations(
+    form: RingForm, place_m: Float64[Array, "*shape n xyz=3"], edge: Int64[Array, "n"]
+) -> tuple[Float64[Array, "*shape n"], Float64[Array, "*shape n"]]:
+    """Radial deviations of an edge and axial deviations of the face, at places in the ring's own axes."""
+    phase = np.arctan2(place_m[..., 1], place_m[..., 0])[..., None] * np.array(FORM_ORDERS)
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
+    return (waves * form.radial_m[edge]).sum(axis=(-2, -1)), (waves * form.axial_m).sum(axis=(-2, -1))
 
 
 def _visible_and_lit(

@@ -137,7 +137,7 @@ class CenterErrors:
         return hypot(self.speckle_px, self.independent_px)
 
     def line_sigma_px(self, columns: float) -> float:
-        """Standard deviation of a line fitted to this number of columns in its middle; at its ends it is double."""
+        """Standard deviation of a line fitted to this number of columns, in its middle; twice as large at its ends."""
         variance = self.speckle_px**2 * min(self.correlation_columns, columns) + self.independent_px**2
         return sqrt(variance / max(columns, 1.0))
 

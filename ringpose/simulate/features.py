@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_pixels
-from ringpose.geometry.ring import EDGE_SIGN, LIFT, STEP, RingArcs, edge_points, predicted_break_points, rotation_by
-from ringpose.geometry.rotations import cross, tilt_basis
+from ringpose.geometry.ring import EDGE_SIGN, edge_points
 from ringpose.simulate.appearance import (
     EDGE_MARGIN_PX,
     Appearance,
@@ -24,17 +23,13 @@ from ringpose.simulate.appearance import (
     inside_image,
     laser_frames,
 )
-from ringpose.simulate.break_points import in_gap
-from ringpose.simulate.common_errors import (
-    CommonErrors,
-    drawn_common_errors,
-    form_deviations,
-    form_displacement,
-)
+from ringpose.simulate.break_points import form_deviations, in_gap
+from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors
 from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
-from ringpose.simulate.motion import velocities
-from ringpose.simulate.placement import READOUT_S, ring_views, target_placement
-from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
+from ringpose.simulate.pipeline import ring_truth
+from ringpose.simulate.placement import READOUT_S, ring_views
+from ringpose.simulate.stripe_ends import RingCourse, StripeEnds, drawn_motion, stripe_ends
+from ringpose.types.arrays import EDGES, Array, Bool, Float64
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.detection import (
     BreakPointFlag,
@@ -151,8 +146,8 @@ def draw_detection(
     shown_s = np.where(frames.number >= 0, middle_s[frames.number], np.nan)
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
-    motion, start_s = _motion(view.normal, deviations.motion, unit[:5]), first_s if view.path is None else 0.0
-    course = _Course(scene, view, appearance.arcs, appearance.axes, motion, start_s)
+    motion, start_s = drawn_motion(view.normal, deviations.motion, unit[:5]), first_s if view.path is None else 0.0
+    course = RingCourse(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
@@ -160,10 +155,10 @@ def draw_detection(
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
         when_s = np.where(np.isfinite(shown_s), shown_s, first_s)
-        stripes = _stripes(scene.ring, appearance, common, course, when_s, outliers.behind_m)
+        stripes = stripe_ends(scene.ring, appearance, common, course, when_s, outliers.behind_m)
         position_px = stripes.true_px
         if outliers.behind_m.any():
-            position_px = _stripes(scene.ring, appearance, common, course, when_s, np.zeros(lasers)).true_px
+            position_px = stripe_ends(scene.ring, appearance, common, course, when_s, np.zeros(lasers)).true_px
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
@@ -185,50 +180,6 @@ def draw_detection(
         truth=_truth(scene, view, position_px, first_s, stamp_s, course, outliers, moving=moving),
         common=common,
     )
-
-
-class _Motion(NamedTuple):
-    velocity_m_s: Float64[Array, "xyz=3"]
-    rate_rad_s: Float64[Array, "xyz=3"]
-
-
-def _motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> _Motion:
-    """Velocity and rates; the spin about the normal, which does not change the ring, is 0."""
-    if prior is None:
-        return _Motion(np.zeros(3), np.zeros(3))
-    return _Motion(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
-
-
-class _Course(NamedTuple):
-    """Motion of the ring during a shot, relative to the pose at which its arcs are given."""
-
-    scene: Scene
-    view: RingView
-    arcs: RingArcs
-    axes: Float64[Array, "3 3"]
-    drawn: _Motion
-    """Constant velocities of a view without a path."""
-    start_s: float
-    """When the arcs hold: of a view with a path at the beginning of the shot (0), else at the time of its pose."""
-
-    def at(self, time_s: float) -> tuple[RingArcs, Float64[Array, "3 3"]]:
-        """The ring's arcs, and its x, y and z axes as columns, at a time since the beginning of the shot."""
-        if self.view.path is None:
-            since_s, (velocity_m_s, rate_rad_s) = time_s - self.start_s, self.drawn
-            return self.arcs.after(since_s, velocity_m_s, rate_rad_s), rotation_by(rate_rad_s * since_s) @ self.axes
-        placement = target_placement(self.scene, self.view, time_s)
-        center_m = placement.points_camera(np.array([0.0, 0.0, self.scene.ring.height_m]))
-        turn = cross(self.arcs.normal, placement.rotation[:, 2])
-        length = float(np.linalg.norm(turn))
-        turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
-        return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
-
-    def motion(self, time_s: float) -> _Motion:
-        """Velocity of the ring's centre, and rates, at a time."""
-        if self.view.path is None:
-            return self.drawn
-        face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
-        return _Motion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
 
 
 class _Outliers(NamedTuple):
@@ -254,87 +205,11 @@ def _outliers(deviations: Deviations, picks: Float64[Array, "laser 7"]) -> _Outl
     )
 
 
-# Geometry: where the stripes are in the image
-
-
-class _Stripes(NamedTuple):
-    """True stripes in the (distorted) image; NaN where they are not."""
-
-    true_px: Float64[Array, "laser edge=2 xy=2"]
-    """Break points; NaN outside the image or not lit."""
-    start_px: Float64[Array, "laser xy=2"]
-    """Left end of the stripe on the face, clipped to the image."""
-    end_px: Float64[Array, "laser xy=2"]
-    edge_at_start: Int64[Array, "laser"]
-    """Edge that the left end belongs to."""
-
-
-BORDER_PX = 3.0
-"""Distance from the image's left or right border within which an end is not measured, as in the detector."""
-
-MIN_COLUMNS = 10
-"""Minimum length of a stripe that is detected."""
-
-_SAMPLES = 257
-"""Points along a stripe by which it is clipped."""
-
-
-def _stripes(
-    ring: RingShape,
-    appearance: Appearance,
-    common: CommonErrors,
-    course: _Course,
-    time_s: Float64[Array, "laser"],
-    behind_m: Float64[Array, "laser"],
-) -> _Stripes:
-    """The stripes of all lasers, each at the time of its frame."""
-    camera, lasers = common.rig.camera, common.rig.lasers
-    point_m = np.full((len(time_s), 2, 3), np.nan)
-    own_m = point_m.copy()  # the same in the ring's axes
-    for laser in np.flatnonzero(appearance.lit):
-        moved, axes = course.at(float(time_s[laser]))
-        if behind_m[laser]:
-            moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
-        plane = lasers.normal[[laser]], lasers.distance_m[[laser]]
-        point_m[laser] = predicted_break_points(moved, *plane)[0]
-        if common.form.any():
-            point_m[laser] += form_displacement(common.form, point_m[laser], moved, axes, plane[0][0])
-        own_m[laser] = (point_m[laser] - moved.center) @ axes
-        if behind_m[laser]:
-            own_m[laser] = np.nan  # the surface behind the ring has no gaps
-    position_px = project(point_m, camera)
-    inside = inside_image(position_px, BORDER_PX, camera) & ~in_gap(ring, own_m)
-    start_px, end_px, edge_at_start = _clipped(ring, point_m, own_m, position_px, inside, camera)
-    return _Stripes(np.where(inside[..., None], position_px, np.nan), start_px, end_px, edge_at_start)
-
-
-def _clipped(
-    ring: RingShape,
-    point_m: Float64[Array, "laser edge=2 xyz=3"],
-    own_m: Float64[Array, "laser edge=2 xyz=3"],
-    position_px: Float64[Array, "laser edge=2 xy=2"],
-    inside: Bool[Array, "laser edge=2"],
-    camera: Camera,
-) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Int64[Array, "laser"]]:
-    """Left and right ends of the stripes on the face in the image, and the edge of the left one; NaN if not in view."""
-    ends_px = position_px.copy()
-    for laser in np.flatnonzero(~inside.all(axis=1) & np.isfinite(position_px).all(axis=(1, 2))):
-        share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
-        shown_px = project(point_m[laser, 0] + share * (point_m[laser, 1] - point_m[laser, 0]), camera)
-        missing = in_gap(ring, own_m[laser, 0] + share * (own_m[laser, 1] - own_m[laser, 0]))
-        visible = np.flatnonzero(inside_image(shown_px, BORDER_PX, camera) & ~missing)
-        ends_px[laser] = shown_px[visible[[0, -1]]] if len(visible) else np.nan
-    ends_px[~(np.abs(ends_px[:, 1, 0] - ends_px[:, 0, 0]) >= MIN_COLUMNS)] = np.nan
-    left = (ends_px[:, 1, 0] < ends_px[:, 0, 0]).astype(np.int64)
-    each = np.arange(len(left))
-    return ends_px[each, left], ends_px[each, 1 - left], left
-
-
 # Drawing
 
 
 def _drawn_points(
-    stripes: _Stripes,
+    stripes: StripeEnds,
     appearance: Appearance,
     unit: Float64[Array, "laser 4"],
     outliers: _Outliers,
@@ -388,7 +263,7 @@ def _edges_of_frames(
     scene: Scene,
     appearance: Appearance,
     common: CommonErrors,
-    course: _Course,
+    course: RingCourse,
     middle_s: Float64[Array, "frame"],
     stamp_s: float,
     unit: Float64[Array, "place"],
@@ -416,7 +291,7 @@ def _drawn_edges(
     ring: RingShape,
     appearance: Appearance,
     common: CommonErrors,
-    course: _Course,
+    course: RingCourse,
     time_s: float,
     stamp_s: float,
     unit: Float64[Array, "place"],
@@ -445,7 +320,7 @@ def _drawn_edges(
 
 
 def _as_measured(points: BreakPoints, camera: Camera, labelled: bool, stamp_s: Float64[Array, "laser"]) -> BreakPoints:
-    """The break points with their lines undistorted by the camera that the detector knows."""
+    """The break points with their lines undistorted by the calibrated camera, not by the true one."""
     ends_px = np.stack([points.face_start_px, points.face_end_px])
     straight_px, below_px = undistorted_pixels(np.stack([ends_px, ends_px + np.array([0.0, 1.0])]), camera)
     return replace(
@@ -464,23 +339,13 @@ def _truth(
     position_px: Float64[Array, "laser edge=2 xy=2"],
     time_s: float,
     stamp_s: float,
-    course: _Course,
+    course: RingCourse,
     outliers: _Outliers,
     *,
     moving: bool,
 ) -> Truth:
     """The truth of a drawn shot; the groups name its outliers."""
     names = scene.rig.lasers.names
-    usable = int(np.isfinite(position_px[..., 0]).sum())
-    groups = {
-        "rig": scene.rig.camera.camera_name,
-        "light": view.light,
-        "frames": len(scene.sequence),
-        **view.groups,
-        "usable": usable,
-    }
-    if usable == 0:
-        return Truth(shot=view.name, expect="no_target", groups=groups)
     points = [f"{names[laser]}.{EDGES[edge]}" for laser, edge in np.argwhere(outliers.displaced).tolist()]
     wrong = {
         "displaced": ",".join(points),
@@ -491,17 +356,16 @@ def _truth(
     if view.path is not None:
         arcs, _ = course.at(time_s)
         center_m, normal = arcs.center, arcs.normal
-    motion = course.motion(time_s) if moving else None
-    return Truth(
-        shot=view.name,
-        expect="pose" if usable == position_px[..., 0].size else "partial",
-        center_m=center_m,
-        normal=normal,
-        radius_inner_m=scene.ring.radius_inner_m,
-        radius_outer_m=scene.ring.radius_outer_m,
-        break_points_px=position_px,
-        stamp_s=stamp_s + time_s if motion else None,
-        velocity_m_s=motion.velocity_m_s if motion else None,
-        angular_velocity_rad_s=motion.rate_rad_s if motion else None,
-        groups={"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, **{k: v for k, v in wrong.items() if v}},
+    truth = ring_truth(scene, view, center_m, normal, position_px)
+    if truth.expect == "no_target":
+        return truth
+    truth = replace(truth, groups={**truth.groups, **{key: value for key, value in wrong.items() if value}})
+    if not moving:
+        return truth
+    motion = course.motion(time_s)
+    return replace(
+        truth,
+        stamp_s=stamp_s + time_s,
+        velocity_m_s=motion.velocity_m_s,
+        angular_velocity_rad_s=motion.rate_rad_s,
     )

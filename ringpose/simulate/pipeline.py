@@ -1,17 +1,14 @@
 """Simulation of the shots of a scene with their ground truth, in parallel processes but in order."""
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from multiprocessing.connection import Connection
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.processes import in_order
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.light import IlluminatedTarget
@@ -163,7 +160,9 @@ def illuminated_ring(
     during: tuple[Placement, ...] = (placement,)
     light = scene.lights[view.light]
     if view.path is not None:
-        light = _turned(light, view.path.inertial_from_camera(view.begin_s + time_s))
+        turned = view.path.inertial_from_camera(view.begin_s + time_s)
+        earth = None if light.earth is None else replace(light.earth, direction=light.earth.direction @ turned)
+        light = replace(light, sun_direction=light.sun_direction @ turned, earth=earth)
     if view.path is not None and exposure_s > 0.0:
         shares = (np.arange(TIMES) + 0.5) / TIMES - 0.5
         during = tuple(target_placement(scene, view, time_s + float(share) * exposure_s) for share in shares)
@@ -178,17 +177,14 @@ def illuminated_ring(
     )
 
 
+def around_camera(scene: Scene, view: RingView) -> str | None:
+    """Name of the part of the target that contains the camera at the beginning of a view; None if there is none."""
+    return part_around(scene, view, target_placement(scene, view).eye_m)
+
+
 def _check_camera(scene: Scene, view: RingView, placement: Placement) -> None:
     if name := part_around(scene, view, placement.eye_m):
         raise DataError(f"the scene's view {view.name}", f"has the camera inside the part {name!r}", "move it away")
-
-
-def _turned(light: Light, inertial_from_camera: Float64[Array, "3 3"]) -> Light:
-    """The light as a camera sees it that has turned since the start."""
-    earth = light.earth
-    if earth is not None:
-        earth = replace(earth, direction=earth.direction @ inertial_from_camera)
-    return replace(light, sun_direction=light.sun_direction @ inertial_from_camera, earth=earth)
 
 
 def view_truth(
@@ -201,24 +197,37 @@ def view_truth(
 
     Break points that are not given are those of this placement.
     """
-    groups = {"rig": scene.rig.camera.camera_name, "light": view.light, "frames": len(scene.sequence), **view.groups}
-    if view.target != "ring":
-        return Truth(shot=view.name, expect="no_target", groups={**groups, "usable": 0})
-    if break_points_px is None:
+    if break_points_px is None and view.target == "ring":
         break_points_px = true_break_points_px(illuminated, scene.ring, scene.rig.camera)
-    usable = int(np.isfinite(break_points_px).all(axis=-1).sum())
-    groups = {"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, "usable": usable}
-    if usable == 0:
-        return Truth(shot=view.name, expect="no_target", groups=groups)
     placement = illuminated.placement
+    center_m = placement.points_camera(np.array([0.0, 0.0, scene.ring.height_m]))
+    return ring_truth(scene, view, center_m, placement.rotation[:, 2], break_points_px)
+
+
+def ring_truth(
+    scene: Scene,
+    view: RingView,
+    center_m: Float64[Array, "xyz=3"],
+    normal: Float64[Array, "xyz=3"],
+    break_points_px: Float64[Array, "laser edge=2 xy=2"] | None,
+) -> Truth:
+    """Ground truth of a ring with this pose and these break points; `no_target` if none of them is visible."""
+    points_px = None if view.target != "ring" else break_points_px
+    usable = 0 if points_px is None else int(np.isfinite(points_px).all(axis=-1).sum())
+    groups = {"rig": scene.rig.camera.camera_name, "light": view.light, "frames": len(scene.sequence), **view.groups}
+    groups["usable"] = usable
+    if view.target == "ring":
+        groups = {"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups}
+    if points_px is None or usable == 0:
+        return Truth(shot=view.name, expect="no_target", groups=groups)
     return Truth(
         shot=view.name,
-        expect="pose" if usable == 2 * len(break_points_px) else "partial",
-        center_m=placement.points_camera(np.array([0.0, 0.0, scene.ring.height_m])),
-        normal=placement.rotation[:, 2],
+        expect="pose" if usable == 2 * len(points_px) else "partial",
+        center_m=center_m,
+        normal=normal,
         radius_inner_m=scene.ring.radius_inner_m,
         radius_outer_m=scene.ring.radius_outer_m,
-        break_points_px=break_points_px,
+        break_points_px=points_px,
         groups=groups,
     )
 
@@ -303,57 +312,3 @@ def _shot_of(scene: Scene, name: str, frames: Sequence[Frame], *, still: bool) -
 def _lasers_on(scene: Scene, masks: tuple[int, ...]) -> tuple[int, ...]:
     """Lasers that are on in at least one of the masks."""
     return tuple(k for k in range(len(scene.rig.lasers.names)) if any(mask >> k & 1 for mask in masks))
-
-
-Result = TypeVar("Result")
-
-MIN_ITEMS_PER_PROCESS = 4
-"""Fewer items than this take less time than starting a process."""
-
-
-def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[Result]:
-    """work(0), work(1), ... work(count - 1), computed by several processes.
-
-    Process k of n computes the items k, k + n, k + 2n, ... and waits after each until its result is fetched, which
-    limits the memory. Unlike the pool of an executor it has no threads or locks that an interrupt could leave behind.
-    """
-    jobs = min(jobs, count // MIN_ITEMS_PER_PROCESS)
-    if jobs <= 1:
-        yield from map(work, range(count))
-        return
-    context = multiprocessing.get_context("spawn")
-    processes, results = [], []
-    try:
-        for first in range(jobs):
-            receiver, sender = context.Pipe(duplex=False)
-            process = context.Process(target=_work, args=(work, range(first, count, jobs), sender), daemon=True)
-            processes.append(process)
-            process.start()
-            sender.close()
-            results.append(receiver)
-        for number in range(count):
-            try:
-                result = results[number % jobs].recv()
-            except EOFError:
-                raise RuntimeError("a worker process was killed, perhaps for lack of memory") from None
-            if isinstance(result, Exception):
-                raise result
-            yield result
-    finally:
-        for process in processes:
-            if process.pid is not None:
-                process.terminate()
-                process.join()
-
-
-def _work(work: Callable[[int], object], numbers: range, sender: "Connection[object, object]") -> None:
-    """Main function of a worker process; it ignores Ctrl-C, which the parent process handles."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(BrokenPipeError, ConnectionResetError):
-        for number in numbers:
-            try:
-                result = work(number)
-            except Exception as error:
-                sender.send(error)
-                return
-            sender.send(result)

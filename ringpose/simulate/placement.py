@@ -13,7 +13,7 @@ from ringpose.geometry.rotations import facing_normal
 from ringpose.simulate.motion import moving_views
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
-from ringpose.types.rig import Camera, LaserPlanes
+from ringpose.types.rig import Camera
 from ringpose.types.scene import Approach, BoardApproach, BoardSet, NamedBoardPose, RingView, Scene
 
 READOUT_S = 0.002
@@ -140,7 +140,10 @@ def _random_board_pose(
     depth_m = float(generator.uniform(*approach.distances_m))
     middle = depth_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
     if any(boards.sequence):
-        middle[:2] += _middle_of_stripes_m(scene.rig.lasers, depth_m)
+        planes, across = scene.rig.lasers, scene.rig.lasers.normal[:, :2]
+        rest_m = planes.distance_m - planes.normal[:, 2] * depth_m
+        nearest_m = across * (rest_m / (across**2).sum(axis=1))[:, None]  # point of each stripe nearest to the axis
+        middle[:2] += nearest_m.mean(axis=0)
     lean_x, lean_y = generator.uniform(-1, 1, 2) * approach.tilt_rad
     rotation = _about(2, generator.uniform(-1, 1) * approach.turn_rad) @ _about(1, lean_y) @ _about(0, lean_x)
     return NamedBoardPose(
@@ -152,15 +155,6 @@ def middle_of_board_m(board: Board) -> Float64[Array, "xyz=3"]:
     """The centre of the board in the board frame."""
     width_m, height_m = outline_m(board)
     return np.array([width_m / 2, height_m / 2, 0.0])
-
-
-def _middle_of_stripes_m(planes: LaserPlanes, depth_m: float) -> Float64[Array, "xy=2"]:
-    """Mean over the lasers of the point of the stripe nearest to the optical axis, at a depth."""
-    across = planes.normal[:, :2]
-    rest_m = planes.distance_m - planes.normal[:, 2] * depth_m
-    nearest: Float64[Array, "laser xy=2"] = across * (rest_m / (across**2).sum(axis=1))[:, None]
-    middle: Float64[Array, "xy=2"] = nearest.mean(axis=0)
-    return middle
 
 
 def _about(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:

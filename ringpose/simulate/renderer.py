@@ -18,7 +18,7 @@ from ringpose.kernels import render
 from ringpose.kernels.render import THIN, PixelImage
 from ringpose.simulate.light import IlluminatedTarget, caster_input
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
-from ringpose.types.arrays import Array, Float32, Float64, Int16, Int64, UInt8
+from ringpose.types.arrays import Array, Float32, Float64, Int16, UInt8
 from ringpose.types.image import Frame
 from ringpose.types.rig import Camera
 from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
@@ -70,7 +70,7 @@ def render_view(
 ) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise.
 
-    `samples` are those of `layers`.
+    `samples` is passed on to `layers`.
     """
     generator = np.random.default_rng(seed)
     camera = scene.rig.camera
@@ -194,7 +194,9 @@ def layers(
         if not illuminated.has_ambient_light:
             of_shadow = 1
         needed = _samples_needed(image.code.reshape(shape), image.stripe.reshape(shape), blur_px, of_shadow).ravel()
-        refined = _tiled(np.flatnonzero(needed > 1), rays.width)
+        refined = np.flatnonzero(needed > 1)
+        tile = refined // rays.width // _TILE_PX * (rays.width // _TILE_PX + 1) + refined % rays.width // _TILE_PX
+        refined = refined[np.argsort(tile, kind="stable")]
         if illuminated.target.print_cells.size == 1:  # without edges within a surface
             at_edge = refined[(needed[refined] == EDGE_SAMPLES) | (needed[refined] == FINE_SAMPLES)]
             needed[at_edge[~render.crossed(*view, at_edge)]] = max(SAMPLES, of_shadow)
@@ -206,12 +208,6 @@ def layers(
 
 _TILE_PX = 16
 """Side of the squares of pixels that are cast together: rays of neighbouring pixels pass the same few parts."""
-
-
-def _tiled(pixel: Int64[Array, "chosen"], width: int) -> Int64[Array, "chosen"]:
-    """The pixels tile by tile."""
-    tile = pixel // width // _TILE_PX * (width // _TILE_PX + 1) + pixel % width // _TILE_PX
-    return pixel[np.argsort(tile, kind="stable")]
 
 
 def _samples_needed(
@@ -263,7 +259,7 @@ def pixel_rays(camera: Camera) -> PixelRays:
     from scipy.interpolate import RectBivariateSpline
 
     height, width = camera.image_height, camera.image_width
-    knots_x, knots_y = _knots(width), _knots(height)
+    knots_x, knots_y = (np.linspace(-1.0, float(length), _KNOTS) for length in (width, height))
     knots_px = np.stack(np.meshgrid(knots_x, knots_y), axis=-1)
     splines = [RectBivariateSpline(knots_y, knots_x, part) for part in np.moveaxis(undistort(knots_px, camera), -1, 0)]
     rows, columns = np.arange(height, dtype=np.float64), np.arange(width, dtype=np.float64)
@@ -272,10 +268,6 @@ def pixel_rays(camera: Camera) -> PixelRays:
         for of_row, of_column in ((0, 0), (0, 1), (1, 0))
     )
     return PixelRays(direction=direction, per_px=np.stack([along_row, along_column]), height=height, width=width)
-
-
-def _knots(length: int) -> Float64[Array, "knot"]:
-    return np.linspace(-1.0, float(length), _KNOTS)
 
 
 def speckle_pattern(

@@ -63,7 +63,7 @@ def test_pitch_and_yaw_are_the_papers(scene_of):
 @pytest.mark.parametrize(
     ("keys", "value", "message"),
     [
-        ("ringpose", "scene/9", "ringpose: is 'scene/9', must be 'scene/1'"),
+        ("ringpose", "scene/9", "ringpose: is 'scene/9', must be one of scene/1"),
         ("lihgts", {}, "unknown key 'lihgts'; did you mean 'lights'?"),
         ("ring.radius_inner_m", 567, "looks like millimetres"),
         ("ring.radius_inner_m", 0.6, "must be smaller than radius_outer_m"),

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from ringpose.errors import DataError
+from ringpose.files.scenes.motions import mass_properties
 from ringpose.files.scenes.targets import MODELS, TARGET_KEYS, read_target
 from ringpose.files.schema import Fields
-from ringpose.geometry.mass_properties import mass_properties
 from ringpose.types.target import MATERIALS, Box
 
 NAMES = sorted(path.stem for path in MODELS.glob("*.yaml"))
@@ -35,6 +35,15 @@ def target_of(*parts, **values):
 def test_the_models_are_shipped():
     assert NAMES == ["bare", "ring-on-plate", "sinosat2"]
     assert target_of(model="bare").ring is None
+
+
+def test_a_model_of_another_version_is_bad_data(tmp_path, monkeypatch):
+    newer = (MODELS / "bare.yaml").read_text().replace("target/1", "target/2")
+    (tmp_path / "newer.yaml").write_text(newer)
+    monkeypatch.setattr("ringpose.files.scenes.targets.MODELS", tmp_path)
+
+    with pytest.raises(DataError, match=r"newer\.yaml: ringpose: is 'target/2'"):
+        target_of(model="newer")
 
 
 @pytest.mark.parametrize("name", NAMES)

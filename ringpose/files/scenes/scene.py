@@ -12,7 +12,7 @@ import numpy as np
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
 from ringpose.files.rigs import read_rig
-from ringpose.files.scenes.motions import MAX_DISTANCE_M, MOTION_KEYS, read_motion
+from ringpose.files.scenes.motions import MAX_DISTANCE_M, MOTION_KEYS, mass_properties, read_motion
 from ringpose.files.scenes.targets import (
     RING_KEYS,
     TARGET_KEYS,
@@ -26,7 +26,6 @@ from ringpose.files.scenes.targets import (
 )
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
-from ringpose.geometry.mass_properties import mass_properties
 from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
@@ -70,8 +69,7 @@ NO_RING = RingShape(profile_m=np.array([[0.575, 0.0], [0.597, 0.0]]))
 def read_scene(path: Path) -> Scene:
     """The scene in a scene.yaml; the path of its rig file is relative to the scene's folder."""
     fields = read_yaml(path, _KEYS)
-    if fields.text("ringpose") != SCHEMA:
-        raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be {SCHEMA!r}")
+    fields.choice("ringpose", (SCHEMA,))
     rig = _rig(fields, path.parent)
     space = _space(fields)
     lights = {"dim": replace(space, name="dim")}

@@ -18,6 +18,9 @@ from ringpose.types.target import MATERIALS, Box, Foil, Gap, Grid, Material, Par
 MODELS = Path(ringpose.__file__).parent / "simulate" / "target" / "models"
 """The models in the package, `NAME.yaml`."""
 
+MODEL_SCHEMA = "target/1"
+"""The value of a model's key `ringpose`."""
+
 TARGET_KEYS = ("model", "state", "mass", "parts")
 
 SHAPES: Mapping[str, tuple[str, ...]] = {
@@ -85,6 +88,7 @@ def _model(fields: Fields) -> Target:
     model = read_yaml(
         MODELS / f"{fields.choice('model', names)}.yaml", ("ringpose", "about", "states", "masses", "parts")
     )
+    model.choice("ringpose", (MODEL_SCHEMA,))
     chosen = {}
     for key, choices in (("state", "states"), ("mass", "masses")):
         allowed = model.texts(choices) if model.has(choices) else ()

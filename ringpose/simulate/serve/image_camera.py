@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from ringpose.errors import DataError, UsageError
+from ringpose.simulate.pipeline import around_camera
 from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_S
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.serve.scene_shots import Motion, MovingShot, SceneShots
@@ -183,10 +184,18 @@ class ImageCamera:
             case wire.SetTime(time_s=time_s, paused=paused):
                 self._seek(time_s, paused=paused)
             case wire.SetTrajectory(poses=poses):
-                unknown = {pose.light for pose in poses} - {None, *self._scene.lights}
-                if unknown:
-                    return f"the scene has no light {sorted(map(str, unknown))[0]!r}"
-                self._next_views = self._shots.views_at(poses)
+                return self._set_trajectory(poses)
+        return None
+
+    def _set_trajectory(self, poses: tuple[wire.ServedPose, ...]) -> str | None:
+        unknown = {pose.light for pose in poses} - {None, *self._scene.lights}
+        if unknown:
+            return f"the scene has no light {sorted(map(str, unknown))[0]!r}"
+        views = self._shots.views_at(poses)
+        inside = (around_camera(self._scene, view) for view in views)
+        if name := next(filter(None, inside), None):
+            return f"a pose has the camera inside the part {name!r}"
+        self._next_views = views
         return None
 
     def _seek(self, time_s: float, *, paused: bool) -> None:

@@ -361,6 +361,7 @@ def test_a_shot_that_outlasts_the_motion_is_wrong_usage(drifting):
         {"type": "lasers", "mask": 8},
         {"type": "exposure", "exposure_s": 1.0},
         {"type": "pose", "center_m": [0, 0, 1], "normal": [0, 0, -1], "light": "moon"},
+        {"type": "pose", "center_m": [0.5, 0, 0.5], "normal": [8, 0, -1]},
     ],
 )
 def test_what_the_scene_cannot_do_is_refused_and_the_connection_stays(serve, request_header):

@@ -1,0 +1,139 @@
+"""Where the stripes of a moving ring lie in the image: each laser's at the time of its own frame, on the true ring."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.rays import project
+from ringpose.geometry.ring import LIFT, STEP, RingArcs, predicted_break_points, rotation_by
+from ringpose.geometry.rotations import cross, tilt_basis
+from ringpose.simulate.appearance import Appearance, inside_image
+from ringpose.simulate.break_points import form_displacement, in_gap
+from ringpose.simulate.common_errors import CommonErrors
+from ringpose.simulate.motion import velocities
+from ringpose.simulate.placement import target_placement
+from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.assumptions import MotionPrior
+from ringpose.types.rig import Camera
+from ringpose.types.scene import RingView, Scene
+from ringpose.types.target import RingShape
+
+
+class RingMotion(NamedTuple):
+    """Velocity of the ring's centre and angular velocity, camera frame."""
+
+    velocity_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+
+
+def drawn_motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> RingMotion:
+    """Velocity and rates; the spin about the normal, which does not change the ring, is 0."""
+    if prior is None:
+        return RingMotion(np.zeros(3), np.zeros(3))
+    return RingMotion(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
+
+
+class RingCourse(NamedTuple):
+    """Motion of the ring during a shot, relative to the pose at which its arcs are given."""
+
+    scene: Scene
+    view: RingView
+    arcs: RingArcs
+    axes: Float64[Array, "3 3"]
+    drawn: RingMotion
+    """Constant velocities of a view without a path."""
+    start_s: float
+    """When the arcs hold: of a view with a path at the beginning of the shot (0), else at the time of its pose."""
+
+    def at(self, time_s: float) -> tuple[RingArcs, Float64[Array, "3 3"]]:
+        """The ring's arcs, and its x, y and z axes as columns, at a time since the beginning of the shot."""
+        if self.view.path is None:
+            since_s, (velocity_m_s, rate_rad_s) = time_s - self.start_s, self.drawn
+            return self.arcs.after(since_s, velocity_m_s, rate_rad_s), rotation_by(rate_rad_s * since_s) @ self.axes
+        placement = target_placement(self.scene, self.view, time_s)
+        center_m = placement.points_camera(np.array([0.0, 0.0, self.scene.ring.height_m]))
+        turn = cross(self.arcs.normal, placement.rotation[:, 2])
+        length = float(np.linalg.norm(turn))
+        turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
+        return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
+
+    def motion(self, time_s: float) -> RingMotion:
+        """Velocity of the ring's centre, and rates, at a time."""
+        if self.view.path is None:
+            return self.drawn
+        face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
+        return RingMotion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
+
+
+class StripeEnds(NamedTuple):
+    """True stripes in the (distorted) image; NaN where they are not."""
+
+    true_px: Float64[Array, "laser edge=2 xy=2"]
+    """Break points; NaN outside the image or not lit."""
+    start_px: Float64[Array, "laser xy=2"]
+    """Left end of the stripe on the face, clipped to the image."""
+    end_px: Float64[Array, "laser xy=2"]
+    edge_at_start: Int64[Array, "laser"]
+    """Edge that the left end belongs to."""
+
+
+BORDER_PX = 3.0
+"""Distance from the image's left or right border within which an end is not measured, as in the detector."""
+
+MIN_COLUMNS = 10
+"""Minimum length of a stripe that is detected."""
+
+_SAMPLES = 257
+"""Points along a stripe by which it is clipped."""
+
+
+def stripe_ends(
+    ring: RingShape,
+    appearance: Appearance,
+    common: CommonErrors,
+    course: RingCourse,
+    time_s: Float64[Array, "laser"],
+    behind_m: Float64[Array, "laser"],
+) -> StripeEnds:
+    """The stripes of all lasers, each at the time of its frame."""
+    camera, lasers = common.rig.camera, common.rig.lasers
+    point_m = np.full((len(time_s), 2, 3), np.nan)
+    own_m = point_m.copy()  # the same in the ring's axes
+    for laser in np.flatnonzero(appearance.lit):
+        moved, axes = course.at(float(time_s[laser]))
+        if behind_m[laser]:
+            moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
+        normal = lasers.normal[[laser]]
+        one = predicted_break_points(moved, normal, lasers.distance_m[[laser]])
+        if common.form.any():
+            one += form_displacement(common.form, one, moved.center, axes, normal)
+        point_m[laser] = one[0]
+        own_m[laser] = (point_m[laser] - moved.center) @ axes
+        if behind_m[laser]:
+            own_m[laser] = np.nan  # the surface behind the ring has no gaps
+    position_px = project(point_m, camera)
+    inside = inside_image(position_px, BORDER_PX, camera) & ~in_gap(ring, own_m)
+    start_px, end_px, edge_at_start = _clipped(ring, point_m, own_m, position_px, inside, camera)
+    return StripeEnds(np.where(inside[..., None], position_px, np.nan), start_px, end_px, edge_at_start)
+
+
+def _clipped(
+    ring: RingShape,
+    point_m: Float64[Array, "laser edge=2 xyz=3"],
+    own_m: Float64[Array, "laser edge=2 xyz=3"],
+    position_px: Float64[Array, "laser edge=2 xy=2"],
+    inside: Bool[Array, "laser edge=2"],
+    camera: Camera,
+) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Int64[Array, "laser"]]:
+    """Left and right ends of the stripes on the face in the image, and the edge of the left one; NaN if not in view."""
+    ends_px = position_px.copy()
+    for laser in np.flatnonzero(~inside.all(axis=1) & np.isfinite(position_px).all(axis=(1, 2))):
+        share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
+        shown_px = project(point_m[laser, 0] + share * (point_m[laser, 1] - point_m[laser, 0]), camera)
+        missing = in_gap(ring, own_m[laser, 0] + share * (own_m[laser, 1] - own_m[laser, 0]))
+        visible = np.flatnonzero(inside_image(shown_px, BORDER_PX, camera) & ~missing)
+        ends_px[laser] = shown_px[visible[[0, -1]]] if len(visible) else np.nan
+    ends_px[~(np.abs(ends_px[:, 1, 0] - ends_px[:, 0, 0]) >= MIN_COLUMNS)] = np.nan
+    left = (ends_px[:, 1, 0] < ends_px[:, 0, 0]).astype(np.int64)
+    each = np.arange(len(left))
+    return ends_px[each, left], ends_px[each, 1 - left], left
