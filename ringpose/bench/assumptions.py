@@ -36,11 +36,11 @@ class StatedAssumptions(Assumptions):
 
 
 def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
-    """Assumptions of a pose line; None if it cannot be compared with others by them.
+    """Assumptions of a pose line; None for lines that are not compared by their assumptions.
 
-    These are lines without a pose, closed forms, which have no assumptions to choose, and shots that only other
-    assumptions than the chosen ones explain. A pose without priors, as in records of version 1, counts as one of a
-    still and perfect ring of unknown radius by an unchanged rig.
+    These are lines without a pose, closed-form solutions, which make no assumptions, and shots that fit only other
+    assumptions than the chosen ones. A pose without priors, as in records of version 1, counts as computed for a still
+    and exactly circular ring of unknown radius, with an unchanged rig.
     """
     if line.pose is None or line.pose.method != Method.ML or line.flags & OTHER_ASSUMPTIONS:
         return None

@@ -25,7 +25,7 @@ import numpy as np
 
 from ringpose.bench.score import Score
 from ringpose.bench.summary import group_key, sortable
-from ringpose.types.arrays import Array, Bool, Float64, UInt8
+from ringpose.types.arrays import Array, Float64, UInt8
 
 FALSE_DISCOVERY_RATE = 0.05
 """Maximum expected share of false positives among the rows that are reported as better or worse."""
@@ -79,27 +79,6 @@ class Quantity:
     """Whether the loss always increases with the mean score; otherwise the interval must exclude zero as well."""
 
 
-def _squared_error(name: str) -> Quantity:
-    def score(shot: Score) -> float | None:
-        return shot.errors[name] ** 2 if name in shot.errors else None
-
-    return Quantity(score=score, figure=_root, loss=_root)
-
-
-def _typical_error(name: str) -> Quantity:
-    def score(shot: Score) -> float | None:
-        return math.log(max(shot.errors[name], MIN_ERROR)) if name in shot.errors else None
-
-    return Quantity(score=score, figure=np.exp, loss=np.exp)
-
-
-def _nees(name: str) -> Quantity:
-    def score(shot: Score) -> float | None:
-        return shot.errors.get(name)
-
-    return Quantity(score=score, figure=_itself, loss=_log_ratio_to_1, relative=False, monotone=False)
-
-
 def _root(mean: Any) -> Any:
     return np.sqrt(np.maximum(mean, 0.0))
 
@@ -108,9 +87,29 @@ def _itself(mean: Any) -> Any:
     return mean
 
 
-def _log_ratio_to_1(mean: Any) -> Any:
-    """|ln NEES|: 2 is as bad as 1/2. Values below one millionth, as of exact poses, count as that."""
-    return np.abs(np.log(np.maximum(mean, 1e-6)))
+def _squared_error(name: str) -> Quantity:
+    return Quantity(
+        score=lambda shot: shot.errors[name] ** 2 if name in shot.errors else None, figure=_root, loss=_root
+    )
+
+
+def _typical_error(name: str) -> Quantity:
+    return Quantity(
+        score=lambda shot: math.log(max(shot.errors[name], MIN_ERROR)) if name in shot.errors else None,
+        figure=np.exp,
+        loss=np.exp,
+    )
+
+
+def _nees(name: str) -> Quantity:
+    """The loss is |ln NEES|: 2 is as bad as 1/2. Values below one millionth, as of exact poses, count as that."""
+    return Quantity(
+        score=lambda shot: shot.errors.get(name),
+        figure=_itself,
+        loss=lambda mean: np.abs(np.log(np.maximum(mean, 1e-6))),
+        relative=False,
+        monotone=False,
+    )
 
 
 COMPARED: Mapping[str, Quantity] = {
@@ -229,6 +228,8 @@ def compare(
     `tolerance` is a share of A's loss; for quantities without a scale (logarithm of NEES, shares of shots, wrong
     quantities per shot) it is a difference. With `resamples` 0 the rows have no intervals.
     """
+    from scipy.stats import false_discovery_control
+
     samples = [
         _Sample(method=method, group=group, name=name, a=scores[0], b=scores[1])
         for method, members in paired
@@ -241,7 +242,9 @@ def compare(
         family = [sample for sample in samples if COMPARED[sample.name].judged is decides]
         p_values = np.array([permutation_p_value(sample.a, sample.b, COMPARED[sample.name].loss) for sample in family])
         testable = np.array([testable_shots(int(np.sum(sample.a != sample.b))) for sample in family], dtype=bool)
-        adjusted = _adjusted(p_values, testable)
+        adjusted = np.ones(len(family))
+        if testable.any():  # rows of the same shots are positively dependent, for which Benjamini-Hochberg is valid
+            adjusted[testable] = false_discovery_control(p_values[testable])
         rows += [
             _row(sample, float(p), float(p_adjusted), max(1, int(testable.sum())), tolerance, resamples)
             for sample, p, p_adjusted in zip(family, p_values, adjusted, strict=True)
@@ -284,19 +287,6 @@ def testable_shots(changed: int) -> bool:
     return 2.0 ** (1 - changed) <= FALSE_DISCOVERY_RATE
 
 
-def _adjusted(p_values: Float64[Array, "row"], testable: Bool[Array, "row"]) -> Float64[Array, "row"]:
-    """P-values after the Benjamini-Hochberg correction, 1 in rows that cannot be significant.
-
-    Rows with the same shots are positively dependent, for which the procedure is valid.
-    """
-    from scipy.stats import false_discovery_control
-
-    adjusted = np.ones(len(p_values))
-    if testable.any():
-        adjusted[testable] = false_discovery_control(p_values[testable])
-    return adjusted
-
-
 def permutation_p_value(
     a: Float64[Array, "n"], b: Float64[Array, "n"], loss: Callable[[Any], Any], permutations: int = PERMUTATIONS
 ) -> float:
@@ -307,19 +297,17 @@ def permutation_p_value(
     """
     changed = (b - a)[a != b]
     few = len(changed) <= MAX_EXHAUSTIVE
-    packed = _all_permutations(len(changed)) if few else _random_permutations(len(changed), permutations)
+    if few:  # one bit per shot states whether it is exchanged
+        ways = (np.arange(2 ** len(changed))[:, None] >> np.arange(len(changed))) & 1
+        packed = np.packbits(ways.astype(np.uint8), axis=1)
+    else:
+        packed = _random_permutations(len(changed), permutations)
     parts = np.array_split(packed, len(packed) // 1000 + 1)
     moved = np.concatenate([np.unpackbits(part, axis=1, count=len(changed)) @ changed for part in parts]) / len(a)
     differences = np.abs(loss(b.mean() - moved) - loss(a.mean() + moved))
     observed = float(np.abs(loss(b.mean()) - loss(a.mean())))
     as_large = np.count_nonzero(differences >= observed * (1 - 1e-9) - MIN_ERROR**2)
     return as_large / len(differences) if few else (as_large + 1) / (len(differences) + 1)
-
-
-def _all_permutations(shots: int) -> UInt8[Array, "permutation byte"]:
-    """Which shots are exchanged in each of the 2^n permutations, one bit per shot."""
-    ways = (np.arange(2**shots)[:, None] >> np.arange(shots)) & 1
-    return np.packbits(ways.astype(np.uint8), axis=1)
 
 
 @lru_cache(maxsize=16)
@@ -337,7 +325,12 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
     difference, scale = loss_b - loss_a, loss_a if quantity.relative else 1.0
     interval = bootstrap_interval(a, b, quantity.loss, resamples) if resamples and len(a) > 1 else None
     directed = quantity.monotone or interval is None or interval[0] > 0 or interval[1] < 0
-    verdict = _verdict(bool((a != b).any()), adjusted if directed else 1.0, difference)
+    if not (a != b).any():
+        verdict = Verdict.SAME
+    elif not directed or adjusted >= FALSE_DISCOVERY_RATE or difference == 0:
+        verdict = Verdict.CANNOT_TELL
+    else:
+        verdict = Verdict.WORSE if difference > 0 else Verdict.BETTER
     change = difference / scale if scale > 0 else 0.0 if difference == 0 else None
     spread = shot_spread(a, b, quantity.loss)
     return Row(
@@ -360,14 +353,6 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
         else None,
         beyond_tolerance=quantity.judged and verdict is Verdict.WORSE and (change is None or change > tolerance),
     )
-
-
-def _verdict(changed: bool, p_adjusted: float, difference: float) -> Verdict:
-    if not changed:
-        return Verdict.SAME
-    if p_adjusted >= FALSE_DISCOVERY_RATE or difference == 0:
-        return Verdict.CANNOT_TELL
-    return Verdict.WORSE if difference > 0 else Verdict.BETTER
 
 
 def bootstrap_interval(

@@ -109,6 +109,9 @@ def _cells(row: Row, by: Sequence[str]) -> list[str]:
     heading, factor = UNITS[row.quantity]
     low_high = ABSENT if row.interval is None else " .. ".join(f"{end * factor:+.3g}" for end in row.interval)
     group = [str(row.group.get(name, ABSENT)) if row.group else "all" for name in by]
+    verdict = str(row.verdict)
+    if row.verdict is Verdict.WORSE and not row.beyond_tolerance:
+        verdict = "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
     return [
         row.method or ABSENT,
         *group,
@@ -119,15 +122,9 @@ def _cells(row: Row, by: Sequence[str]) -> list[str]:
         f"{row.difference * factor:+.3g}",
         low_high,
         f"{row.p_adjusted:.2g}",
-        _verdict(row),
+        verdict,
         ABSENT if row.shots_needed is None else str(row.shots_needed),
     ]
-
-
-def _verdict(row: Row) -> str:
-    if row.verdict is not Verdict.WORSE or row.beyond_tolerance:
-        return str(row.verdict)
-    return "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
 
 
 def worse_sentences(rows: Sequence[Row], paired: Sequence[tuple[str, Sequence[Pair]]]) -> Iterator[str]:

@@ -65,46 +65,23 @@ def csv_rows(scores: Sequence[Score]) -> Iterator[Sequence[str | float | int | b
 
 
 def _group_record(line: Summary) -> Mapping[str, Any]:
+    wrong = line.wrong
     return {
-        "method": line.method,
-        "group": dict(line.group),
-        "shots": line.shots,
-        "outcomes": {str(outcome): count for outcome, count in line.outcomes.items()},
-        "errors": {name: asdict(spread) for name, spread in line.errors.items()},
-        "nees": dict(line.nees),
-        "targets": line.targets,
-        "available": line.available,
-        "quantities": {
-            name: {str(judgement): count for judgement, count in counts.items()}
-            for name, counts in line.wrong.counts.items()
-            if any(counts.values())
-        },
+        **asdict(line),
+        "quantities": {name: counts for name, counts in wrong.counts.items() if any(counts.values())},
         "wrong": {
-            "count": line.wrong.count(Judgement.WRONG),
-            "judged": line.wrong.judged,
-            "allowed": line.wrong.allowed,
-            "gross": line.wrong.gross,
-            "none_wrong": line.wrong.none_wrong,
+            "count": wrong.count(Judgement.WRONG),
+            "judged": wrong.judged,
+            "allowed": wrong.allowed,
+            "gross": wrong.gross,
+            "none_wrong": wrong.none_wrong,
         },
     }
 
 
 def _shot_record(score: Score) -> Mapping[str, Any]:
-    return {
-        "shot": score.shot,
-        "method": score.method,
-        "outcome": str(score.outcome),
-        "groups": dict(score.groups),
-        "errors": dict(score.errors),
-        "status": score.status,
-        "has_target": score.has_target,
-        "judgements": {name: str(judgement) for name, judgement in score.judgements.items()},
-        "distances": dict(score.distances),
-        "gross": list(score.gross),
-        "assumptions": None if score.assumptions is None else assumptions_record(score.assumptions),
-        "latency_s": score.latency_s,
-        "rig": score.rig or None,
-    }
+    assumptions = None if score.assumptions is None else assumptions_record(score.assumptions)
+    return {**asdict(score), "assumptions": assumptions, "rig": score.rig or None}
 
 
 def recorded_scores(fields: Fields) -> list[Score]:

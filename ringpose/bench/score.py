@@ -206,7 +206,7 @@ def scores(estimates: Iterable[PoseEstimate], truths: Sequence[Truth], camera: C
 
 
 def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matching:
-    """How pose records and truths match."""
+    """The assignment of pose records to truths by the names of their shots."""
     place = {truth.shot: number for number, truth in enumerate(truths)}
     lines = Counter((estimate.method, estimate.shot) for estimate in estimates)
     shots = list(dict.fromkeys(estimate.shot for estimate in estimates))
@@ -244,8 +244,13 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
             groups=truth.groups,
         )
     pose, truth_now = estimate.pose, truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
-    distances = {} if pose is None else _distances(truth_now, pose, estimate.velocity)
-    found = {} if pose is None else dict(_judgements(truth_now, estimate, pose, distances, camera))
+    compared = {} if pose is None else dict(_compared(truth_now, pose, estimate.velocity))
+    distances = {
+        name: math.sqrt(mahalanobis_squared(error, covariance))
+        for name, (error, covariance) in compared.items()
+        if covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
+    }
+    found = {} if pose is None else dict(_judgements(truth_now, estimate, pose, compared, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in found.items()}
     return Score(
         shot=truth.shot,
@@ -254,7 +259,7 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
         status=estimate.status,
         has_target=has_target,
         groups=truth.groups,
-        errors={} if pose is None else _errors(truth_now, pose, estimate.velocity, distances),
+        errors={} if pose is None else _errors(truth_now, pose, compared, distances),
         judgements=judgements,
         distances=distances,
         gross=tuple(name for name, (_, gross) in found.items() if gross),
@@ -274,12 +279,49 @@ def _outcome(truth: Truth, status: Status, wrong: bool) -> Outcome:
     return Outcome.OK if status == "ok" else Outcome.DEGRADED
 
 
+Compared = Mapping[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]
+"""Error of each reported quantity that has a truth, in the coordinates in which it is judged, and its covariance."""
+
+
+def _compared(
+    truth: Truth, pose: RingPose, velocity: RingVelocity | None
+) -> Iterator[tuple[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]]:
+    """The entries of `Compared`."""
+    center_m, normal = truth.center_m, truth.normal
+    if center_m is None or normal is None:
+        return
+    reported, radius_m = _reported(pose, velocity), mid_radius_m(truth)
+    full = np.full((7, 7), np.nan) if pose.covariance is None else pose.covariance
+    if "center" in reported:
+        yield "center", (pose.center_m - center_m, pose.covariance_center_m2)
+    if "normal" in reported:
+        yield "normal", (tilt_error_rad(pose.normal, normal), full[:2, :2])
+    if "grasp" in reported and radius_m is not None:
+        axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
+        grasp_m2 = pose.covariance_grasp_m2
+        yield "grasp", (beside_m, None if grasp_m2 is None else axes @ grasp_m2 @ axes.T)
+    radii = {
+        "radius_inner": (pose.radius_inner_m, truth.radius_inner_m),
+        "radius_outer": (pose.radius_outer_m, truth.radius_outer_m),
+    }
+    for row, (name, (found_m, true_m)) in enumerate(radii.items(), start=5):
+        if name in reported and true_m is not None:
+            yield name, (np.array([found_m - true_m]), full[row : row + 1, row : row + 1])
+    if velocity is not None and "velocity" in reported and _moves(truth):
+        yield "velocity", (_velocity_error(truth, velocity, pose.normal), velocity.covariance)
+
+
 def _judgements(
-    truth: Truth, estimate: PoseEstimate, pose: RingPose, distances: Mapping[str, float], camera: Camera | None
+    truth: Truth,
+    estimate: PoseEstimate,
+    pose: RingPose,
+    compared: Compared,
+    distances: Mapping[str, float],
+    camera: Camera | None,
 ) -> Iterator[tuple[str, tuple[Judgement, bool]]]:
     """Each reported quantity with its judgement, and whether its error is gross."""
     for name in _reported(pose, estimate.velocity):
-        if truth.expect != "no_target" and not _has_truth(truth, name):
+        if truth.expect != "no_target" and name not in compared:
             continue
         if estimate.flags & FLAGS_OF_QUANTITY[name]:
             yield name, (Judgement.FLAGGED, False)
@@ -306,53 +348,9 @@ def _reported(pose: RingPose, velocity: RingVelocity | None) -> list[str]:
     return [name for name, value in values.items() if np.isfinite(value).all()]
 
 
-def _has_truth(truth: Truth, name: str) -> bool:
-    if truth.center_m is None or truth.normal is None:
-        return False
-    if name == "grasp":
-        return mid_radius_m(truth) is not None
-    if name == "velocity":
-        return _moves(truth)
-    return {"radius_inner": truth.radius_inner_m, "radius_outer": truth.radius_outer_m}.get(name, 0.0) is not None
-
-
 def _moves(truth: Truth) -> bool:
-    """Whether the truth states a velocity, be it zero."""
+    """Whether the truth states a velocity, which may be zero."""
     return truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
-
-
-def _distances(truth: Truth, pose: RingPose, velocity: RingVelocity | None) -> dict[str, float]:
-    """Mahalanobis distances from the truth of the reported quantities that have a covariance."""
-    if truth.center_m is None or truth.normal is None:
-        return {}
-    reported = _reported(pose, velocity)
-    return {
-        name: math.sqrt(mahalanobis_squared(error, covariance))
-        for name, error, covariance in _deviations(truth, pose, velocity, truth.center_m, truth.normal)
-        if name in reported and covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
-    }
-
-
-def _deviations(
-    truth: Truth,
-    pose: RingPose,
-    velocity: RingVelocity | None,
-    center_m: Float64[Array, "3"],
-    normal: Float64[Array, "3"],
-) -> Iterator[tuple[str, Float64[Array, "n"], Float64[Array, "n n"] | None]]:
-    """Error and covariance of each quantity, in the coordinates in which it is judged; NaN if unknown."""
-    yield "center", pose.center_m - center_m, pose.covariance_center_m2
-    full = np.full((7, 7), np.nan) if pose.covariance is None else pose.covariance
-    if np.isfinite(pose.normal).all():
-        yield "normal", tilt_error_rad(pose.normal, normal), full[:2, :2]
-    for row, (name, error_m) in enumerate(_radius_errors(truth, pose).items(), start=5):
-        yield name, np.array([error_m]), full[row : row + 1, row : row + 1]
-    radius_m = mid_radius_m(truth)
-    if pose.covariance_grasp_m2 is not None and radius_m is not None:
-        axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
-        yield "grasp", beside_m, axes @ pose.covariance_grasp_m2 @ axes.T
-    if velocity is not None and _moves(truth):
-        yield "velocity", _velocity_error(truth, velocity, pose.normal), velocity.covariance
 
 
 def _velocity_error(truth: Truth, velocity: RingVelocity, normal: Float64[Array, "xyz=3"]) -> Float64[Array, "rate=5"]:
@@ -364,35 +362,23 @@ def _velocity_error(truth: Truth, velocity: RingVelocity, normal: Float64[Array,
     return np.concatenate([velocity.center_m_s - true_velocity_m_s, rate_error_rad_s])
 
 
-def _errors(
-    truth: Truth, pose: RingPose, velocity: RingVelocity | None, distances: Mapping[str, float]
-) -> dict[str, float]:
+def _errors(truth: Truth, pose: RingPose, compared: Compared, distances: Mapping[str, float]) -> dict[str, float]:
     """Errors by the names of `QUANTITIES`; in a partial shot only those of normal and grasp point."""
     if truth.center_m is None or truth.normal is None or truth.expect == "no_target":
         return {}
-    reported, errors = _reported(pose, velocity), {}
-    if "normal" in reported:
+    errors = {}
+    if "normal" in compared:
         errors["normal_rad"] = float(angle_between(pose.normal[None], truth.normal[None])[0])
-    if "grasp" in reported and (radius_m := mid_radius_m(truth)) is not None:
+    if "grasp" in compared and (radius_m := mid_radius_m(truth)) is not None:
         errors["grasp_m"] = distance_to_circle_m(pose.grasp_m, truth.center_m, truth.normal, radius_m)
     nees = {f"{name}_nees": distances[name] ** 2 / JUDGED[name] for name in WITH_NEES if name in distances}
     if truth.expect == "partial":
         return errors | {name: value for name, value in nees.items() if name == "normal_nees"}
-    if "center" in reported:
-        error_m = pose.center_m - truth.center_m
-        errors |= {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error_m, strict=True)}
-        errors["center_m"] = float(np.linalg.norm(error_m))
-    if "velocity" in distances and velocity is not None:
-        error = _velocity_error(truth, velocity, pose.normal)
-        errors["velocity_m_s"], errors["rate_rad_s"] = (float(np.linalg.norm(part)) for part in (error[:3], error[3:]))
-    radii = {f"{name}_m": error_m for name, error_m in _radius_errors(truth, pose).items()}
-    return errors | nees | {name: error_m for name, error_m in radii.items() if math.isfinite(error_m)}
-
-
-def _radius_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
-    """Errors of the inner and the outer radius, in the order of the covariance; NaN if either value is missing."""
-    pairs = {
-        "radius_inner": (pose.radius_inner_m, truth.radius_inner_m),
-        "radius_outer": (pose.radius_outer_m, truth.radius_outer_m),
-    }
-    return {name: math.nan if true is None else reported - true for name, (reported, true) in pairs.items()}
+    error = {name: error for name, (error, _) in compared.items()}
+    if "center" in error:
+        errors |= {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error["center"], strict=True)}
+        errors["center_m"] = float(np.linalg.norm(error["center"]))
+    if "velocity" in distances:
+        errors["velocity_m_s"] = float(np.linalg.norm(error["velocity"][:3]))
+        errors["rate_rad_s"] = float(np.linalg.norm(error["velocity"][3:]))
+    return errors | nees | {f"{name}_m": float(error[name][0]) for name in error if name.startswith("radius")}

@@ -147,7 +147,7 @@ def wrong_quantities(scores: Sequence[Score]) -> WrongQuantities:
 
 
 def group_key(score: Score, by: Sequence[str]) -> GroupKey:
-    """Values of the fields `by` (as `light`, `distance_m`) of a shot: shots with equal ones are summarized together."""
+    """Values of the fields `by`, such as `light`, of a shot; shots with equal values are summarised together."""
     values = (score.groups.get(name, ABSENT) for name in by)
     return tuple(value if isinstance(value, str | float | int) else str(value) for value in values)
 

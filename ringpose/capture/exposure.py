@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.detect.difference_images import LaserImage, laser_images
+from ringpose.detect.difference_images import LaserImage, laser_images, overexposure
 from ringpose.detect.pipeline import detect
-from ringpose.detect.saturation import overexposure
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.types.arrays import Array, Float64

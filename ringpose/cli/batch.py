@@ -111,7 +111,7 @@ def _result(work: "Callable[[Input], Result]", item: "Input") -> "Result | Excep
 
 def _in_order(work: Callable[[Any], Any], items: Iterable[Any], jobs: int) -> Iterator[Any]:
     """Results of processes in the order of the items."""
-    from ringpose.bench.study.executors import Pool
+    from ringpose.processes import Pool
 
     source, pool = _Fetched(items, 2 * jobs), Pool(partial(_numbered, work))
     finished: dict[int, Any] = {}

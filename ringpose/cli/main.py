@@ -133,7 +133,7 @@ ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
 def raise_signals() -> None:
     """Raise the signals that end a program as exceptions, except those that it was started to ignore."""
     interrupts = _Interrupts()
-    sys.unraisablehook = _report_unraisable
+    sys.unraisablehook = interrupts.report_unraisable
     signal.signal(signal.SIGALRM, interrupts)
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:  # nohup, or a shell's background job
@@ -163,14 +163,14 @@ class _Interrupts:
         if not _is_propagating(sys.exception()):
             raise SignalReceived(self.number)
 
+    def report_unraisable(self, unraisable: Any) -> None:
+        """Print the error of a destructor, unless a signal may have interrupted the constructor of its object."""
+        if not self.number:
+            sys.__unraisablehook__(unraisable)
+
 
 def _is_propagating(error: BaseException | None) -> bool:
     """Whether a `SignalReceived` is being handled, by itself or as the context of another exception."""
     while error is not None and not isinstance(error, SignalReceived):
         error = error.__context__
     return error is not None
-
-
-def _report_unraisable(unraisable: Any) -> None:
-    if not isinstance(unraisable.exc_value, SignalReceived):
-        sys.__unraisablehook__(unraisable)

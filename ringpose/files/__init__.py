@@ -1,1 +1,1 @@
-"""Bytes <-> nouns: everything is checked once, here, at the border."""
+"""Reading, validation and writing of files; all input is validated here, once."""

@@ -58,8 +58,8 @@ def board_of(fields: Fields) -> Board:
     kind = fields.choice("kind", get_args(BoardKind))
     for key in REQUIRED[kind]:
         fields.raw(key)
-    if fields.has("ringpose") and fields.text("ringpose") != "board/1":
-        raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be 'board/1'")
+    if fields.has("ringpose"):
+        fields.choice("ringpose", ("board/1",))
     sizes: dict[str, Any] = fields.given(
         _COUNTS, lambda key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES)
     )

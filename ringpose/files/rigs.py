@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -28,6 +29,10 @@ MAX_STABILITY = RigStability(plane_tilt_rad=0.2, plane_distance_m=0.1, focal_rat
 MIN_DISTANCE_M = 1e-6
 """Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
 
+MAX_STRIPE_ANGLE_DEG = 30.0
+"""Maximum angle to the rows of a stripe on a surface that faces the camera: stripes are measured column by column, and
+the detector finds no ring on steeper ones; above 15 degrees it finds fewer."""
+
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "stability", "quality")
 _STABILITY_KEYS = tuple(each.name for each in dataclasses.fields(RigStability))
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
@@ -45,9 +50,7 @@ def rig_in(text: bytes, location: str) -> Rig:
 
 def rig_of(fields: Fields, sha256: str = "") -> Rig:
     """The rig in a mapping."""
-    schema = fields.text("ringpose")
-    if schema != SCHEMA:
-        raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}")
+    fields.choice("ringpose", (SCHEMA,))
     camera = camera_of(fields.fields("camera", CAMERA_KEYS))
     lasers = _lasers(fields)
     stability = fields.fields("stability", _STABILITY_KEYS) if fields.has("stability") else None
@@ -147,6 +150,7 @@ def _lasers(fields: Fields) -> LaserPlanes:
     if not 1 <= len(entries) <= MAX_LASERS:
         raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MAX_LASERS}")
     names: list[str] = []
+    normals, distances_m = [], []
     for entry in entries:
         name = entry.text("name")
         if "." in name:
@@ -154,14 +158,20 @@ def _lasers(fields: Fields) -> LaserPlanes:
         if name in names:
             raise entry.problem("name", f"{name!r} occurs twice")
         names.append(name)
-        distance_m = entry.length_m("distance_m")
-        if abs(distance_m) < MIN_DISTANCE_M:
-            raise entry.problem("distance_m", f"is {distance_m:g}: the plane contains the camera's centre")
+        normals.append(entry.unit_vector("normal", "divide normal and distance_m by it"))
+        x, y, _ = normals[-1].tolist()
+        angle_deg = math.degrees(math.atan2(abs(x), abs(y))) if y else 90.0
+        if angle_deg > MAX_STRIPE_ANGLE_DEG:
+            finding = f"draws a stripe at {angle_deg:.1f} degrees to the image's rows, at most {MAX_STRIPE_ANGLE_DEG:g}"
+            raise entry.problem("normal", finding, "mount the camera so that the stripes run along the rows")
+        distances_m.append(entry.length_m("distance_m"))
+        if abs(distances_m[-1]) < MIN_DISTANCE_M:
+            raise entry.problem("distance_m", f"is {distances_m[-1]:g}: the plane contains the camera's centre")
     unknown = np.full(3, np.nan)
     return LaserPlanes(
         names=tuple(names),
-        normal=np.stack([entry.unit_vector("normal", "divide normal and distance_m by it") for entry in entries]),
-        distance_m=np.array([entry.length_m("distance_m") for entry in entries]),
+        normal=np.stack(normals),
+        distance_m=np.array(distances_m),
         projector_m=np.stack(
             [entry.point_m("projector_m") if entry.has("projector_m") else unknown for entry in entries]
         ),

@@ -22,9 +22,7 @@ _RING_KEYS = ("name", "radius_inner_m", "radius_outer_m", "nominal", "source", "
 def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:
     """The rings of a catalogue in the file's order."""
     fields = read_yaml(path, _KEYS)
-    schema = fields.text("ringpose")
-    if schema != SCHEMA:
-        raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}")
+    fields.choice("ringpose", (SCHEMA,))
     rings: list[Ring] = []
     for entry in fields.each("rings", _RING_KEYS):
         ring = _ring(entry)
@@ -37,6 +35,7 @@ def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:
 
 
 def _ring(fields: Fields) -> Ring:
+    fields.optional("nominal", fields.boolean)  # for the readers of the file: the interval already shows it
     inner, outer = _interval(fields, "radius_inner_m"), _interval(fields, "radius_outer_m")
     if not inner[1] < outer[0]:
         raise fields.problem("radius_inner_m", f"reaches {inner[1]:g}, must end below the outer edge's {outer[0]:g}")
@@ -51,7 +50,6 @@ def _ring(fields: Fields) -> Ring:
         name=fields.text("name"),
         radius_inner_m=inner,
         radius_outer_m=outer,
-        nominal=fields.optional("nominal", fields.boolean) or False,
         source=fields.optional("source", fields.text) or "",
         tolerance_m=tolerance_m,
     )

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -97,3 +99,29 @@ def test_a_shot_imports_nothing_that_its_line_does_not_need(started, command):
         printed, said = process.communicate(timeout=600)
 
     assert (process.returncode, said.split(), printed.count("\n")) == (0, [], 1)
+
+
+@pytest.mark.parametrize(("interrupted", "printed"), [(True, b""), (False, b"AttributeError")])
+def test_an_object_whose_constructor_a_signal_interrupts_leaves_no_message(interrupted, printed):
+    program = f"""
+import os, signal
+from ringpose.cli.main import raise_signals
+from ringpose.errors import SignalReceived
+
+class Archive:
+    def __init__(self):
+        if {interrupted}:
+            os.kill(os.getpid(), signal.SIGTERM)
+    def __del__(self):
+        self.absent
+
+raise_signals()
+try:
+    Archive()
+except SignalReceived:
+    pass
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+
+    assert printed in done.stderr
+    assert bool(done.stderr) is not interrupted

@@ -136,11 +136,17 @@ def test_equations_that_cannot_be_solved_are_a_line_with_a_reason(rig, detection
 
     monkeypatch.setattr("ringpose.pose.pipeline.most_likely_pose", singular)
 
+    records_of_shots = [json.loads(line) for line in detections.read_text().splitlines()]
+    rejection = {"what": "point", "laser": "middle", "edge": "inner", "chi2": None}
+    detections.write_text("".join(json.dumps(each | {"rejected": [rejection]}) + "\n" for each in records_of_shots))
+
     assert main(["pose", str(detections), "--rig", str(rig)]) == 3
 
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(line["shot"], line["status"]) for line in lines] == [(shot, "none") for shot in "abc"]
     assert {line["reason"] for line in lines} == {NoPose.SINGULAR.value}
+    assert {tuple(line["lasers"].values()) for line in lines} == {3 * ("rejected",)}
+    assert all(line["rejected"] == [rejection] for line in lines)
 
 
 def upright_stripe(points):

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.cli.main import main
 from ringpose.errors import DataError
 from ringpose.files.images.codecs import read_image
 from ringpose.files.images.headers import image_header
@@ -255,12 +254,3 @@ def test_a_file_of_more_than_2_gib_is_rejected(tmp_path):
 
     assert "2 GiB" in message
     assert peak < 2e6
-
-
-def test_command_reports_a_shot_that_is_too_large(tmp_path, capsys):
-    (tmp_path / "a.npz").write_bytes(with_file_size(npz((10, 10_000, 10_000)), HEADER_BYTES + 10**9))
-
-    status = main(["detect", str(tmp_path / "a.npz"), "--segments-only"])
-
-    assert status == 65
-    assert f"{tmp_path / 'a.npz'}: " in capsys.readouterr().err

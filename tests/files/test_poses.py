@@ -118,20 +118,10 @@ def record(line: PoseLine, brief: bool = False) -> dict:
 
 
 KEYS = [
-    *("schema", "shot", "stamp_s", "pose_stamp_s", "frame", "status", "reason", "flags", "pose", "velocity"),
-    *(
-        "measurement",
-        "plane_evidence",
-        "priors",
-        "lasers",
-        "rejected",
-        "rig_health",
-        "shots_dropped",
-        "latency_s",
-        "stage_s",
-        "rig",
-    ),
-]
+    "schema", "shot", "stamp_s", "pose_stamp_s", "frame", "status", "reason", "flags", "pose", "velocity",
+    "measurement", "plane_evidence", "priors", "lasers", "rejected", "rig_health", "shots_dropped", "latency_s",
+    "stage_s", "rig",
+]  # fmt: skip
 """Of a pose line, in their order."""
 
 
@@ -143,10 +133,6 @@ def test_brief_record_has_no_measurement(complete):
     assert list(validated(record(complete, brief=True))) == [
         key for key in KEYS if key not in ("measurement", "plane_evidence")
     ]
-
-
-def test_line_with_everything_fits_the_schema(complete):
-    validated(record(complete))
 
 
 @pytest.mark.parametrize("frame", PoseFrame)
@@ -247,10 +233,6 @@ def test_line_is_read_as_it_was_written(complete):
 
     for name in PoseLine.__slots__:
         assert same(getattr(complete, name), getattr(after, name)), name
-
-
-def test_line_that_is_read_is_written_as_before(complete):
-    assert record(pose_line_of(record(complete), "x")) == record(complete)
 
 
 VERSION_1 = {

@@ -63,12 +63,13 @@ def test_a_rounded_normal_is_normalised(rig_file):
 @pytest.mark.parametrize(
     ("path", "value", "finding"),
     [
-        ("ringpose", "rig/2", "ringpose: is 'rig/2', must be 'rig/1'"),
+        ("ringpose", "rig/2", "ringpose: is 'rig/2', must be one of rig/1"),
         ("lasers.1.distance_m", -39.5, "lasers[1].distance_m: is -39.5; give metres; this looks like millimetres"),
         ("lasers.0.projector_m", [-30, -40, 0], "lasers[0].projector_m: is -40; give metres"),
         ("mount.tool_from_camera.0.3", 100.0, "mount.tool_from_camera: is 100; give metres"),
         ("lasers.1.normal", [0, 0.6, 0.79], "lasers[1].normal: has length 0.992018, must be 1"),
         ("lasers.1.distance_m", 0, "lasers[1].distance_m: is 0: the plane contains the camera"),
+        ("lasers.1.normal", [0.8, 0.6, 0], "lasers[1].normal: draws a stripe at 53.1 degrees to the image's rows"),
         ("lasers.1.normal", [0, 0, 0], "lasers[1].normal: has length 0, must be 1"),
         ("lasers.1.normal.0", float("nan"), "lasers[1].normal: has a number that is not finite"),
         ("lasers.1.name", "left", "lasers[1].name: 'left' occurs twice"),

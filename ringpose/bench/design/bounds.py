@@ -1,8 +1,8 @@
 """Cramér-Rao bounds: the smallest errors that a rig, a ring and its place allow (ringpose-method(7), section 14).
 
-The Fisher information is that of the measurement in information form (section 9) at the true ring: of a detection
-without errors, whose stated covariances are those of real ones. Errors of the rig are nuisance parameters with the
-covariance of rig.yaml and of its stability as their prior.
+The Fisher information is that of the measurement in information form (section 9) at the true ring, computed from
+features without errors that have the covariances of detected ones. Errors of the rig are nuisance parameters, whose
+prior is the covariance in rig.yaml plus that of its stability.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Bound:
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """These three by the names of the errors that they bound."""
+        """The three standard deviations, keyed by the errors that they bound."""
         return {
             "center_m": self.center_sd_m,
             "normal_rad": self.normal_sd_rad,

@@ -85,7 +85,7 @@ class PlaceResult:
 
     @property
     def above_bound_known(self) -> bool:
-        """The same with known radii."""
+        """Whether errors are known to be larger than the bound for known radii."""
         return self.weak_known or self.light_beyond
 
 
@@ -119,7 +119,7 @@ class Design:
         return float(np.median(values)) if values else nan
 
     def full_view_m(self) -> tuple[float, float] | None:
-        """Nearest and farthest distance at which all stripes are in view in the middle; None if at none."""
+        """Nearest and farthest distance with all stripes in view at the image centre; None if there is none."""
         lasers = len(self.rig.lasers.names)
         seen = [
             result.place.distance_m

@@ -67,7 +67,7 @@ def _shown(found: Sequence[Design], chosen: Design | None, quantity: str) -> lis
 
 
 def _curves(shown: Sequence[Design]) -> Picture:
-    """Medians against distance."""
+    """Median standard deviations against distance, a line for each rig."""
     figure = canvas(11, 8)
     names = ("center_m", "center_known_m", "normal_rad", "grasp_m")
     for axis, name in zip(figure.subplots(2, 2).ravel(), names, strict=True):

@@ -58,7 +58,9 @@ def bisectors_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPos
     if not centers:
         return "the chords' bisectors are parallel"
     center_m = np.mean(centers, axis=0) @ basis + distance_m * normal
-    return _pose(StudyMethod.BISECTORS, center_m, normal, _mean_radii(points_m, edges, center_m), points_m)
+    off_m = np.linalg.norm(points_m - center_m, axis=1)
+    radius_m = np.array([off_m[edges == edge].mean() if (edges == edge).any() else nan for edge in (0, 1)])
+    return _pose(StudyMethod.BISECTORS, center_m, normal, radius_m, points_m)
 
 
 def points_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose | NoPose | str:
@@ -216,13 +218,6 @@ def _facing_plane(points_m: Float64[Array, "point xyz=3"]) -> tuple[Float64[Arra
 def _visible_edges(detection: Detection) -> RingEdgePoints | None:
     edges = detection.ring_edges
     return None if edges is None or np.count_nonzero(edges.edge == 1) < MIN_ELLIPSE_POINTS else edges
-
-
-def _mean_radii(
-    points_m: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"], center_m: Float64[Array, "3"]
-) -> Float64[Array, "2"]:
-    distance_m = np.linalg.norm(points_m - center_m, axis=1)
-    return np.array([distance_m[edges == edge].mean() if (edges == edge).any() else nan for edge in (0, 1)])
 
 
 def _radial_distances_m(

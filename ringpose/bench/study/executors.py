@@ -7,14 +7,11 @@ is reported as failed.
 
 import hashlib
 import logging
-import multiprocessing
 import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from importlib import import_module
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -22,6 +19,7 @@ from typing import Any, NamedTuple
 from ringpose.errors import DataError, DeviceError
 from ringpose.files.io import read_bytes
 from ringpose.files.records import parsed_record
+from ringpose.processes import Pool
 from ringpose.types.study import Row
 
 CHUNK_S, CLUSTER_CHUNK_S = 1.0, 5.0
@@ -107,79 +105,6 @@ def by_processes(work: Work, indices: Iterable[int], jobs: int) -> Iterator[Done
                     yield from map(Done, chunk, found)
     finally:
         pool.close()
-
-
-class _Worker(NamedTuple):
-    process: Any
-    connection: "Connection[Any, Any]"
-
-
-class Pool:
-    """Worker processes; unlike those of an executor they have no threads or locks that a kill could leave behind."""
-
-    def __init__(self, work: Callable[[Any], Any]) -> None:
-        self._work = work
-        self._context = multiprocessing.get_context("spawn")
-        self._idle: list[_Worker] = []
-        self.busy: dict[Any, tuple[_Worker, list[Any], float]] = {}
-        """Workers that compute a chunk, by their connections."""
-
-    def give(self, chunk: list[Any]) -> None:
-        """Let an idle or a new worker compute a chunk."""
-        while True:
-            worker = self._idle.pop() if self._idle else self._started()
-            try:
-                worker.connection.send(chunk)
-            except OSError:  # killed while it was idle
-                worker.process.join()
-                continue
-            self.busy[worker.connection] = worker, chunk, perf_counter()
-            return
-
-    def collected(self, *others: "Connection[Any, Any]") -> Iterator[tuple[list[Any], list[Any] | None, float]]:
-        """Wait for results: chunks with theirs (None if the worker was killed) and their duration.
-
-        Returns without any if one of the other connections can be read first.
-        """
-        for connection in wait([*self.busy, *others]):
-            if connection in others:
-                continue
-            worker, chunk, started_s = self.busy.pop(connection)
-            try:
-                found = worker.connection.recv()
-            except (EOFError, OSError):
-                worker.process.join()
-                found = None
-            else:
-                self._idle.append(worker)
-            yield chunk, found, perf_counter() - started_s
-
-    def close(self) -> None:
-        """End all workers."""
-        for worker in [*self._idle, *(each for each, _, _ in self.busy.values())]:
-            worker.process.terminate()
-            worker.process.join()
-            worker.connection.close()
-
-    def _started(self) -> _Worker:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(self._work, theirs), daemon=True)
-        process.start()
-        theirs.close()
-        return _Worker(process, ours)
-
-
-def _serve(work: Callable[[Any], Any], connection: "Connection[Any, Any]") -> None:
-    """Main function of a worker: it ends when the parent closes the connection, even by being killed."""
-    import cv2
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
-    cv2.setNumThreads(1)
-    try:
-        while True:
-            connection.send([work(index) for index in connection.recv()])
-    except (EOFError, OSError):
-        return
 
 
 class _Chunks:

@@ -1,4 +1,4 @@
-"""A study from its file to its folder of results (ringpose-bench(1)): compute, write, and repeat the worst shots."""
+"""Computes a study and writes its results (ringpose-bench(1)); the worst shots are computed again for the report."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -92,7 +92,7 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
     for shot, view in _board_views(scene, scene.plane_boards, jobs):
         stripes.add(shot, view)
     rig = rig_of_planes(stripes.assessment(PlanesMethod.JOINT).calibration)
-    # a calibration does not know where the projectors are, which only the simulation of features needs
+    # a calibration does not determine the positions of the projectors, which only the simulation of features needs
     return replace(rig, lasers=replace(rig.lasers, projector_m=scene.rig.lasers.projector_m))
 
 

@@ -151,7 +151,7 @@ def _paper_table(study: Study, summary: StudySummary) -> Table:
 
 
 def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
-    """A row for each cell and method; the values of a cell stand in its first row."""
+    """A row for each cell and method; only the first row of a cell shows the values of its factors."""
     heading, *rows = cell_rows(summary, shown)
     factors = len(summary.by)
     repeated = [number > 0 and row[:factors] == rows[number - 1][:factors] for number, row in enumerate(rows)]

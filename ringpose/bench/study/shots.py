@@ -1,7 +1,7 @@
 """One shot of a study: simulated, measured by every method, scored (ringpose-bench(1)).
 
-This is the only module of `bench` that knows how shots are simulated and poses estimated. A shot depends on nothing
-but the study and its index.
+This is the only module of `bench` that simulates shots and estimates their poses. A shot depends only on the study and
+its index.
 """
 
 import math
@@ -26,6 +26,7 @@ from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
 from ringpose.simulate.features import Deviations, common_errors, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.simulate.placement import ring_views
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrior
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
@@ -35,7 +36,6 @@ from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene, Truth
 from ringpose.types.session import parsed_sequence
 from ringpose.types.study import CASE, Factor, Row, Study, StudyMethod, Value, columns
-from ringpose.types.target import RingShape
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
 """First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, turned plane and case."""
@@ -47,6 +47,9 @@ _POSE_METHODS = {
     StudyMethod.PAPER_CONSTRAINED: (Method.PAPER_CONSTRAINED, False),
 }
 """The methods of `ringpose pose`, and whether they are given the radii."""
+
+_DEVIATIONS = ("rig_errors", "ring_tolerance_m", "displaced_share", "background_share", "missing_share")
+"""Factors that are attributes of `Deviations`."""
 
 WITH_RADII = (StudyMethod.ML_KNOWN, StudyMethod.ELLIPSE, StudyMethod.ELLIPSE_REFINED)
 """The methods that are given the radii, to which the bound for known radii applies."""
@@ -118,7 +121,8 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     """The shot of an index, rendered or drawn."""
     start_s = perf_counter()
     scene = scene_of(study, index, setting)
-    deviations = _deviations(setting)
+    drawn: Mapping[str, Any] = {name: setting[name] for name in _DEVIATIONS if name in setting}
+    deviations = Deviations(**drawn)
     turned = _with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
     taken_by = replace(scene, rig=turned)
     run: list[tuple[Shot | Detection, Truth]]
@@ -142,7 +146,8 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     if "laser_angle_rad" in setting:
         scene = replace(scene, rig=with_laser_angle(scene.rig, numbers["laser_angle_rad"]))
     if "radius_outer_m" in setting:
-        scene = replace(scene, ring=_enlarged(scene.ring, numbers["radius_outer_m"]))
+        larger_m = numbers["radius_outer_m"] - scene.ring.radius_outer_m  # with the same cross-section
+        scene = replace(scene, ring=replace(scene.ring, profile_m=scene.ring.profile_m + np.array([larger_m, 0.0])))
     if "sequence" in setting:
         lasers = len(scene.rig.lasers.names)
         masks = tuple(step.mask(lasers) for step in parsed_sequence(str(setting["sequence"])))
@@ -183,30 +188,11 @@ def _with_turned_plane(rig: Rig, setting: Mapping[str, Value], rng: np.random.Ge
     return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance_m))
 
 
-def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
-    """The ring with another radius and the same cross-section."""
-    profile_m = ring.profile_m + np.array([radius_outer_m - ring.radius_outer_m, 0.0])
-    if float(profile_m[:, 0].min()) < 0:
-        raise DataError("radius_outer_m", f"is {radius_outer_m:g}, less than the width of the ring's cross-section")
-    return replace(ring, profile_m=profile_m)
-
-
 def _motion(setting: Mapping[str, Value]) -> MotionPrior | None:
     """The distribution of the target's motion; None if it is still."""
     numbers: Mapping[str, Any] = setting
     speed, rate = float(numbers.get("speed_sd_m_s", 0.0)), float(numbers.get("rate_sd_rad_s", 0.0))
     return MotionPrior(speed_sd_m_s=speed, rate_sd_rad_s=rate) if speed or rate else None
-
-
-def _deviations(setting: Mapping[str, Value]) -> Deviations:
-    numbers: Mapping[str, Any] = setting
-    return Deviations(
-        rig_errors=bool(setting.get("rig_errors", False)),
-        ring_tolerance_m=float(numbers.get("ring_tolerance_m", 0.0)),
-        displaced_share=float(numbers.get("displaced_share", 0.0)),
-        background_share=float(numbers.get("background_share", 0.0)),
-        missing_share=float(numbers.get("missing_share", 0.0)),
-    )
 
 
 def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
@@ -245,7 +231,8 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         "expect": truth.expect,
         "break_points": int(points.seen.sum()) if isinstance(points, BreakPoints) else 0,
         "edge_points": 0 if detection.ring_edges is None else len(detection.ring_edges.edge),
-        **_true_pose(truth),
+        **_by_axis("true_center_{}_m", truth.center_m),
+        **_by_axis("true_normal_{}", truth.normal),
         "simulate_s": shot.simulate_s,
         "detect_s": detect_s,
     }
@@ -297,17 +284,14 @@ def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | No
 
 
 def _radii(scene: Scene, error_m: float = 0.0) -> KnownRadii:
-    """The radii with the prior that the estimator is given; an error, drawn from that prior, is common to both."""
+    """The radii of the scene's ring with the prior of the estimator; `error_m`, drawn from it, is added to both."""
     radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
     return KnownRadii(radius_m=radius_m + error_m, sd_m=np.full(2, RADIUS_SD_M))
 
 
-def _true_pose(truth: Truth) -> Row:
-    if truth.center_m is None or truth.normal is None:
-        return {}
-    center = dict(zip(("true_center_x_m", "true_center_y_m", "true_center_z_m"), truth.center_m.tolist(), strict=True))
-    normal = dict(zip(("true_normal_x", "true_normal_y", "true_normal_z"), truth.normal.tolist(), strict=True))
-    return {**center, **normal}
+def _by_axis(name: str, vector: Float64[Array, "xyz=3"] | None) -> Row:
+    """A column for each axis; none without a vector."""
+    return {} if vector is None else {name.format(axis): float(part) for axis, part in zip("xyz", vector, strict=True)}
 
 
 def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, reason: str | None) -> Row:

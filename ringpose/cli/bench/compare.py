@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_lines
+from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
 from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
@@ -50,9 +50,8 @@ def compare(
     from ringpose.bench.compare import compare as rows_of
     from ringpose.bench.compare import pairs
     from ringpose.bench.compare_report import comparison_record, comparison_text, worse_sentences
-    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.errors import NO_POSE, DataError, UsageError
+    from ringpose.errors import DataError, UsageError
     from ringpose.files import records
     from ringpose.files.io import provenance, write_result
 
@@ -77,9 +76,7 @@ def compare(
     complaints = list(worse_sentences(rows, paired))
     if lost := matched["only_a"]:
         complaints.append(f"{b}: {len(lost)} shots have no line that have one in {a} (the first is {lost[0]})")
-    for message in complaints:
-        messages.echo(message)
-        batch.record_status(NO_POSE)
+    report_missed(complaints, batch)
     batch.finish()
 
 
@@ -181,7 +178,7 @@ def _require_pairs(
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:
-    """The shots of the truth, and those for which both results, only A, or only B have a record."""
+    """The number of shots of the truth, and the shots of which both results, only A, or only B have a record."""
     lines_a, lines_b = ({score.shot for score in result.scores if score.status != "lost"} for result in (a, b))
     shots = dict.fromkeys(score.shot for score in (*a.scores, *b.scores))
     return {

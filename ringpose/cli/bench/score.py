@@ -1,11 +1,11 @@
 """`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,9 +14,8 @@ from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
-    from ringpose.bench.summary import Summary
     from ringpose.cli.batch import Batch
-    from ringpose.types.rig import Camera, Rig
+    from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
@@ -83,10 +82,13 @@ def bench(
     quiet: Quiet = False,
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
-    from ringpose.bench.summary import error_limits
-    from ringpose.cli import messages
+    from ringpose.bench.report import csv_rows, report
+    from ringpose.bench.summary import error_limits, exceeded_count_limits, exceeded_error_limits, summaries
+    from ringpose.bench.table import table
     from ringpose.cli.batch import Batch
-    from ringpose.errors import NO_POSE, UsageError
+    from ringpose.errors import UsageError
+    from ringpose.files import records
+    from ringpose.files.io import csv_text, provenance, sha256, write_result
 
     if json == csv == STDOUT:
         raise UsageError("", "--json - and --csv - both use standard output", "write one of them into a file")
@@ -99,28 +101,40 @@ def bench(
     else:
         scores = _scores_of_folders(inputs, rig, method or list(Method), batch, quiet or cron, since_s)
         truth = [Path(folder) / "truth.jsonl" for folder in inputs]
-    limits = error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm)
     if not scores:
-        if since is not None:
-            messages.echo(f"{', '.join(inputs)}: no shot since {since}")
-            batch.record_status(NO_POSE)
+        report_missed([] if since is None else [f"{', '.join(inputs)}: no shot since {since}"], batch)
         batch.finish()
     names = group_names(scores, by)
-    lines, missed = _judged(scores, names, limits, (max_missed, max_wrong), batch)
-    targets = _Targets(json, csv, force, _files(inputs, truth, rig), [path for path in truth if path.is_file()])
-    targets = targets._replace(tables=bool(missed) or not cron)
-    _write(targets, scores, lines, missed, names, matched)
+    lines = summaries(scores, names)
+    limits = error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm)
+    missed = [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, max_missed, max_wrong)]
+    report_missed(missed, batch)
+    if STDOUT not in (json, csv) and (missed or not cron):
+        records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
+    if json is not None:
+        made = report(lines, scores, missed, matched, map(sha256, filter(Path.is_file, truth)))
+        made["provenance"] = provenance(_files(inputs, truth, rig))
+        write_result(json, records.line_of(made), force=force)
+    if csv is not None:
+        write_result(csv, csv_text(csv_rows(scores)), force=force)
     batch.finish()
 
 
-class _Targets(NamedTuple):
-    json: str | None
-    csv: str | None
-    force: bool
-    inputs: list[Path]
-    truths: list[Path]
-    tables: bool = True
-    """Whether tables are printed."""
+def report_missed(sentences: Iterable[str], batch: "Batch") -> None:
+    """Report missed limits on stderr, one line each; they are status 3."""
+    from ringpose.cli import messages
+    from ringpose.errors import NO_POSE
+
+    for sentence in sentences:
+        messages.echo(sentence)
+        batch.record_status(NO_POSE)
+
+
+def _files(inputs: list[str], truths: list[Path], rig: Path | None) -> list[Path]:
+    """The files whose hashes the report contains; of a data set its rig and truth."""
+    named = [Path(name) for name in inputs if name != STDOUT]
+    every = [*truths, rig, *named, *(folder / "rig.yaml" for folder in named)]
+    return [path for path in every if path is not None and path.is_file()]
 
 
 def _since_s(text: str) -> float:
@@ -150,8 +164,10 @@ def scores_of_lines(
     """
     from ringpose.bench.score import matching, scores
     from ringpose.errors import DataError
+    from ringpose.files.rigs import read_rig
 
-    sets = [(_truths(file), _camera(rig or file.with_name("rig.yaml"), rig is not None)) for file in truth_files]
+    files = [(file, rig or file.with_name("rig.yaml")) for file in truth_files]
+    sets = [(_truths(file), read_rig(own).camera if rig or own.exists() else None) for file, own in files]
     truths = [truth for of_set, _ in sets for truth in of_set]
     names = Counter(truth.shot for truth in truths)
     if twice := [name for name, count in names.items() if count > 1]:
@@ -164,10 +180,11 @@ def scores_of_lines(
         kept = {truth.shot for truth in truths}
         sets = [([truth for truth in of_set if truth.shot in kept], camera) for of_set, camera in sets]
     matched = matching(estimates, truths)
-    place, files = ", ".join(inputs), ", ".join(map(str, truth_files))
+    place = ", ".join(inputs)
     if matched.without_truth:
         with batch.guarded():
-            found = f"{len(matched.without_truth)} shots have a pose line but no truth in {files}"
+            in_files = ", ".join(map(str, truth_files))
+            found = f"{len(matched.without_truth)} shots have a pose line but no truth in {in_files}"
             raise DataError(
                 place, f"{found} (the first is {matched.without_truth[0]})", "give their truth with --truth"
             )
@@ -215,21 +232,6 @@ def _truths(file: Path) -> "list[Truth]":
     return truths
 
 
-def _files(inputs: list[str], truths: list[Path], rig: Path | None) -> list[Path]:
-    """The files whose hashes the report contains; of a data set its rig and truth."""
-    named = [Path(name) for name in inputs if name != STDOUT]
-    of_sets = [folder / "rig.yaml" for folder in named if folder.is_dir()]
-    every = [*truths, rig, *named, *of_sets]
-    return [path for path in every if path is not None and path.is_file()]
-
-
-def _camera(rig: Path, required: bool) -> "Camera | None":
-    """The camera of a rig file; None if it does not exist and is not required."""
-    from ringpose.files.rigs import read_rig
-
-    return read_rig(rig).camera if required or rig.exists() else None
-
-
 def _scores_of_folders(
     folders: list[str], rig: Path | None, methods: list[Method], batch: "Batch", quiet: bool, since_s: float = -inf
 ) -> "list[Score]":
@@ -249,18 +251,11 @@ def _scores_of_folders(
             of_shots = read_rig(rig or folder / "rig.yaml")
             truths = _truths(folder / "truth.jsonl")
             if since_s > -inf:
-                truths = [truth for truth in truths if _written_s(folder / "shots" / f"{truth.shot}.npz") >= since_s]
+                shots = {path.stem: path.stat().st_mtime for path in (folder / "shots").glob("*.npz")}
+                truths = [truth for truth in truths if shots.get(truth.shot, -inf) >= since_s]
             estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
             found += scores(estimates, truths, of_shots.camera)
     return found
-
-
-def _written_s(path: Path) -> float:
-    """When a file was written; minus infinity if it does not exist."""
-    try:
-        return path.stat().st_mtime
-    except OSError:
-        return -inf
 
 
 def _estimates(
@@ -280,26 +275,6 @@ def _estimates(
                 yield replace(estimate_of(line, truth.shot), method=method.value)
 
 
-def _judged(
-    scores: "list[Score]",
-    names: list[str],
-    limits: dict[str, float],
-    counts: tuple[int | None, int | None],
-    batch: "Batch",
-) -> "tuple[list[Summary], list[str]]":
-    """Summaries, and a message for each exceeded limit; `counts` limits missed shots and wrong quantities."""
-    from ringpose.bench.summary import exceeded_count_limits, exceeded_error_limits, summaries
-    from ringpose.cli import messages
-    from ringpose.errors import NO_POSE
-
-    lines = summaries(scores, names)
-    missed = [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, *counts)]
-    for message in missed:
-        messages.echo(message)
-        batch.record_status(NO_POSE)
-    return lines, missed
-
-
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:
     """The groups of `--by`; by default those of `DEFAULT_GROUPS` that the shots have."""
     from ringpose.bench.summary import unknown_groups
@@ -310,27 +285,3 @@ def group_names(scores: "list[Score]", by: str | None) -> list[str]:
     if by is not None and unknown:
         raise UsageError("--by", f'no shot has a group "{unknown[0]}"')
     return [name for name in names if name not in unknown]
-
-
-def _write(
-    targets: _Targets,
-    scores: "list[Score]",
-    lines: "list[Summary]",
-    missed: list[str],
-    names: list[str],
-    matched: "Matching | None",
-) -> None:
-    from ringpose.bench.report import csv_rows, report
-    from ringpose.bench.table import table
-    from ringpose.files import records
-    from ringpose.files.io import csv_text, provenance, sha256, write_result
-
-    if targets.tables and STDOUT not in (targets.json, targets.csv):
-        records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
-    if targets.json is not None:
-        made = report(lines, scores, missed, matched, map(sha256, targets.truths))
-        write_result(
-            targets.json, records.line_of({**made, "provenance": provenance(targets.inputs)}), force=targets.force
-        )
-    if targets.csv is not None:
-        write_result(targets.csv, csv_text(csv_rows(scores)), force=targets.force)

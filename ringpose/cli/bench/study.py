@@ -3,12 +3,14 @@
 import shlex
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli.bench.score import Cron, report_missed
 from ringpose.cli.options.common import Force, Quiet, Report
 
 if TYPE_CHECKING:
@@ -41,7 +43,6 @@ Keep = Annotated[
     str | None, typer.Option("--keep", metavar="worst:N", help="Write the N shots with the largest centre errors.")
 ]
 Wait = Annotated[bool, typer.Option("--wait", help="Wait while another process writes to the folder.")]
-Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit of the study is missed.")]
 
 
 def study(
@@ -62,9 +63,8 @@ def study(
     """Simulate, measure and score the shots of a study; resumes a study that was interrupted."""
     from ringpose.bench.study import pipeline
     from ringpose.bench.study.table import exceeded_limits, study_text, summarized
-    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.errors import NO_POSE, UsageError
+    from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.studies.results import opened
     from ringpose.files.studies.specification import read_study, study_path
@@ -72,8 +72,8 @@ def study(
 
     if scheduler is not None and scheduler_file is not None:
         raise UsageError("--scheduler-file", "excludes --scheduler", "give one of them")
-    if scheduler is not None or scheduler_file is not None:
-        _require("distributed", "--scheduler", "cluster")
+    if (scheduler is not None or scheduler_file is not None) and find_spec("distributed") is None:
+        raise UsageError("--scheduler", "distributed is not installed", "pip install 'ringpose[cluster]'")
     worst = _worst(keep)
     if report is not None:
         from ringpose.files.atomic import reject_existing
@@ -102,19 +102,8 @@ def study(
 
             pictures = pipeline.pictures_of_worst(prepared, folder)
             write_page(report, study_report(prepared, summary, folder.rows, pictures, metadata), force=force)
-    for message in exceeded:
-        messages.echo(message)
-        batch.record_status(NO_POSE)
+    report_missed(exceeded, batch)
     batch.finish()
-
-
-def _require(module: str, option: str, extra: str) -> None:
-    from importlib.util import find_spec
-
-    from ringpose.errors import UsageError
-
-    if find_spec(module) is None:
-        raise UsageError(option, f"{module} is not installed", f"pip install 'ringpose[{extra}]'")
 
 
 def _worst(keep: str | None) -> int:

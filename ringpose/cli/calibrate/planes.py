@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ringpose.calibrate.planes.shots import StripeShots
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardImages
-    from ringpose.pose.plane_evidence import RigEvidence
+    from ringpose.pose.drift import RigEvidence
     from ringpose.types.rig import Camera, Rig
 
 USUAL_DISTANCE_M = 0.5
@@ -263,7 +263,7 @@ def _board_evidence(
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
     from ringpose.files.rigs import median_board_rms_px
-    from ringpose.pose.plane_evidence import RigEvidence
+    from ringpose.pose.drift import RigEvidence
 
     usual_px = median_board_rms_px(rig_file)
     images, stripes = _sources(options._replace(names=",".join(rig.lasers.names)), rig.camera)
@@ -297,8 +297,7 @@ def _stream_evidence(
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.poses import pose_line_of
-    from ringpose.pose.drift import CONTRADICTORY
-    from ringpose.pose.plane_evidence import RigEvidence, evidence_for_file
+    from ringpose.pose.drift import CONTRADICTORY, RigEvidence, evidence_for_file
 
     evidence, depths, shots, contradictory = RigEvidence(rig, rig.stability), [], 0, 0
     for item in batch.valid_inputs(named(inputs, [RECORDS_SUFFIX])):

@@ -18,30 +18,28 @@ MIN_EXPOSURE_S = 1e-9
 MAX_SHOTS = 10**9
 
 
-def settle_time(text: str) -> float | Literal["auto"]:
-    """Seconds, or `auto`."""
+def seconds_or_auto(option: str, text: str, least_s: float, most_s: float) -> float | Literal["auto"]:
+    """Seconds within bounds, or `auto`."""
     if text == "auto":
         return "auto"
     try:
-        settle_s = float(text)
+        value_s = float(text)
     except ValueError:
-        settle_s = -1.0
-    if not 0 <= settle_s <= MAX_SETTLE_S:
-        raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {MAX_SETTLE_S:g}")
-    return settle_s
+        value_s = math.nan
+    if not (least_s <= value_s <= most_s and math.isfinite(value_s)):
+        most = f" to {most_s:g}" if most_s < math.inf else ""
+        raise UsageError(option, f'"{text}"', f"it is auto, or seconds from {least_s:g}{most}")
+    return value_s
+
+
+def settle_time(text: str) -> float | Literal["auto"]:
+    """The value of --settle."""
+    return seconds_or_auto("--settle", text, 0.0, MAX_SETTLE_S)
 
 
 def exposure_time(text: str) -> float | Literal["auto"]:
-    """Seconds, or `auto`."""
-    if text == "auto":
-        return "auto"
-    try:
-        exposure_s = float(text)
-    except ValueError:
-        exposure_s = -1.0
-    if not MIN_EXPOSURE_S <= exposure_s < math.inf:
-        raise UsageError("--exposure", f'"{text}"', f"it is auto, or seconds from {MIN_EXPOSURE_S:g}")
-    return exposure_s
+    """The value of --exposure."""
+    return seconds_or_auto("--exposure", text, MIN_EXPOSURE_S, math.inf)
 
 
 def steps(text: str) -> "tuple[Step, ...]":

@@ -49,7 +49,15 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
     if form is CameraFormat.RINGPOSE:
         write_camera(path, camera, force=force, inputs=[source])
         return
-    content = _content(path, camera, form)
+    if form is CameraFormat.MATLAB and path.suffix.lower() != ".mat":
+        raise UsageError("--output", f"{path.name} is not a .mat file", "end it with .mat")
+    content: bytes | dict[str, Any]
+    if form is CameraFormat.OPENCV:
+        content = opencv_storage.storage_text(camera, path.suffix)
+    elif form is CameraFormat.MATLAB:
+        content = matlab.mat(camera)
+    else:
+        content = _kalibr_values(camera) if form is CameraFormat.KALIBR else _ros_values(camera)
     with atomic.replacing(path, force) as stream:
         if isinstance(content, bytes):
             stream.write(content)
@@ -138,18 +146,9 @@ _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
 """Converters from the values in a file, its name (for messages), and a default name of the camera."""
 
 
-def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str, Any]:
-    """The contents of a file in another program's format: bytes, or a mapping to be written as YAML."""
-    if form is CameraFormat.OPENCV:
-        return opencv_storage.storage_text(camera, path.suffix)
-    if form is CameraFormat.KALIBR:
-        return _kalibr_values(camera)
-    if form is CameraFormat.MATLAB:
-        if path.suffix.lower() != ".mat":
-            raise UsageError("--output", f"{path.name} is not a .mat file", "end it with .mat")
-        return matlab.mat(camera)
+def _ros_values(camera: Camera) -> dict[str, Any]:
+    """The mapping that `_ros_camera` reads, with ROS's stereo matrices: for one camera the identity and [K | 0]."""
     matrix = camera.camera_matrix
-    # ROS camera_info has the stereo matrices, which for a single camera are the identity and [K | 0].
     return camera_values(replace(camera, covariance=None)) | {
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
         "projection_matrix": {"rows": 3, "cols": 4, "data": np.column_stack([matrix, np.zeros(3)]).ravel()},

@@ -46,7 +46,7 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
     header = _checked_header(encoded, path, camera)
     if header.format == "PGM":
         return _pgm_pixels(encoded, header, path)
-    if finding := _damage(encoded, header.format):
+    if finding := _undetected_damage(encoded, header.format):
         raise DataError(str(path), finding, _REMEDY)
     decoded = _decoded(encoded, path)
     if decoded.shape[:2] != (header.height, header.width):
@@ -166,16 +166,12 @@ def _codec_reports() -> Iterator[list[bytes]]:
                     os.write(_STDERR, others)
 
 
-def _damage(encoded: bytes, image_format: str) -> str:
+def _undetected_damage(encoded: bytes, image_format: str) -> str:
     """The finding if an image has damage that its decoder does not report; else empty."""
-    if image_format == "PNG":
-        return _png_damage(encoded)
     if image_format == "JPEG" and encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda")) < 0:
         return "is a JPEG image that is cut short"
-    return ""
-
-
-def _png_damage(encoded: bytes) -> str:
+    if image_format != "PNG":
+        return ""
     start = len(b"\x89PNG\r\n\x1a\n")
     while start + 12 <= len(encoded):
         end = start + 12 + int.from_bytes(encoded[start : start + 4], "big")

@@ -23,7 +23,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ringpose.errors import CannotCreateError, DataError, NoInputError
+from ringpose.errors import CannotCreateError, DataError
 from ringpose.files import atomic
 from ringpose.files.io import read_bytes
 from ringpose.files.records import line_of, parsed_record, plain
@@ -148,15 +148,13 @@ def opened(folder: Path, metadata: Mapping[str, Any], *, force: bool, wait: bool
 
 def holds_results(path: Path) -> bool:
     """Whether a path is the folder of a study's results, or a table in it."""
-    return (path / "study.json").is_file() or path.name in ("results.csv", "results.parquet")
+    return (path / "study.json").is_file() or path.name == "results.csv"
 
 
 def read_results(path: Path) -> tuple[dict[str, Any], Iterator[Row]]:
-    """What results.csv or results.parquet, or that in a folder, is of (study.json), and its rows."""
+    """What results.csv, or that in a folder, is of (study.json beside it), and its rows."""
     if path.is_dir():
         path = path / "results.csv"
-    if path.suffix == ".parquet":
-        return _parquet_metadata(path), _read_parquet(path)
     description = path.with_name("study.json")
     return parsed_record(read_bytes(description), str(description)), _read_csv(path)
 
@@ -167,7 +165,7 @@ def _discard(folder: Path, parts: Path) -> None:
 
 
 def _holder(lock: Path) -> str:
-    """Process, host and start time in a lock file, as far as it says."""
+    """Process, host and start time in a lock file; `?` for a process or host that it does not name."""
     try:
         lines = lock.read_text(errors="replace").split()
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(lock.stat().st_mtime))
@@ -198,7 +196,7 @@ def _read_csv(path: Path) -> Iterator[Row]:
     reader = csv.reader(read_bytes(path).decode(errors="replace").splitlines())
     heading = next(reader, [])
     if "shot" not in heading or "method" not in heading:
-        raise DataError(str(path), "is not a table of ringpose bench study", "give its results.csv or results.parquet")
+        raise DataError(str(path), "is not a table of ringpose bench study", "give its results.csv")
     for number, cells in enumerate(reader, start=2):
         if len(cells) != len(heading):
             raise DataError(
@@ -218,34 +216,3 @@ def _value(place: str, name: str, cell: str) -> str | float | int | bool | None:
         return int(cell) if name in INTEGERS else float(cell)
     except ValueError:
         raise DataError(place, f"{name} is {cell!r}, must be a number") from None
-
-
-@contextmanager
-def _parquet(path: Path) -> Iterator[Any]:
-    """An open table; one that is damaged, or written by something else, is an error."""
-    if find_spec("pyarrow") is None:
-        raise DataError(str(path), "needs pyarrow", "pip install 'ringpose[report]', or give results.csv")
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    if not path.exists():
-        raise NoInputError(str(path), "does not exist")
-    try:
-        with parquet.ParquetFile(path) as table:
-            yield table
-    except (pa.ArrowException, OSError) as error:
-        raise DataError(str(path), f"is not a readable table: {str(error).splitlines()[0]}") from None
-
-
-def _parquet_metadata(path: Path) -> dict[str, Any]:
-    with _parquet(path) as table:
-        metadata = table.schema_arrow.metadata or {}
-        if b"ringpose" not in metadata:
-            raise DataError(str(path), "is not a table of ringpose bench study")
-        return parsed_record(metadata[b"ringpose"], str(path))
-
-
-def _read_parquet(path: Path) -> Iterator[Row]:
-    with _parquet(path) as table:
-        for batch in table.iter_batches():
-            yield from batch.to_pylist()

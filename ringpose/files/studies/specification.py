@@ -63,8 +63,7 @@ def study_path(name: str) -> Path:
 def read_study(path: Path, count: int | None = None, seed: int | None = None) -> StudyFile:
     """The study in a study.yaml; `count` and `seed` replace those of the file."""
     fields = read_yaml(path, _KEYS)
-    if fields.text("ringpose") != SCHEMA:
-        raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be {SCHEMA!r}")
+    fields.choice("ringpose", (SCHEMA,))
     scene_file = path.parent / fields.text("scene")
     scene = read_scene(scene_file)
     factors = _factors(fields.fields("vary", _FACTORS), scene)
@@ -137,7 +136,7 @@ def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
 
 
 def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[str, tuple[Factor, ...]]:
-    """By the name of each case, the factors that it replaces; they have one value, or are drawn."""
+    """The factors that each case replaces, by the name of the case; each has one value or is drawn."""
     single = [factor.name for factor in factors if factor.drawn or len(factor.values) == 1]
     entries, cases = fields.fields("cases"), {}
     for name in entries.values:

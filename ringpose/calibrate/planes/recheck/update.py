@@ -31,7 +31,7 @@ from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.plane_evidence import MovedPlane, RigEvidence
+from ringpose.pose.drift import MovedPlane, RigEvidence
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
 from ringpose.types.pose import PlaneEvidence
