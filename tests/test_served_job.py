@@ -69,17 +69,18 @@ def calibrated(views: Path, name: str) -> str:
 
 
 def errors_by_view(lines: list[dict], views: list[str | None]) -> dict[str, np.ndarray]:
-    """Grasp error (m) and angular error of the normal (rad) of each view, the mean over its lines with a pose."""
+    """Grasp error (m) and error of the normal (standard deviations) of each view, the mean over its lines with both."""
     truths = {truth.shot: truth for truth in read_truths(Path("simulated/truth.jsonl"))}
     errors: dict[str, list[tuple[float, float]]] = {}
     for line, view in zip(lines, views, strict=True):
         truth = truths.get(view or "")
-        if truth is None or line["pose"] is None or truth.expect != "pose":
+        if truth is None or line["pose"] is None or "normal_weak" in line["flags"] or truth.expect != "pose":
             continue
         middle_m = (truth.radius_inner_m + truth.radius_outer_m) / 2
         grasp_m, normal = np.array(line["pose"]["grasp_m"]), np.array(line["pose"]["normal"])
         off_m = distance_to_circle_m(grasp_m, truth.center_m, truth.normal, middle_m)
-        errors.setdefault(truth.shot, []).append((off_m, angle_between(normal, truth.normal)))
+        tilt_sd_rad = np.sqrt(np.trace(np.array(line["pose"]["covariance"]["full"])[:2, :2]))
+        errors.setdefault(truth.shot, []).append((off_m, angle_between(normal, truth.normal) / tilt_sd_rad))
     return {view: np.mean(found, axis=0) for view, found in errors.items()}
 
 
@@ -125,5 +126,6 @@ def test_a_rig_and_poses_over_the_network_are_as_good_as_in_one_process(serve):
     far_errors, near_errors = (np.array([errors[view] for view in common]) for errors in (there, here))
     assert len(common) >= 6
     assert np.median(far_errors[:, 0]) < 1.5 * np.median(near_errors[:, 0]) + 1e-4
-    assert np.median(far_errors[:, 1]) < 1.5 * np.median(near_errors[:, 1]) + 1e-3
+    assert np.median(near_errors[:, 1]) < 1.3  # 0.8 are expected
+    assert np.median(far_errors[:, 1]) < 1.3
     assert np.median([line["latency_s"] for line in live]) < 1.0

@@ -34,6 +34,7 @@ from benchmarks.stripe_images import (
 from ringpose.bench.speed import POSES_PER_ROUND, median_times_s, one_core, solve_pnp
 from ringpose.cli.bench.speed import start_calls
 from ringpose.cli.options.common import PoseFrame
+from ringpose.detect.break_points import without_outliers
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
 from ringpose.files.records import line_of
@@ -47,6 +48,7 @@ from ringpose.simulate.sensor import digitised
 from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
 from ringpose.types.arrays import Array, Float32, Float64
+from ringpose.types.assumptions import USUAL
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
@@ -81,7 +83,7 @@ def sections(seeds: int, rounds: int) -> Iterator[Section]:
     centers, ends = accuracy_figures(seeds)
     yield Section(title=f"stripe centres, {seeds} images of each kind", figures=centers)
     yield Section(title=f"break points, {seeds} images of each kind", figures=ends)
-    yield Section(title="pose", figures=pose_accuracy(samples=10 * seeds))
+    yield Section(title="pose", figures=pose_accuracy(samples=25 * seeds))
 
 
 def segment_figures(rounds: int) -> list[Figure]:
@@ -124,9 +126,16 @@ def chain_figures(rounds: int) -> list[Figure]:
             max_value=0.12,
         )
     )
+    stages_s = {
+        "stripe centres": times_s["stripe centres"],
+        "break points": times_s["full frame"] - times_s["stripe centres"] - times_s["judgement"],
+        "judgement of the break points": times_s["judgement"],
+        "edge search": times_s["with the ring's edges"] - times_s["full frame"],
+        "pose and record": times_s["stream"] - times_s["with the ring's edges"],
+    }
     figures += [
-        Figure(name=name, measured=times_s[name] / times_s["reference"], unit=EDGE_DRAWING)
-        for name in ("stripe centres", "with the ring's edges")
+        Figure(name=f"{Kind.DARK}, of which {name}", measured=stage_s / times_s["reference"], unit=EDGE_DRAWING)
+        for name, stage_s in stages_s.items()
     ]
     stream = times_s["stream"] / times_s["with the ring's edges"]
     return [*figures, Figure(name="pose stream", measured=stream, unit="x detect alone", max_value=2.0)]
@@ -144,8 +153,11 @@ def _chain_times_s(kind: Kind, rounds: int, *, switched: bool = False) -> dict[s
             "tracked bands": partial(detect, shot, rig, edges=False, predicted=moved(exact_break_points(image))),
         }
         if switched:
+            found = detect(shot, rig, edges=False).break_points
+            assert isinstance(found, BreakPoints)
             calls |= {
                 "stripe centres": partial(find_stripes, image.image),
+                "judgement": partial(without_outliers, found, rig, USUAL.about_shot(rig.stability, still=shot.still)),
                 "switched": partial(detect, switched_shot(frames[1:]), rig, edges=False),
                 "with the ring's edges": partial(detect, shot, rig),
                 "stream": partial(_pose_record, shot, rig),

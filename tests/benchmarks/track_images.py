@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from moving_rings import START_S
 from ring_scenes import Ring
-from track_targets import WRONG_SIGMAS, Figure, band, errors_at, nees
+from track_targets import DEGREES_OF_FREEDOM, WRONG_SIGMAS, Figure, band, errors_at, nees
 
 from ringpose.cli.main import main as ringpose
 from ringpose.files.images.shots import read_shot
@@ -152,13 +152,12 @@ def rendered(rng, folder: Path) -> Iterator[Figure]:
 
 def scores(squares: dict[str, list[float]], grasps_m: list[float], runs: int, where: str) -> Iterator[Figure]:
     """NEES of each quantity and the number of wrong ones; lines of one run are correlated, bands are those of runs."""
-    dof = {"centre": 3, "normal": 2, "grasp": 2, "velocity": 3}
     every = [value for values in squares.values() for value in values]
     wrong = sum(value > WRONG_SIGMAS**2 for value in every) + sum(each > GRASP_WRONG_M for each in grasps_m)
     yield Figure(name=f"wrong of {len(every)} quantities, {where}", value=wrong, most=0)
     for name, values in squares.items():
-        value = float(np.mean(values)) / dof[name]
-        yield Figure(name=f"NEES of {name}, {where}", value=value, most=band(runs, dof[name])[1])
+        value = float(np.mean(values)) / DEGREES_OF_FREEDOM[name]
+        yield Figure(name=f"NEES of {name}, {where}", value=value, most=band(runs, DEGREES_OF_FREEDOM[name])[1])
     yield Figure(
         name=f"grasp point, rms in mm, {where}", value=1e3 * float(np.sqrt(np.mean(np.square(grasps_m)))), most=1.0
     )
@@ -209,29 +208,40 @@ class Recorded:
 
 
 class Playback:
-    """Plays rendered views by this computer's clock from the first exposure; between two views they are mixed."""
+    """Plays rendered frames by this computer's clock from the first exposure; between two views they are mixed.
+
+    The grey values of each view are computed in advance, with all lasers off, each one on, and all on.
+    """
 
     def __init__(self, views, rate_hz: float, contacts: RelayContacts) -> None:
-        self.views, self.rate_hz, self.contacts, self.began_s = views, rate_hz, contacts, None
+        self.rate_hz, self.contacts, self.began_s = rate_hz, contacts, None
         self.exposed: list[tuple[float, tuple[float, ...]]] = []
-        self._generator = np.random.default_rng(1)
+        generator, lasers = np.random.default_rng(1), range(len(contacts.shares(0.0, 1.0)))
+        masks = [0, *(1 << laser for laser in lasers), (1 << len(lasers)) - 1]
+        self.frames = []
+        for view in views:
+            by_mask = {}
+            for mask in masks:
+                electrons = view.electrons_with([mask >> laser & 1 for laser in lasers], EXPOSURE_S, 0.0)
+                by_mask[mask] = digitised(electrons, view.sensor, generator)
+            self.frames.append(by_mask)
 
     def image(self, began_s, exposure_s, gain_db, bits):
         """See `Exposures`."""
         self.began_s = began_s if self.began_s is None else self.began_s
         number = (began_s + exposure_s / 2 - self.began_s) * self.rate_hz
-        first = min(int(number), len(self.views) - 2)
+        first = min(int(number), len(self.frames) - 2)
         shares, mixed = self.contacts.shares(began_s, began_s + exposure_s), min(number - first, 1.0)
         self.exposed.append((began_s, shares))
-        electrons = [view.electrons_with(shares, exposure_s, 0.0) for view in self.views[first : first + 2]]
-        light = cv2.addWeighted(electrons[0], 1.0 - mixed, electrons[1], mixed, 0.0)
-        return digitised(light, self.views[0].sensor, self._generator), {}
+        mask = sum(1 << laser for laser, share in enumerate(shares) if share > 0.5)
+        frames = [each[mask] for each in self.frames[first : first + 2]]
+        return cv2.addWeighted(frames[0], 1.0 - mixed, frames[1], mixed, 0.0), {}
 
 
-PLAYED_HZ, PLAYED_S = 30.0, 4.0
+PLAYED_HZ, PLAYED_S, EXPOSURE_S = 30.0, 4.0, 0.004
 
-
-ADDRESS = "127.0.0.31"
+ADDRESS, JUMBO_BYTES = "127.0.0.31", 16260
+"""Of the virtual camera; it sends large packets, because a frame of small ones takes it 20 ms of processor time."""
 
 
 def played_scene(folder: Path, width: int) -> Scene:
@@ -239,14 +249,14 @@ def played_scene(folder: Path, width: int) -> Scene:
     pose = {"name": "run", "center_m": [-0.582, -0.02, 0.5], "pitch_rad": 0.0, "yaw_rad": 0.0, "light": "dim"}
     motion = {"angular_velocity_rad_s": [0.01, 0.008, 0.0], "velocity_m_s": [0.01, 0.0, 0.01]}
     motion |= {"center_of_mass_m": [0, 0, -0.5], "inertia_kg_m2": [1, 1, 1], "shots": int(PLAYED_HZ * PLAYED_S)}
-    timing = {"sequence": "all", "exposure_s": 0.004, "period_s": 1.0 / PLAYED_HZ}
+    timing = {"sequence": "all", "exposure_s": EXPOSURE_S, "period_s": 1.0 / PLAYED_HZ}
     return scene_of(folder, width, **timing, lights={"dim": {"ambient_w_m2": 0.3}}, trajectory=[pose], motion=motion)
 
 
 def play(scene: Scene, control: Connection) -> None:
     """Render the views and serve them, as another process; reports the exposures at the end."""
     lasers = range(len(scene.rig.lasers.names))
-    views = [render_ring_view(scene, view, k) for k, view in enumerate(ring_views(scene))]
+    views = (render_ring_view(scene, view, k) for k, view in enumerate(ring_views(scene)))
     contacts = RelayContacts(len(lasers))
     playback = Playback(views, PLAYED_HZ, contacts)
 
@@ -255,11 +265,23 @@ def play(scene: Scene, control: Connection) -> None:
             contacts.command(laser, bool(high >> laser & 1), now_s)
 
     size = {"width": scene.rig.camera.image_width, "height": scene.rig.camera.image_height}
-    identity = Identity(address=ADDRESS, **size, bits=8, exposure_s=0.004, serial="PLAY")
+    identity = Identity(address=ADDRESS, **size, bits=8, exposure_s=EXPOSURE_S, serial="PLAY")
     with ServedCamera(identity, playback, None, lines_changed):
         control.send("ready")
         control.recv()
     control.send((playback.began_s, playback.exposed))
+
+
+class TimedOutput(io.StringIO):
+    """Notes when each line is written, by the host's clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written_s: list[float] = []
+
+    def write(self, text: str) -> int:
+        self.written_s += [time.time()] * text.count("\n")
+        return super().write(text)
 
 
 def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
@@ -269,10 +291,17 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     camera = Process(target=play, args=(scene, there), daemon=True)
     camera.start()
     here.recv()
-    words = ["pose", "--track", "--rig", str(folder / "rig.yaml"), "--camera", f"aravis://{ADDRESS}"]
+    words = [
+        "pose",
+        "--track",
+        "--rig",
+        str(folder / "rig.yaml"),
+        "--camera",
+        f"aravis://{ADDRESS}?packet={JUMBO_BYTES}",
+    ]
     words += ["--lasers", "line:Line1,Line2,Line3", "--duration", str(PLAYED_S - 0.5), "--quiet"]
     busy_s = -time.process_time()
-    with contextlib.redirect_stdout(io.StringIO()) as out:
+    with contextlib.redirect_stdout(TimedOutput()) as out:
         status = ringpose(words)
     busy_s += time.process_time()
     here.send("end")
@@ -284,8 +313,9 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     for record in records[3:]:
         error_m = np.array(record["pose"]["center_m"]) - truth.at(record["stamp_s"] - began_s).center_m
         squares.append(float(error_m @ np.linalg.solve(record["pose"]["covariance"]["center"], error_m)))
-    followed = [record["stamp_s"] for record in records][len(records) // 3 :]
-    gaps = np.diff(followed)
+    followed_from = len(records) // 3
+    followed = np.array([record["stamp_s"] for record in records[followed_from:]])
+    gaps, late_s = np.diff(followed), np.array(out.written_s[followed_from:]) - followed - EXPOSURE_S / 2
     fused = sum(record["fusion_status"] == "fused" for record in records)
     lit = [sum(share > 0.5 for share in shares) for _, shares in exposed]
     where = f"live, {width} px wide"
@@ -298,6 +328,10 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     yield Figure(
         name=f"processor time of a pose in ms, {where}", value=1e3 * busy_s / len(records), most=1e3 / PLAYED_HZ
     )
+    for share in (0.5, 0.99):
+        late_ms = 1e3 * float(np.quantile(late_s, share))
+        name = f"ms from the end of an exposure to the line, quantile {share:g}, {where}"
+        yield Figure(name=name, value=late_ms, most=2e3 / PLAYED_HZ)
     missed = int(np.round(gaps * PLAYED_HZ - 1.0).clip(0).sum())
     periods = round((followed[-1] - followed[0]) * PLAYED_HZ)
     yield Figure(name=f"periods of 1/30 s without a pose of {periods}, {where}", value=missed, most=0.1 * periods)

@@ -22,6 +22,7 @@ from moving_cameras import SeenByRobot, in_base, robot
 from moving_rings import (
     START_S,
     Motion,
+    Pushed,
     Shots,
     Wandering,
     drawn_motion,
@@ -41,7 +42,7 @@ from ringpose.track.lines import Gripper, LineOptions
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import MotionPrior, RigStability
-from ringpose.types.pose import PoseLine
+from ringpose.types.pose import PoseFlag, PoseLine
 from ringpose.types.track import FusionStatus, MotionModel, TrackLine
 
 SHOTS_HZ = 6.0
@@ -81,6 +82,24 @@ def band(runs: int, dof: int, probability: float = 0.99) -> tuple[float, float]:
     """Two-sided band of the mean NEES over independent runs."""
     least, most = chi2.ppf([(1 - probability) / 2, (1 + probability) / 2], runs * dof) / (runs * dof)
     return float(least), float(most)
+
+
+DEGREES_OF_FREEDOM = {"centre": 3, "normal": 2, "grasp": 2, "velocity": 3}
+
+
+def add_nees(found: dict, motion, line, *key) -> None:
+    """The NEES of each quantity of a line, by its name and the key; none of a line without a centre."""
+    if line.pose is not None and np.isfinite(line.pose.center_m).all():
+        for name, (error, covariance) in errors_at(motion, line).items():
+            found.setdefault((name, *key), []).append(nees(error, covariance))
+
+
+def nees_figures(found: dict, runs: int, where: str, two_sided=lambda name, *key: False) -> Iterator[Figure]:
+    """The mean of each NEES in its band; `where` is a format of the key, of which `two_sided` have a lower limit."""
+    for (name, *key), values in found.items():
+        least, most = band(min(len(values), runs), DEGREES_OF_FREEDOM[name])
+        least = least if two_sided(name, *key) else -np.inf
+        yield Figure(name=f"NEES of {name}, {where.format(*key)}", value=float(np.mean(values)), least=least, most=most)
 
 
 def errors_at(motion, line) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -126,10 +145,9 @@ def steady(rng, runs: int) -> Iterator[Figure]:
                 continue
             for ahead_s in (0.0, 0.1, 0.5, 2.0):
                 at = tracker.line_at(tracker.track.stamp_s + ahead_s)
-                for name, (error, covariance) in errors_at(motion, at).items():
-                    key = name, number / SHOTS_HZ, ahead_s
-                    found.setdefault(key, []).append(nees(error, covariance))
-                    squares.setdefault(key, []).append(float(error @ error))
+                add_nees(found, motion, at, number / SHOTS_HZ, ahead_s)
+                for name, (error, _) in errors_at(motion, at).items():
+                    squares.setdefault((name, number / SHOTS_HZ, ahead_s), []).append(float(error @ error))
     for name, time_s, single, most in (
         ("normal", 1.0, normal_rad, 0.8),
         ("normal", 5.0, normal_rad, 0.4),
@@ -137,10 +155,7 @@ def steady(rng, runs: int) -> Iterator[Figure]:
     ):
         ratio = np.sqrt(np.mean(squares[name, time_s, 0.0])) / single
         yield Figure(name=f"{name} after {time_s:.0f} s, by that of a single still shot", value=ratio, most=most)
-    for (name, time_s, ahead_s), values in found.items():
-        most = band(runs, 3 if name in ("centre", "velocity") else 2)[1]
-        where = f"constant velocity, {time_s:.0f} s of track, {ahead_s:g} s ahead"
-        yield Figure(name=f"NEES of {name}, {where}", value=float(np.mean(values)), most=most)
+    yield from nees_figures(found, runs, "constant velocity, {:.0f} s of track, {:g} s ahead")
 
 
 def wandering(rng, runs: int) -> Iterator[Figure]:
@@ -152,15 +167,9 @@ def wandering(rng, runs: int) -> Iterator[Figure]:
             for line in stream(truth, 5.0, Shots(), rng, SHOTS_HZ):
                 tracker.add(line)
             for ahead_s in (0.1, 0.5, 2.0):
-                at = tracker.line_at(tracker.track.stamp_s + ahead_s)
-                if at.pose is None or not np.isfinite(at.pose.center_m).all():
-                    continue
-                for name, (error, covariance) in errors_at(truth, at).items():
-                    found.setdefault((name, ahead_s), []).append(nees(error, covariance))
-        for (name, ahead_s), values in found.items():
-            least, most = band(len(values), 3 if name in ("centre", "velocity") else 2)
-            where = f"process noise {noise[0]:g}, 5 s of track, {ahead_s:g} s ahead"
-            yield Figure(name=f"NEES of {name}, {where}", value=float(np.mean(values)), least=least, most=most)
+                add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), ahead_s)
+        where = f"process noise {noise[0]:g}, 5 s of track, {{:g}} s ahead"
+        yield from nees_figures(found, runs, where, lambda *_: True)
 
 
 def rig_errors(rng, runs: int) -> Iterator[Figure]:
@@ -173,15 +182,9 @@ def rig_errors(rng, runs: int) -> Iterator[Figure]:
         tracker = Tracker(None)
         for line in stream(motion, 3.0, Shots(stability=stability, offsets=offsets), rng, SHOTS_HZ):
             tracker.add(line)
-        for name, (error, covariance) in errors_at(motion, tracker.line_at(0.0)).items():
-            found.setdefault(name, []).append(nees(error, covariance))
-    for name, values in found.items():
-        least, most = band(runs, 3 if name in ("centre", "velocity") else 2)
-        if name == "velocity":
-            least = 0.0  # constant velocity: the models' process noise widens it
-        yield Figure(
-            name=f"NEES of {name}, rig errors, 3 s of track", value=float(np.mean(values)), least=least, most=most
-        )
+        add_nees(found, motion, tracker.line_at(0.0))
+    # constant velocity: the models' process noise widens the covariance of the velocity
+    yield from nees_figures(found, runs, "rig errors, 3 s of track", lambda name: name != "velocity")
 
 
 def robot_poses(rng, runs: int) -> Iterator[Figure]:
@@ -196,14 +199,10 @@ def robot_poses(rng, runs: int) -> Iterator[Figure]:
         for line in stream(seen, 3.0, Shots(), rng, SHOTS_HZ):
             tracker.add(line)
         for ahead_s in (0.0, 0.5):
-            at = tracker.line_at(tracker.track.stamp_s + ahead_s)
-            for name, (error, covariance) in errors_at(truth, at).items():
-                found.setdefault((name, ahead_s), []).append(nees(error, covariance))
-    for (name, ahead_s), values in found.items():
-        least, most = band(runs, 3 if name in ("centre", "velocity") else 2)
-        where = f"mount and clock drawn, 3 s of track, {ahead_s:g} s ahead"
-        least = 0.0 if name == "velocity" or ahead_s else least  # constant velocity: process noise widens it
-        yield Figure(name=f"NEES of {name}, {where}", value=float(np.mean(values)), least=least, most=most)
+            add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), ahead_s)
+    # constant velocity: the models' process noise widens the covariance of velocities and predictions
+    where = "mount and clock drawn, 3 s of track, {:g} s ahead"
+    yield from nees_figures(found, runs, where, lambda name, ahead_s: name != "velocity" and not ahead_s)
 
 
 def precession(rng, runs: int) -> Iterator[Figure]:
@@ -259,18 +258,9 @@ def relays(rng, runs: int) -> Iterator[Figure]:
             for line in stream(truth, 5.0, Shots(frame_s=0.1), rng, 2.0):
                 tracker.add(line)
             for ahead_s in (0.0, 0.5, 2.0):
-                at = tracker.line_at(tracker.track.stamp_s + ahead_s)
-                for name, (error, covariance) in errors_at(truth, at).items():
-                    found.setdefault((kind, name, ahead_s), []).append(nees(error, covariance))
-    for (kind, name, ahead_s), values in found.items():
-        least, most = band(runs, 3 if name in ("centre", "velocity") else 2)
-        where = f"10 frames/s, {kind}, 5 s of track, {ahead_s:g} s ahead"
-        yield Figure(
-            name=f"NEES of {name}, {where}",
-            value=float(np.mean(values)),
-            least=least if kind == "wandering" else -np.inf,
-            most=most,
-        )
+                add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), kind, ahead_s)
+    where = "10 frames/s, {}, 5 s of track, {:g} s ahead"
+    yield from nees_figures(found, runs, where, lambda name, kind, ahead_s: kind == "wandering")
 
 
 def tumbling(rng, runs: int) -> Iterator[Figure]:
@@ -286,24 +276,22 @@ def tumbling(rng, runs: int) -> Iterator[Figure]:
                 records += 1
                 rejected += tracker.add(line).fusion_status is FusionStatus.REJECTED_GATE
                 for ahead_s in (0.0, 0.5) if number in (2, 6, 17) else ():
-                    at = tracker.line_at(tracker.track.stamp_s + ahead_s)
-                    if at.pose is None or not np.isfinite(at.pose.center_m).all():
-                        continue
-                    for name, (error, covariance) in errors_at(truth, at).items():
-                        found.setdefault((name, ahead_s), []).append(nees(error, covariance))
+                    add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), ahead_s)
         where = f"{rate_deg_s:g} deg/s, 30 degrees of nutation"
-        dof = {"centre": 3, "normal": 2, "grasp": 2, "velocity": 3}
-        every = [dof[name] * value for (name, _), values in found.items() for value in values]
-        limit = float(binom.ppf(0.99, len(every), chi2.sf(WRONG_SIGMAS**2, 3)))
-        wrong = sum(value > WRONG_SIGMAS**2 for value in every)
-        yield Figure(name=f"quantities beyond 5 sigma of {len(every)}, {where}", value=wrong, most=limit)
+        count, beyond, limit = wrong_quantities(found)
+        yield Figure(name=f"quantities beyond 5 sigma of {count}, {where}", value=beyond, most=limit)
         yield Figure(name=f"share of shots rejected, {where}", value=rejected / records, most=0.01)
-        for (name, ahead_s), values in found.items():
-            most = band(min(len(values), runs), dof[name])[1]
-            yield Figure(name=f"NEES of {name}, {where}, {ahead_s:g} s ahead", value=float(np.mean(values)), most=most)
+        yield from nees_figures(found, runs, where + ", {:g} s ahead")
 
 
 WRONG_SIGMAS = 5.0
+
+
+def wrong_quantities(found: dict) -> tuple[int, int, float]:
+    """Number of quantities, of those beyond 5 sigma, and of those that chance allows."""
+    squares = [DEGREES_OF_FREEDOM[name] * value for (name, *_), values in found.items() for value in values]
+    limit = float(binom.ppf(0.99, len(squares), chi2.sf(WRONG_SIGMAS**2, 3)))
+    return len(squares), sum(value > WRONG_SIGMAS**2 for value in squares), limit
 
 
 def _tumbling(motion: Motion, rate_deg_s: float, rng) -> Motion:
@@ -324,6 +312,38 @@ def _lines_in_view(truth: Motion, shots: Shots, rng) -> Iterator[PoseLine]:
             if not ((pixels > 0) & (pixels < [camera.image_width, camera.image_height])).all():
                 return
         yield record(truth, number / SHOTS_HZ, shots, rng)
+
+
+def pushed(rng, runs: int) -> Iterator[Figure]:
+    """A steady target that is pushed after 3 s: from the third shot on, errors are described again, or flagged."""
+    for change_m_s, change_deg_s in ((0.005, 0.0), (0.02, 0.0), (0.1, 0.0), (0.0, 1.0), (0.0, 5.0), (0.02, 1.0)):
+        found: dict[tuple[str, float], list[float]] = {}
+        flagged = 0
+        for motion in motions(rng, runs):
+            along, across = rng.normal(size=3), rng.normal(size=2) @ tilt_basis(motion.ring.normal)
+            change_rad_s = np.deg2rad(change_deg_s) * across / np.linalg.norm(across)
+            push_s = 3.0 + rng.uniform(0.0, 1.0 / SHOTS_HZ)
+            truth = Pushed(motion, push_s, change_m_s * along / np.linalg.norm(along), change_rad_s)
+            for stamp_s, tracker in _tracked(stream(truth, 5.0, Shots(), rng, SHOTS_HZ), push_s + 2.0 / SHOTS_HZ):
+                flagged += bool(tracker.track.rejections)
+                for ahead_s in (0.0, 0.5):
+                    at = tracker.line_at(stamp_s + ahead_s)
+                    if PoseFlag.INCONSISTENT not in at.flags:
+                        add_nees(found, truth, at, ahead_s)
+        where = f"pushed by {1e3 * change_m_s:g} mm/s and {change_deg_s:g} deg/s"
+        count, beyond, limit = wrong_quantities(found)
+        yield Figure(name=f"quantities beyond 5 sigma without flag of {count}, {where}", value=beyond, most=limit)
+        yield Figure(name=f"later shots with the flag in a run, {where}", value=flagged / runs, most=0.5)
+        yield from nees_figures(found, runs, where + ", {:g} s ahead")
+
+
+def _tracked(lines: list[PoseLine], from_s: float) -> Iterator[tuple[float, Tracker]]:
+    """A track of the records after each one from a time on, and the record's stamp."""
+    tracker = Tracker(None)
+    for line in lines:
+        attempt = tracker.add(line)
+        if attempt.stamp_s >= START_S + from_s:
+            yield attempt.stamp_s, tracker
 
 
 def outliers(rng, runs: int) -> Iterator[Figure]:
@@ -451,7 +471,7 @@ def speed(rng, runs: int) -> Iterator[Figure]:
 
 
 _IN_ORDER: tuple[Callable[..., Iterator[Figure]], ...] = (
-    speed, steady, wandering, relays, tumbling, rig_errors, robot_poses, precession, outliers, sides, capture,
+    speed, steady, wandering, relays, tumbling, rig_errors, robot_poses, precession, pushed, outliers, sides, capture,
 )  # fmt: skip
 
 TARGETS = {each.__name__: each for each in _IN_ORDER}
