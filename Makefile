@@ -39,9 +39,9 @@ bench-speed: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.speed
 
 bench-targets: $(STAMP)
-	$(BIN)/python tests/benchmarks/drift_targets.py
-	$(BIN)/python tests/benchmarks/track_targets.py
-	$(BIN)/python tests/benchmarks/track_images.py
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.drift_targets
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.track_targets
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.track_images
 
 structure: $(STAMP)
 	$(BIN)/python tests/benchmarks/structure.py

@@ -10,17 +10,14 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
+from benchmarks.limits import Figure, figure_line
+from benchmarks.track_targets import WRONG_SIGMAS
 from moving_rings import Motion
 from ring_scenes import RIGS, Scene, face_points_of, make_scene, pixels_of, visible_edges_of
 from ring_streams import ASSUMED, measured_stream, moved, poses_before, within_stability
 from scipy.stats import chi2, ncx2, norm, poisson
-from track_targets import WRONG_SIGMAS, Figure
 
 from ringpose.estimate.explanation import ALARM_SIGMAS
 from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
@@ -175,23 +172,23 @@ def main() -> int:
     figures = [
         Figure(
             name=f"ok and wrong of {10 * chosen.streams} single shots, planes moved",
-            value=wrong,
-            most=poisson.ppf(0.99, left),
+            measured=wrong,
+            max_value=poisson.ppf(0.99, left),
         ),
-        Figure(name="of them with a noncentrality above 60", value=obvious, most=0),
+        Figure(name="of them with a noncentrality above 60", measured=obvious, max_value=0),
     ]
-    missed = sum(not figure.reached for figure in figures)
-    print(*figures, sep="\n", flush=True)
+    missed = sum(not figure.is_kept for figure in figures)
+    print(*map(figure_line, figures), sep="\n", flush=True)
     for kind in chosen.kind or STREAMS:
         for changed in chosen.changed or ["none", *PLANES]:
             share = np.mean(
                 [warned(kind, changed, np.random.default_rng([17, stream])) for stream in range(chosen.streams)]
             )
             name = f"share of {chosen.streams} {kind} streams with a warning, planes moved: {changed}"
-            limits = {"most": 1 / 1000} if changed == "none" else {"least": 0.9, "most": 1.0}
-            figure = Figure(name=name, value=float(share), **limits)
-            print(figure, flush=True)
-            missed += not figure.reached
+            limits = {"max_value": 1 / 1000} if changed == "none" else {"min_value": 0.9, "max_value": 1.0}
+            figure = Figure(name=name, measured=float(share), **limits)
+            print(figure_line(figure), flush=True)
+            missed += not figure.is_kept
     return 3 if missed else 0
 
 

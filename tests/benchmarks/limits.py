@@ -37,6 +37,17 @@ class Figure:
             return Verdict.NONE
         return Verdict.OK if self.min_value <= self.measured <= self.max_value else Verdict.MISSED
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether the figure has no limit, or is within it."""
+        return self.verdict is not Verdict.MISSED
+
+
+def figure_line(figure: Figure) -> str:
+    """A figure, its limit and whether it is kept, in one line."""
+    verdict = "ok    " if figure.is_kept else "MISSED"
+    return f"{verdict} {figure.name:72s} {figure.measured:9.4g}   {_limit(figure)}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
@@ -48,7 +59,7 @@ class Section:
     @property
     def missed(self) -> int:
         """Number of figures that miss their limit."""
-        return sum(figure.verdict is Verdict.MISSED for figure in self.figures)
+        return sum(not figure.is_kept for figure in self.figures)
 
 
 def section_text(section: Section) -> str:
