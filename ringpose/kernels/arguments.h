@@ -62,8 +62,6 @@ PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);
 PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
 PyObject *call_render(PyObject *module, PyObject *tuple);
 PyObject *call_hits(PyObject *module, PyObject *tuple);
-PyObject *call_blocked(PyObject *module, PyObject *tuple);
-PyObject *call_reflectances(PyObject *module, PyObject *tuple);
 PyObject *call_code_edges(PyObject *module, PyObject *tuple);
 PyObject *call_crossed(PyObject *module, PyObject *tuple);
 

@@ -27,11 +27,8 @@ static PyMethodDef methods[] = {
      "fills the last three"},
     {"hits", call_hits, METH_VARARGS,
      "hits(target tables, origin, direction, parameter, surface, point, normal): fills the last four"},
-    {"blocked", call_blocked, METH_VARARGS, "blocked(target tables, point, towards, blocked): fills the last"},
-    {"reflectances", call_reflectances, METH_VARARGS,
-     "reflectances(coating, normal, to_light, to_eye, reflectance): fills the last"},
     {"crossed", call_crossed, METH_VARARGS, "crossed(*target, *view, code, crossed): fills the last"},
-    {"code_edges", call_code_edges, METH_VARARGS, "code_edges(code, edge): fills the last"},
+    {"code_edges", call_code_edges, METH_VARARGS, "code_edges(code with a border, edge): fills the last"},
     {NULL, NULL, 0, NULL},
 };
 

@@ -243,7 +243,7 @@ def blur_px(illuminated: IlluminatedTarget, camera: Camera) -> float:
         np.meshgrid(np.linspace(0, camera.image_width - 1, 12), np.linspace(0, camera.image_height - 1, 9)), axis=-1
     ).reshape(-1, 2)
     direction = np.column_stack([undistort(grid_px, camera), np.ones(len(grid_px))])
-    hits = render.first_hits(illuminated.target, first.eye_m, first.vectors_target(direction.T))
+    hits = render.first_hits(illuminated.target, first.eye_m[:, None], first.vectors_target(direction.T))
     point_m = hits.point_m[:, hits.surface >= 0].T
     moved_px = project(last.points_camera(point_m), camera) - project(first.points_camera(point_m), camera)
     return float(np.nanmax(np.linalg.norm(moved_px, axis=1), initial=0.0))

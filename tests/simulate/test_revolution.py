@@ -27,7 +27,7 @@ def tables_of(profile_m, **values):
 
 
 def first_hits(profile_m, origin, direction, **values):
-    hits = render.first_hits(tables_of(profile_m, **values), origin[:, 0], direction)
+    hits = render.first_hits(tables_of(profile_m, **values), origin, direction)
     return hits.parameter, hits.surface
 
 
@@ -96,7 +96,7 @@ def test_normals_are_the_gradient_of_the_surface(name, rng):
     profile_m = np.array(PROFILES[name])
     origin, direction = rays(rng)
 
-    hits = render.first_hits(tables_of(profile_m), origin[:, 0], direction)
+    hits = render.first_hits(tables_of(profile_m), origin, direction)
 
     hit = hits.surface >= 0
     point, normal = hits.point_m[:, hit], hits.normal[:, hit]
@@ -137,7 +137,7 @@ def test_a_gap_has_two_walls_and_a_floor_and_nothing_within(rng):
     origin, direction = rays(rng)
     direction = np.array([[0.58], [0.06], [0.05]]) + 0.04 * rng.standard_normal(direction.shape) - origin
 
-    hits = render.first_hits(tables_of(RING, gaps=(GAP,)), origin[:, 0], direction)
+    hits = render.first_hits(tables_of(RING, gaps=(GAP,)), origin, direction)
 
     hit = hits.surface >= 0
     point = hits.point_m[:, hit]
@@ -168,7 +168,7 @@ def test_hits_lie_on_the_deformed_ring(rng):
     form = RingForm(radial_m=2e-4 * rng.standard_normal((2, 3, 2)), axial_m=2e-4 * rng.standard_normal((3, 2)))
     origin, direction = rays(rng)
 
-    hits = render.first_hits(tables_of(RING, form=form), origin[:, 0], direction)
+    hits = render.first_hits(tables_of(RING, form=form), origin, direction)
 
     point = hits.point_m[:, hits.surface >= 0]
     angle = np.arctan2(point[1], point[0])

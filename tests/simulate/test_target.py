@@ -20,7 +20,7 @@ def rays_at_box(rng, n=3000):
 def test_rays_hit_the_box_where_they_enter_it(rng):
     eye, direction = rays_at_box(rng)
 
-    hits = first_hits(target_of(), eye, direction)
+    hits = first_hits(target_of(), eye[:, None], direction)
 
     point = hits.point_m[:, hits.surface != NONE]
     beyond = np.abs(point - [[0.0], [0.0], [-0.5]]) - SIZE_M[:, None] / 2
@@ -32,7 +32,7 @@ def test_rays_that_enter_the_box_hit_it(rng):
     passed = eye[:, None, None] + direction[:, None] * np.linspace(0, 4, 1500)[:, None]
     inside = (np.abs(passed - np.array([0.0, 0.0, -0.5])[:, None, None]) < SIZE_M[:, None, None] / 2).all(axis=0)
 
-    surface = first_hits(target_of(), eye, direction).surface
+    surface = first_hits(target_of(), eye[:, None], direction).surface
 
     assert inside.any(axis=0).sum() > 200
     assert (surface[inside.any(axis=0)] != NONE).all()
@@ -42,7 +42,7 @@ def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
     eye = np.array([3.0, 2.0, 1.5])
     direction = rng.uniform(-0.9, 0.2, (3, 2000)) - eye[:, None]
 
-    hits = first_hits(target_of(), eye, direction)
+    hits = first_hits(target_of(), eye[:, None], direction)
 
     hit = hits.surface != NONE
     point, normal = hits.point_m[:, hit], hits.normal[:, hit]
@@ -56,7 +56,7 @@ def test_hits_settle_on_the_foil(rng):
     eye = np.array([0.1, 0.05, 0.4])
     direction = np.stack([*rng.uniform(-0.2, 0.2, (2, 2000)), np.zeros(2000)]) - eye[:, None]
 
-    hits = first_hits(target_of(foil=foil), eye, direction)
+    hits = first_hits(target_of(foil=foil), eye[:, None], direction)
 
     point, normal = hits.point_m, hits.normal
     field = relief(foil)

@@ -135,7 +135,7 @@ def crossed(
 def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
     """Where a neighbour of the eight shows another surface (2), or another side of the shadow of sun or Earth (1)."""
     edge = np.empty(code.shape, np.uint8)
-    _kernels.code_edges(code, edge)
+    _kernels.code_edges(np.pad(code, 1, mode="edge"), edge)
     return edge
 
 
@@ -151,11 +151,14 @@ class Hits(NamedTuple):
     """Unit normals towards the viewer."""
 
 
-def first_hits(target: TargetTables, origin: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]) -> Hits:
-    """The first intersections of the rays from one point, in the target frame."""
+def first_hits(
+    target: TargetTables, origin: Float64[Array, "xyz=3 #ray"], direction: Float64[Array, "xyz=3 ray"]
+) -> Hits:
+    """The first intersections of the rays, in the target frame, at 1 nm or more from their origins."""
     rays = direction.shape[1]
     hits = Hits(np.empty(rays), np.empty(rays, np.int32), np.empty((3, rays)), np.empty((3, rays)))
-    _kernels.hits(*target, np.ascontiguousarray(origin), np.ascontiguousarray(direction), *hits)
+    origin = np.ascontiguousarray(np.broadcast_to(origin, direction.shape))
+    _kernels.hits(*target, origin, np.ascontiguousarray(direction), *hits)
     return hits
 
 
@@ -163,19 +166,4 @@ def blocked(
     target: TargetTables, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]
 ) -> Bool[Array, "ray"]:
     """Whether a part intersects the segments between the points and the points + towards."""
-    result = np.empty(point.shape[1], dtype=np.bool_)
-    _kernels.blocked(*target, np.ascontiguousarray(point), np.ascontiguousarray(towards), result)
-    return result
-
-
-def reflectances(
-    coating: tuple[float, float, float],
-    normal: Float64[Array, "xyz=3 ray"],
-    to_light: Float64[Array, "xyz=3 ray"],
-    to_eye: Float64[Array, "xyz=3 ray"],
-) -> Float64[Array, "ray"]:
-    """BRDF of (diffuse, specular, roughness) in 1/sr: Lambert plus GGX, with Smith shadowing and Schlick's Fresnel."""
-    result = np.empty(normal.shape[1])
-    normal, to_light, to_eye = (np.ascontiguousarray(each) for each in (normal, to_light, to_eye))
-    _kernels.reflectances(coating, normal, to_light, to_eye, result)
-    return result
+    return np.asarray(first_hits(target, point, towards).parameter < 1.0)

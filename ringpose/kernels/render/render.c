@@ -805,15 +805,9 @@ PyObject *call_crossed(PyObject *module, PyObject *tuple) {
     return close_arguments(&arguments, fits ? Py_NewRef(Py_None) : NULL);
 }
 
-static void choose_all(const Target *target, Choice *all) {
-    all->count = 0;
-    all->length = INFINITY;
-    for (int i = 0; i < target->parts; i++) choose(all, i, 0);
-}
-
 PyObject *call_hits(PyObject *module, PyObject *tuple) {
     static const Parameter parameter[] = {TARGET,
-                                          {"origin", 'd', {3}},
+                                          {"origin", 'd', {3, N}},
                                           {"direction", 'd', {3, N}},
                                           {">parameter", 'd', {N}},
                                           {">surface", 'i', {N}},
@@ -831,15 +825,16 @@ PyObject *call_hits(PyObject *module, PyObject *tuple) {
     int32_t *surface = view[3].buf;
     Rays rays;
     Hits hits;
-    Choice all;
-    choose_all(&target, &all);
+    Choice all = {.length = INFINITY};
+    for (int i = 0; i < target.parts; i++) choose(&all, i, 0);
     for (size_t start = 0; start < n; start += BLOCK) {
         rays.count = (int)(n - start < BLOCK ? n - start : BLOCK);
         for (int i = 0; i < rays.count; i++) {
             const size_t at = start + (size_t)i;
-            rays.ox[i] = origin[0], rays.oy[i] = origin[1], rays.oz[i] = origin[2];
-            rays.dx[i] = direction[at], rays.dy[i] = direction[n + at], rays.dz[i] = direction[2 * n + at];
-            rays.least[i] = 0, rays.best[i] = INFINITY, rays.own[i] = EMPTY;
+            const Vector to = {direction[at], direction[n + at], direction[2 * n + at]};
+            rays.ox[i] = origin[at], rays.oy[i] = origin[n + at], rays.oz[i] = origin[2 * n + at];
+            rays.dx[i] = to.x, rays.dy[i] = to.y, rays.dz[i] = to.z;
+            rays.least[i] = NEAREST_M / sqrt(dot(to, to)), rays.best[i] = INFINITY, rays.own[i] = EMPTY;
             surface[at] = EMPTY;
             for (size_t k = 0; k < 3; k++) point[k * n + at] = normal[k * n + at] = NAN;
         }
@@ -856,87 +851,29 @@ PyObject *call_hits(PyObject *module, PyObject *tuple) {
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }
 
-PyObject *call_blocked(PyObject *module, PyObject *tuple) {
-    static const Parameter parameter[] = {
-        TARGET, {"point", 'd', {3, N}}, {"towards", 'd', {3, N}}, {">blocked", '?', {N}}};
-    Arguments arguments;
-    Target target;
-    (void)module;
-    if (!OPEN(tuple, parameter, &arguments)) return NULL;
-    if (!open_target(&arguments, &target)) return close_arguments(&arguments, NULL);
-    const Py_buffer *view = arguments.view + AFTER_TARGET;
-    const size_t n = (size_t)view[0].shape[1];
-    const double *point = view[0].buf, *towards = view[1].buf;
-    uint8_t *result = view[2].buf;
-    Rays rays;
-    Choice all;
-    choose_all(&target, &all);
-    for (size_t start = 0; start < n; start += BLOCK) {
-        rays.count = (int)(n - start < BLOCK ? n - start : BLOCK);
-        for (int i = 0; i < rays.count; i++) {
-            const size_t at = start + (size_t)i;
-            const Vector to = {towards[at], towards[n + at], towards[2 * n + at]};
-            rays.ox[i] = point[at], rays.oy[i] = point[n + at], rays.oz[i] = point[2 * n + at];
-            rays.dx[i] = to.x, rays.dy[i] = to.y, rays.dz[i] = to.z;
-            rays.least[i] = NEAREST_M / sqrt(dot(to, to)), rays.best[i] = 1, rays.own[i] = EMPTY;
-        }
-        intersect(&target, &all, &rays);
-        for (int i = 0; i < rays.count; i++) result[start + (size_t)i] = rays.part[i] != EMPTY;
-    }
-    return close_arguments(&arguments, Py_NewRef(Py_None));
-}
-
-PyObject *call_reflectances(PyObject *module, PyObject *tuple) {
-    static const Parameter parameter[] = {{"coating", 'T', {NUMBERS(Coating)}},
-                                          {"normal", 'd', {3, N}},
-                                          {"to_light", 'd', {3, N}},
-                                          {"to_eye", 'd', {3, N}},
-                                          {">reflectance", 'd', {N}}};
-    Arguments arguments;
-    (void)module;
-    if (!OPEN(tuple, parameter, &arguments)) return NULL;
-    const Py_buffer *view = arguments.view;
-    const size_t n = (size_t)view[1].shape[1];
-    const double *normal = view[1].buf, *light = view[2].buf, *eye = view[3].buf;
-    double *result = view[4].buf;
-    const double *coating = arguments.number[0];
-    for (size_t i = 0; i < n; i++)
-        result[i] = brdf((float)coating[0], (float)coating[1], (float)coating[2], (float)normal[i], (float)normal[n + i],
-                         (float)normal[2 * n + i], (float)light[i], (float)light[n + i], (float)light[2 * n + i],
-                         (float)eye[i], (float)eye[n + i], (float)eye[2 * n + i]);
-    return close_arguments(&arguments, Py_NewRef(Py_None));
-}
-
-/* Bits by which a row of codes differs from those of the eight neighbours of each pixel, except in the first and the last
-   column. */
-VECTOR_LOOP static void find_changes(const int32_t *restrict above, const int32_t *restrict row,
-                                     const int32_t *restrict below, int width, int32_t shadows, uint8_t *restrict edge) {
-    for (int i = 1; i < width - 1; i++) {
-        const int32_t code = row[i];
-        const int32_t changes = (code ^ row[i - 1]) | (code ^ row[i + 1]) | (code ^ above[i - 1]) | (code ^ above[i]) |
-                                (code ^ above[i + 1]) | (code ^ below[i - 1]) | (code ^ below[i]) | (code ^ below[i + 1]);
+/* Bits by which codes differ from those of the eight neighbours of each pixel; `code` has a border of one pixel. */
+VECTOR_LOOP static void find_changes(const int32_t *restrict code, Py_ssize_t width, int32_t shadows,
+                                     uint8_t *restrict edge) {
+    const int32_t *above = code - width - 2, *below = code + width + 2;
+    for (Py_ssize_t i = 0; i < width; i++) {
+        const int32_t own = code[i];
+        const int32_t changes = (own ^ code[i - 1]) | (own ^ code[i + 1]) | (own ^ above[i - 1]) | (own ^ above[i]) |
+                                (own ^ above[i + 1]) | (own ^ below[i - 1]) | (own ^ below[i]) | (own ^ below[i + 1]);
         edge[i] = (uint8_t)((changes != 0) + ((changes & ~shadows) != 0));
     }
 }
 
 PyObject *call_code_edges(PyObject *module, PyObject *tuple) {
-    static const Parameter parameter[] = {{"code", 'i', {N, M}}, {">edge", 'B', {N, M}}};
+    static const Parameter parameter[] = {{"code", 'i', {ANY, ANY}}, {">edge", 'B', {N, M}}};
     Arguments arguments;
     (void)module;
     if (!OPEN(tuple, parameter, &arguments)) return NULL;
-    const Py_ssize_t height = arguments.view[0].shape[0], width = arguments.view[0].shape[1];
-    const int32_t *code = arguments.view[0].buf, shadows = SUN_SHADOW | EARTH_SHADOW;
-    uint8_t *edge = arguments.view[1].buf;
-    for (Py_ssize_t i = 0; i < height; i++) {
-        const int32_t *row = code + i * width, *above = i > 0 ? row - width : row;
-        const int32_t *below = i + 1 < height ? row + width : row;
-        find_changes(above, row, below, (int)width, shadows, edge + i * width);
-        for (Py_ssize_t side = 0; side < 2; side++) {
-            const Py_ssize_t at = side * (width - 1), beside = width > 1 ? (side ? at - 1 : at + 1) : at;
-            const int32_t own = row[at], changes = (own ^ row[beside]) | (own ^ above[at]) | (own ^ below[at]) |
-                                                   (own ^ above[beside]) | (own ^ below[beside]);
-            edge[i * width + at] = (uint8_t)((changes != 0) + ((changes & ~shadows) != 0));
-        }
-    }
+    const Py_buffer *view = arguments.view;
+    const Py_ssize_t height = view[1].shape[0], width = view[1].shape[1];
+    if (!require(view[0].shape[0] == height + 2 && view[0].shape[1] == width + 2, "the codes have no border"))
+        return close_arguments(&arguments, NULL);
+    for (Py_ssize_t i = 0; i < height; i++)
+        find_changes((const int32_t *)view[0].buf + (i + 1) * (width + 2) + 1, width, SUN_SHADOW | EARTH_SHADOW,
+                     (uint8_t *)view[1].buf + i * width);
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }
