@@ -40,20 +40,6 @@ def test_a_line_without_a_method_counts_for_every_method():
     assert outcomes(found) == [("paper", "a", Outcome.OK), ("paper", "b", Outcome.MISSED)]
 
 
-def test_estimates_without_a_truth_are_named_once():
-    estimates = [estimate_of(shot="z"), estimate_of(), estimate_of(shot="z", method="other"), estimate_of(shot="y")]
-
-    found = matching(estimates, [truth_of()])
-
-    assert (found.matched, found.truths, found.without_truth) == (1, 1, ("z", "y"))
-
-
-def test_a_shot_with_two_estimates_of_one_method_is_repeated():
-    estimates = [estimate_of(), estimate_of(method="other"), estimate_of(shot="b"), estimate_of()]
-
-    assert matching(estimates, [truth_of(), truth_of(shot="b")]).repeated == ("a",)
-
-
 def test_a_line_is_an_estimate_in_the_camera_frame_with_the_method_of_its_pose():
     line = PoseLine(shot="a", stamp_s=0.0, pose=pose_of(method="paper"))
     without_pose = score.estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=None, reason="dark"), "poses:1")

@@ -4,7 +4,14 @@ import pytest
 from scipy import stats
 
 from ringpose.bench.score import JUDGED, Judgement, Outcome, Score
-from ringpose.bench.summary import ABSENT, WrongQuantities, error_statistics, summaries, unknown_groups
+from ringpose.bench.summary import (
+    ABSENT,
+    WrongQuantities,
+    error_statistics,
+    exceeded_error_limits,
+    summaries,
+    unknown_groups,
+)
 
 
 def scored(
@@ -50,12 +57,6 @@ def test_failures_are_counted_and_do_not_enter_the_errors():
     assert (line.outcomes[Outcome.OK], line.outcomes[Outcome.MISSED], line.outcomes[Outcome.LOST]) == (2, 1, 0)
     assert line.errors["center_x_m"].count == 2
     assert line.errors["center_x_m"].rmse == 3.0
-
-
-def test_methods_are_not_mixed():
-    lines = summaries([scored("a", 1.0), scored("a", 5.0, method="other")], [])
-
-    assert [(line.method, line.errors["center_x_m"].rmse) for line in lines] == [("paper", 1.0), ("other", 5.0)]
 
 
 def test_nees_is_a_mean_not_a_root():
@@ -122,3 +123,10 @@ def test_availability_is_the_share_of_the_shots_with_a_ring_that_are_ok():
     (line,) = summaries(shots, [])
 
     assert (line.available, line.targets) == (1, 3)
+
+
+def test_a_limit_to_which_no_shot_has_an_error_is_missed():
+    lines = summaries([scored("a", 1.0)], [])
+
+    assert exceeded_error_limits(lines, {"center_x_m": 1.0}) == []
+    assert exceeded_error_limits(lines, {"normal_rad": 1.0}) == ["normal_rad: no shot has such an error, limit 1"]

@@ -2,7 +2,7 @@
 
 from ringpose.bench.score import Outcome, Score
 from ringpose.bench.summary import summaries
-from ringpose.bench.table import aligned, table
+from ringpose.bench.table import table
 
 
 def scores() -> list[Score]:
@@ -30,13 +30,3 @@ def test_errors_have_three_digits_in_millimetres_and_degrees():
 
     assert block[1].split("  ")[-1] == "normal NEES"
     assert block[2].split() == ["paper", "-", "-", "-", "12.3", "1.00", "-", "-", "0.123", "1.25", "-"]
-
-
-def test_there_is_no_trailing_space_and_no_tab():
-    lines = table(summaries(scores(), ["distance_m"]), ["distance_m"]).splitlines()
-
-    assert [line for line in lines if line != line.rstrip() or "\t" in line] == []
-
-
-def test_text_is_flush_left_and_numbers_are_flush_right():
-    assert aligned([["ab", "1"], ["c", "22"]], left=1) == ["ab   1", "c   22"]

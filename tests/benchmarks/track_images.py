@@ -1,7 +1,6 @@
-"""Tracks of images against truth: rendered tumbling targets, rendered sequences of another program, live play-back.
+"""Tracks of images against truth: rendered tumbling targets, and live play-back.
 
-`rendered` and `live` render their own images; `sequences` reads those of `--data FOLDER` (rig.yaml, truth.jsonl,
-shots/seq_*). `live` plays rendered frames by the virtual GigE camera into `ringpose pose --camera --track`, by this
+`live` plays rendered frames by the virtual GigE camera into `ringpose pose --camera --track`, by this
 computer's clock. One line a figure.
 """
 
@@ -28,8 +27,6 @@ from moving_rings import START_S
 from ring_scenes import Ring
 
 from ringpose.cli.main import main as ringpose
-from ringpose.files.images.shots import read_shot
-from ringpose.files.rigs import read_rig
 from ringpose.files.scenes.scene import read_scene
 from ringpose.pose.pipeline import pose_line
 from ringpose.simulate.motion import velocities
@@ -161,52 +158,6 @@ def scores(squares: dict[str, list[float]], grasps_m: list[float], runs: int, wh
         measured=1e3 * float(np.sqrt(np.mean(np.square(grasps_m)))),
         max_value=1.0,
     )
-
-
-def sequences(rng, folder: Path, data: Path | None = None) -> Iterator[Figure]:
-    """The sequences of another renderer through `pose` and `track` with their defaults."""
-    if data is None:
-        return
-    rig = read_rig(data / "rig.yaml")
-    truths = {each["shot"]: each for each in map(json.loads, (data / "truth.jsonl").read_text().splitlines())}
-    for number in (0, 1):
-        files, tracker = sorted((data / "shots").glob(f"seq_{number}_*.npz")), Tracker(rig)
-        squares: dict[str, list[float]] = {}
-        grasps_m, statuses = [], []
-        for count, file in enumerate(files):
-            line = pose_line(read_shot(file), rig)
-            statuses.append(tracker.add(line).fusion_status)
-            at = tracker.line_at(tracker.track.stamp_s)
-            if count < 2 or at.pose is None or not np.isfinite(at.pose.center_m).all():
-                continue
-            for name, (error, covariance) in errors_at(Recorded(truths[line.shot]), at).items():
-                squares.setdefault(name, []).append(nees(error, covariance) * len(error))
-                if name == "grasp":
-                    grasps_m.append(float(np.linalg.norm(error)))
-        yield from scores(squares, grasps_m, 1, f"rendered sequence {number}")
-        share = statuses.count("fused") / len(statuses)
-        yield Figure(
-            name=f"share of shots used, rendered sequence {number}", measured=share, min_value=0.9, max_value=1.0
-        )
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """The motion near the time of a line of truth."""
-
-    truth: dict
-
-    def at(self, time_s: float) -> Ring:
-        elapsed_s = time_s + START_S - self.truth["stamp_s"]
-        turn = cv2.Rodrigues(np.array(self.truth["angular_velocity_rad_s"]) * elapsed_s)[0]
-        return Ring(
-            center_m=np.array(self.truth["center_m"]) + np.array(self.truth["velocity_m_s"]) * elapsed_s,
-            normal=turn @ np.array(self.truth["normal"]),
-            radius_m=np.array([self.truth["radius_inner_m"], self.truth["radius_outer_m"]]),
-        )
-
-    def velocity_at(self, time_s: float) -> np.ndarray:
-        return np.array(self.truth["velocity_m_s"])
 
 
 class Playback:
@@ -345,13 +296,11 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, help="rendered sequences of another program")
     parser.add_argument("--width", type=int, default=800, help="of the images that are played live")
-    parser.add_argument("targets", nargs="*", default=["rendered", "sequences", "live"])
+    parser.add_argument("targets", nargs="*", default=["rendered", "live"])
     chosen = parser.parse_args()
     targets: dict[str, Callable[..., Iterator[Figure]]] = {
         "rendered": rendered,
-        "sequences": partial(sequences, data=chosen.data),
         "live": partial(live, width=chosen.width),
     }
     missed = 0

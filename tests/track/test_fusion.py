@@ -157,28 +157,19 @@ def test_a_first_record_from_the_future_is_reported_at_its_own_time(records):
     assert (line.validity, line.stamp_s) == (Validity.LOST, future_s)
 
 
-def after_strays(records, offsets_s):
-    """The tracker after six records and some at these times after the last one, and its last line."""
+@pytest.mark.parametrize(
+    ("offsets_s", "validity"),
+    [([-100.0, 5000.0], Validity.VALID), ([-100.0, -50.0], Validity.PREDICTED), ([5000.0, 9000.0], Validity.PREDICTED)],
+    ids=["of two clocks", "old", "new"],
+)
+def test_two_stray_stamps_do_not_end_a_track(records, offsets_s, validity):
     tracker = Tracker(None)
     statuses(tracker, records[:6])
+
     for offset_s in offsets_s:
-        attempt = tracker.add(at(records[5], records[5].pose_stamp_s + offset_s), NOW_S)
-        line = tracker.line_of(attempt)
-    return tracker, line
+        line = tracker.line_of(tracker.add(at(records[5], records[5].pose_stamp_s + offset_s), NOW_S))
 
-
-def test_strays_of_two_clocks_do_not_age_a_track(records):
-    tracker, line = after_strays(records, [-100.0, 5000.0])
-
-    assert (line.validity, line.stamp_s) == (Validity.VALID, tracker.track.stamp_s)
-
-
-@pytest.mark.parametrize("offsets_s", [[-100.0, -50.0], [5000.0, 9000.0]])
-def test_two_strays_do_not_end_a_track(records, offsets_s):
-    tracker, line = after_strays(records, offsets_s)
-
-    assert line.validity is Validity.PREDICTED
-    assert tracker.track.resets == 0
+    assert (line.validity, tracker.track.resets) == (validity, 0)
     assert statuses(tracker, records[6:8]) == [FusionStatus.FUSED] * 2
 
 
@@ -198,19 +189,13 @@ def test_a_clock_that_was_set_back_starts_the_track_anew(records, rng):
 def test_a_displaced_record_is_rejected_by_the_gate_and_leaves_no_trace(records):
     tracker, without = Tracker(None), Tracker(None)
 
-    found = statuses(tracker, [*records[:8], displaced(records[8], 5.0), *records[9:]])
-    statuses(without, [*records[:8], *records[9:]])
-
-    assert found[8] is FusionStatus.REJECTED_GATE
-    np.testing.assert_array_equal(final_state(tracker), final_state(without))
-
-
-def test_the_test_ratio_of_a_rejected_record_is_above_one(records):
-    tracker = Tracker(None)
     statuses(tracker, records[:8])
+    rejected, used = (tracker.add(each, NOW_S) for each in (displaced(records[8], 5.0), records[9]))
+    statuses(without, [*records[:8], records[9]])
 
-    assert tracker.add(displaced(records[8], 5.0), NOW_S).test_ratio > 1.0
-    assert tracker.add(records[9], NOW_S).test_ratio < 1.0
+    assert rejected.fusion_status is FusionStatus.REJECTED_GATE
+    assert used.test_ratio < 1.0 < rejected.test_ratio
+    np.testing.assert_array_equal(final_state(tracker), final_state(without))
 
 
 def test_improbable_models_do_not_change_the_test_of_an_innovation(records):
@@ -265,66 +250,50 @@ def test_a_ring_that_no_push_can_have_moved_to_where_it_is_seen_is_rejected(rng)
     assert found == [FusionStatus.REJECTED_GATE] * 6
 
 
-def test_after_a_gap_a_record_inside_the_gate_continues_the_track(rng):
-    motion, shots = drawn_motion(rng), Shots()
-    tracker = Tracker(None)
+@pytest.mark.parametrize(
+    ("distances_m", "expected"),
+    [
+        ((None,), ["fused"]),
+        ((0.4, 0.4, 0.4), ["pending", "fused", "fused"]),
+        ((0.4, 0.6), ["pending", "pending"]),
+    ],
+    ids=["inside the gate", "elsewhere, and agreeing", "elsewhere, and disagreeing"],
+)
+def test_after_a_gap_records_continue_the_track_or_two_that_agree_start_it_anew(rng, distances_m, expected):
+    motion, shots, tracker = drawn_motion(rng), Shots(), Tracker(None)
     statuses(tracker, stream(motion, 1.0, shots, rng))
+    seen = {distance_m: drawn_motion(rng, distance_m=distance_m) for distance_m in distances_m if distance_m}
 
-    found = statuses(tracker, [record(motion, 3.2, shots, rng)])
+    found = statuses(
+        tracker, [record(seen.get(each, motion), 3.2 + 0.2 * i, shots, rng) for i, each in enumerate(distances_m)]
+    )
 
-    assert found == [FusionStatus.FUSED]
-    assert tracker.track.resets == 0
-
-
-def test_after_a_gap_two_records_that_agree_start_the_track_anew(rng):
-    motion, shots = drawn_motion(rng), Shots()
-    elsewhere = drawn_motion(rng, distance_m=0.4)
-    tracker = Tracker(None)
-    statuses(tracker, stream(motion, 1.0, shots, rng))
-
-    found = statuses(tracker, [record(elsewhere, time_s, shots, rng) for time_s in (3.2, 3.4, 3.6)])
-
-    assert found == [FusionStatus.PENDING, FusionStatus.FUSED, FusionStatus.FUSED]
-    assert tracker.track.resets == 1
+    assert found == expected
+    assert tracker.track.resets == ("pending" in found and "fused" in found)
 
 
-def test_after_a_gap_two_records_that_disagree_do_not_start_a_track(rng):
-    shots, tracker = Shots(), Tracker(None)
-    statuses(tracker, stream(drawn_motion(rng), 1.0, shots, rng))
-
-    apart = [drawn_motion(rng, distance_m=distance_m) for distance_m in (0.4, 0.6)]
-    found = statuses(tracker, [record(motion, 3.2 + 0.2 * i, shots, rng) for i, motion in enumerate(apart)])
-
-    assert found == [FusionStatus.PENDING, FusionStatus.PENDING]
+def with_root(line, factor: float):
+    measurement = replace(line.measurement, square_root=factor * line.measurement.square_root)
+    return replace(line, measurement=measurement)
 
 
-def test_a_record_without_a_measurement_is_reported_and_changes_nothing(records):
+@pytest.mark.parametrize(
+    ("changed", "status"),
+    [
+        (lambda line: replace(line, measurement=None), FusionStatus.NONE),
+        (lambda line: replace(line, flags=PoseFlag.ASSIGNMENT_AMBIGUOUS), FusionStatus.REJECTED_COVARIANCE),
+        (lambda line: with_root(line, 0.0), FusionStatus.REJECTED_COVARIANCE),
+        (lambda line: with_root(line, 1e20), FusionStatus.REJECTED_COVARIANCE),
+    ],
+    ids=["no measurement", "lasers may be exchanged", "no information", "implausible information"],
+)
+def test_a_record_that_cannot_be_used_changes_nothing(records, changed, status):
     tracker = Tracker(None)
     statuses(tracker, records[:3])
     before = final_state(tracker)
 
-    assert statuses(tracker, [replace(records[3], measurement=None)]) == [FusionStatus.NONE]
+    assert statuses(tracker, [changed(records[3])]) == [status]
     np.testing.assert_array_equal(final_state(tracker), before)
-
-
-def test_a_record_whose_lasers_may_be_exchanged_is_rejected(records):
-    tracker = Tracker(None)
-    statuses(tracker, records[:3])
-
-    found = statuses(tracker, [replace(records[3], flags=PoseFlag.ASSIGNMENT_AMBIGUOUS)])
-
-    assert found == [FusionStatus.REJECTED_COVARIANCE]
-
-
-@pytest.mark.parametrize("factor", [0.0, 1e20])
-def test_a_measurement_without_information_or_with_an_implausible_one_is_rejected(records, factor):
-    tracker = Tracker(None)
-    statuses(tracker, records[:3])
-    root = factor * records[3].measurement.square_root
-
-    found = statuses(tracker, [replace(records[3], measurement=replace(records[3].measurement, square_root=root))])
-
-    assert found == [FusionStatus.REJECTED_COVARIANCE]
 
 
 def test_a_record_that_does_not_determine_the_plane_continues_a_track_but_starts_none(records):
