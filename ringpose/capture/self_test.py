@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -13,7 +12,6 @@ from ringpose.capture.laser_check import Image, LitPixels, lit_pixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
 from ringpose.capture.shot_check import require_off
-from ringpose.capture.source import Source
 
 Verdict = Literal["ok", "warning", "fault"]
 """From best to worst."""
@@ -42,16 +40,6 @@ class Check:
     verdict: Verdict
     found: str
     remedy: str = ""
-
-
-@contextmanager
-def opened_devices(source: Source) -> Iterator[tuple[CameraDriver, LaserDriver]]:
-    """Camera and lasers of a source; when the block ends the lasers are off and the devices closed."""
-    camera, lasers = source.devices
-    with camera, lasers:
-        if not isinstance(camera, CameraDriver) or not isinstance(lasers, LaserDriver):
-            raise TypeError("devices are a camera and its lasers")
-        yield camera, lasers
 
 
 def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> Iterator[Check]:
