@@ -131,8 +131,7 @@ class TrackedSequence:
 def laser_driver(request: CaptureRequest, camera: CameraDriver | None) -> LaserDriver:
     """The driver of the lasers' URI, `none:` if there is none; `camera` may switch them by its output lines."""
     uri = device_uri("none:" if request.lasers is None else request.lasers, "--lasers", LASERS)
-    lasers: LaserDriver = driver(LASERS, uri.scheme)(uri, LaserContext(names=request.laser_names, camera=camera))
-    return lasers
+    return driver(LASERS, uri.scheme)(uri, LaserContext(names=request.laser_names, camera=camera))
 
 
 def device_source(

@@ -157,8 +157,7 @@ class Fields:
         length = float(np.linalg.norm(vector))
         if abs(length - 1) > ROUNDED:
             raise self.problem(key, f"has length {length:.6g}, must be 1", remedy if length > 0 else "")
-        unit: Float64[Array, "xyz=3"] = vector / length
-        return unit
+        return vector / length
 
     def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
         """Reject lengths that are only plausible in millimetres."""

@@ -103,10 +103,7 @@ def _correlation_root(view: BoardView) -> Float64[Array, "marker coordinate=8 co
         ends = [2 * corner, 2 * ((corner - 1) % 4) + 1]
         corner_wrt_ends[:, 2 * corner : 2 * corner + 2, ends] = intersection[:, corner]
     end_covariance = np.kron(np.eye(4), np.array([[1.0, view.end_correlation], [view.end_correlation, 1.0]]))
-    root: Float64[Array, "marker coordinate=8 coordinate=8"] = np.linalg.cholesky(
-        corner_wrt_ends @ end_covariance @ corner_wrt_ends.mT
-    )
-    return root
+    return np.linalg.cholesky(corner_wrt_ends @ end_covariance @ corner_wrt_ends.mT)
 
 
 def moderated_variances(
@@ -121,10 +118,7 @@ def moderated_variances(
     prior_dof, prior_variance = _variance_prior(np.log(own), degrees_of_freedom)
     if not np.isfinite(prior_dof):
         return np.full(len(own), common)
-    moderated: Float64[Array, "view"] = (prior_dof * prior_variance + degrees_of_freedom * own) / (
-        prior_dof + degrees_of_freedom
-    )
-    return moderated
+    return (prior_dof * prior_variance + degrees_of_freedom * own) / (prior_dof + degrees_of_freedom)
 
 
 def _variance_prior(
@@ -179,8 +173,7 @@ def with_shared_errors(
     alone = [maximum_likelihood_pose(view.board, camera)[0] for view in views]
     errors = [_residuals(views, each, camera) for each in (poses, alone)]
     factor = min(_shared_factor(sigmas_px, views, own, shared_parameters) for own in errors)
-    inflated: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * MIN_SIGMA_PX**2)
-    return inflated
+    return np.sqrt(factor * sigmas_px**2 + len(views) * MIN_SIGMA_PX**2)
 
 
 def _shared_factor(

@@ -80,8 +80,7 @@ class ViewEquations(NamedTuple):
 
     def pose_step(self, step: Float64[Array, "parameter"]) -> Float64[Array, "pose=6"]:
         """Step of the pose for a step of the camera's parameters (back-substitution)."""
-        pose_step: Float64[Array, "pose=6"] = np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
-        return pose_step
+        return np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
 
 
 def blank_camera(camera_name: str, image_width: int, image_height: int, model: CameraModel) -> Camera:

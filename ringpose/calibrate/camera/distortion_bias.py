@@ -42,8 +42,7 @@ def _circle_offsets(
     """Centroid of each projected circle minus the projection of its centre."""
     angle = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
     rims_m = points_m[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes_m.T
-    offsets: Float64[Array, "corner xy=2"] = _centroids(project(rims_m, camera)) - project(points_m, camera)
-    return offsets
+    return _centroids(project(rims_m, camera)) - project(points_m, camera)
 
 
 def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, "corner xy=2"]:
@@ -52,10 +51,7 @@ def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, 
     here = outlines - middle
     after = np.roll(here, -1, axis=1)
     twice = here[..., 0] * after[..., 1] - here[..., 1] * after[..., 0]
-    centroids: Float64[Array, "corner xy=2"] = middle[:, 0] + np.einsum("cp,cpk->ck", twice, here + after) / (
-        3 * twice.sum(axis=1, keepdims=True)
-    )
-    return centroids
+    return middle[:, 0] + np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
 
 
 def _corrected_corners(

@@ -137,8 +137,7 @@ def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: Cam
     covariance = covariance_of_free(information, model.free)
     expected = [sigma_px(covariance_of_free(information - own, model.free) - covariance) for own in whole.information]
     ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
-    jackknife: MapValues = np.sqrt(ratio) * sigma_px(covariance)
-    return jackknife
+    return np.sqrt(ratio) * sigma_px(covariance)
 
 
 def model_comparison(
@@ -196,12 +195,10 @@ def displacement_px(one: Camera, other: Camera, where: ImageMap) -> MapValues:
         return (middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3)
 
     def rotated(directions: Float64[Array, "n xyz=3"], step: Float64[Array, "rotation=3"]) -> Float64[Array, "n xyz=3"]:
-        turned: Float64[Array, "n xyz=3"] = directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
-        return turned
+        return directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
 
     directions = gauss_newton(linearised, rotated, rays(where.points_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
-    length: MapValues = np.linalg.norm(offset_px(directions), axis=-1).reshape(where.points_px.shape[:2])
-    return length
+    return np.linalg.norm(offset_px(directions), axis=-1).reshape(where.points_px.shape[:2])
 
 
 def projection_sigma_px(camera: Camera, where: ImageMap) -> MapValues:
@@ -218,8 +215,7 @@ def projection_sigma_px(camera: Camera, where: ImageMap) -> MapValues:
     )[0]
     remaining = wrt_parameter - wrt_rotation @ rotation
     variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
-    sigma: MapValues = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
-    return sigma
+    return np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
 
 
 def _middle_points(where: ImageMap) -> Bool[Array, "n"]:
@@ -251,5 +247,4 @@ def known_lens(
         return np.ones(where.points_px.shape[:2], dtype=bool)
     middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
     radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (where.points_px, corners_px))
-    known: Bool[Array, "map_row map_column"] = radius <= max(float(reached.max()), float(radius.min()))
-    return known
+    return radius <= max(float(reached.max()), float(radius.min()))

@@ -98,8 +98,7 @@ def _tabulated_splines(knots: int) -> tuple[Float64[Array, "sample knot"], Float
 
 
 def _interpolated(across: Float64[Array, "*shape"], table: Float64[Array, "sample"]) -> Float64[Array, "*shape"]:
-    values: Float64[Array, "*shape"] = np.interp(across.ravel(), _TABLE_PX, table).reshape(across.shape)
-    return values
+    return np.interp(across.ravel(), _TABLE_PX, table).reshape(across.shape)
 
 
 def _odd_splines(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n knot"]:
@@ -107,8 +106,7 @@ def _odd_splines(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n k
 
     def spline(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:  # centred at zero, with integer knots
         outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
-        value: Float64[Array, "n knot"] = (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
-        return value
+        return (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
 
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
     return spline(x - knot) - spline(x + knot)
@@ -119,8 +117,7 @@ def _odd_spline_slopes(across: Float64[Array, "n"], knots: int) -> Float64[Array
 
     def slope(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
         outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
-        value: Float64[Array, "n knot"] = -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
-        return value
+        return -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
 
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
     return (slope(x - knot) - slope(x + knot)) / KNOT_PX

@@ -45,8 +45,7 @@ def brightness_plane(patch: Patch, offset: Offsets, used: Bool[Array, "patch_row
     """Grey values of the plane fitted to the used pixels by least squares, at all pixels of the patch."""
     design = np.concatenate([np.ones((*patch.shape, 1)), offset], axis=-1)
     rows = design[used]
-    plane: Patch = design @ np.linalg.lstsq(rows.T @ rows, rows.T @ patch[used])[0]
-    return plane
+    return design @ np.linalg.lstsq(rows.T @ rows, rows.T @ patch[used])[0]
 
 
 def reductions(shape: tuple[int, ...]) -> list[int]:

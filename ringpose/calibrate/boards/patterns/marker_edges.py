@@ -107,15 +107,11 @@ class Side:
 
     def points(self, t: Float64[Array, "n"], across: float = 0.0) -> Float64[Array, "n 2"]:
         """Points at t, at a distance `across` outside the parabola."""
-        points: Float64[Array, "n 2"] = (
-            self.start + np.outer(t, self.along) + np.outer(self.offset(t) + across, self.normal)
-        )
-        return points
+        return self.start + np.outer(t, self.along) + np.outer(self.offset(t) + across, self.normal)
 
     def offset(self, t: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Distance of the parabola from its chord, positive outwards."""
-        offset: Float64[Array, "n"] = self.coefficients[0] + t * (self.coefficients[1] + t * self.coefficients[2])
-        return offset
+        return self.coefficients[0] + t * (self.coefficients[1] + t * self.coefficients[2])
 
 
 class SideSamples(NamedTuple):

@@ -153,8 +153,7 @@ def _line_weights(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "positi
     """Weights whose product with values along a stripe is their fitted straight line at its two ends and its middle."""
     level, slope = line_modes(points_px)
     ends = np.array([slope.min(), 0.0, slope.max()])
-    weights: Float64[Array, "position=3 n"] = (level + ends[:, None] * slope) / len(slope)
-    return weights
+    return (level + ends[:, None] * slope) / len(slope)
 
 
 def _jacobian_by_rig(
@@ -182,5 +181,4 @@ def _rig_covariance(rig: Rig, laser: int) -> Float64[Array, "parameter parameter
 def _variance(
     jacobian: Float64[Array, "position parameter"], covariance: Float64[Array, "parameter parameter"]
 ) -> Float64[Array, "position"]:
-    variance: Float64[Array, "position"] = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
-    return variance
+    return np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)

@@ -79,8 +79,7 @@ class BoardSurface:
             column, row = np.floor(cell).T
             on_square = np.all((cell >= 0) & (np.floor(cell) < counts), axis=1)
             usable &= ~(on_square & ((column + row) % 2 == (1 if self.first_is_used else 0)))
-        result: Bool[Array, "n"] = usable
-        return result
+        return usable
 
 
 def triangulated(points_px: Float64[Array, "n xy=2"], pose: BoardPose, camera: Camera) -> Float64[Array, "n xyz=3"]:
