@@ -15,6 +15,7 @@ from ringpose.files import atomic
 from ringpose.files.cameras.covariances import checked_covariance, covariance_values, read_covariance
 from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values
 from ringpose.files.io import provenance, read_bytes
+from ringpose.files.records import plain
 from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
@@ -104,8 +105,12 @@ def write_rig(
     force: bool = False,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Write rig.yaml with provenance; `extra` may have the key `quality`, which is not needed by `read_rig`."""
+    """Write rig.yaml with provenance; `extra` may have the key `quality`, which is not needed by `read_rig`.
+
+    A rig that `read_rig` would reject is not written.
+    """
     values = rig_values(rig)
+    rig_of(Fields(str(path), plain(values), _KEYS))
     head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | values | dict(extra))

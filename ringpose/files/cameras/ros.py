@@ -10,6 +10,7 @@ import numpy as np
 from ringpose.files import atomic
 from ringpose.files.cameras.covariances import covariance_values, read_covariance
 from ringpose.files.io import provenance
+from ringpose.files.records import plain
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
@@ -43,10 +44,14 @@ def write_camera(
     force: bool = False,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Write camera.yaml; `extra` has the informative keys `standard_deviations` and `quality`."""
-    head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
+    """Write camera.yaml; `extra` has the informative keys `standard_deviations` and `quality`.
+
+    A camera that `read_camera` would reject is not written.
+    """
+    head, values = {"ringpose": SCHEMA, "provenance": provenance(inputs)}, camera_values(camera)
+    camera_of(Fields(str(path), plain(values), CAMERA_KEYS))
     with atomic.replacing(path, force) as stream:
-        write_yaml(stream, head | camera_values(camera) | dict(extra))
+        write_yaml(stream, head | values | dict(extra))
 
 
 def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
