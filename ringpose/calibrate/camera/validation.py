@@ -143,7 +143,7 @@ def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: Cam
 def model_comparison(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> ModelComparison:
-    """Rms of both distortion models on the same views, and the displacement between their cameras.
+    """Rms of both distortion models on the same views, and the displacement between their cameras where both are known.
 
     More coefficients always reduce the rms. Whether they describe the lens or the noise is decided by held-out views:
     the larger model is better only if their rms falls as well.
@@ -153,9 +153,11 @@ def model_comparison(
     camera = whole.camera
     blank = blank_camera(camera.camera_name, camera.image_width, camera.image_height, other_model)
     other = camera_solution(used, blank, other_model)
+    corners_px = np.concatenate([view.points_px for view in used])
+    known = known_lens(camera, corners_px, where) & known_lens(other.camera, corners_px, where)
     return ModelComparison(
         fits=(_fit(used, whole, model), _fit(used, other, other_model)),
-        difference_px=displacement_px(camera, other.camera, where),
+        difference_px=np.where(known, displacement_px(camera, other.camera, where), np.nan),
     )
 
 
