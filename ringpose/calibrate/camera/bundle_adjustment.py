@@ -17,9 +17,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import moderated_variances, whiten
+from ringpose.calibrate.boards.corner_errors import moderated_variances, whiten, without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
-from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.parameters import (
     CameraModel,
     camera_with,

@@ -17,8 +17,14 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.patterns.edge_profile import MIN_BLUR_PX
-from ringpose.calibrate.boards.patterns.image_patch import GreyImage, Offsets, Patch, brightness_plane, grey_around
+from ringpose.calibrate.boards.patterns.image_patch import (
+    MIN_BLUR_PX,
+    GreyImage,
+    Offsets,
+    Patch,
+    brightness_plane,
+    grey_around,
+)
 from ringpose.types.arrays import Array, Float64
 
 Centers = Float64[Array, "circle xy=2"]
