@@ -1,10 +1,11 @@
-"""A simulated camera that draws a stripe for each laser that was on during the exposure."""
+"""A simulated camera that draws a stripe for each laser that was on during the exposure, and lasers without a board."""
 
 import time
 
 import numpy as np
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import DeviceError
 from ringpose.types.image import Frame
 
@@ -62,3 +63,24 @@ class DrawnCamera(CameraDriver):
         noisy = grey + self.rng.normal(size=grey.shape) * np.sqrt(0.5 + 0.05 * grey)
         image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposed_s)
+
+
+class ContactLasers(LaserDriver):
+    """Lasers switched by relay contacts in the time of a clock; `on_mask` is what was commanded, as a board reports."""
+
+    count, longest_on_s = 3, None
+
+    def __init__(self, contacts, clock, reports=True):
+        self.contacts, self.clock, self.reports, self.on_mask = contacts, clock, reports, 0
+
+    def set_mask(self, lasers):
+        for laser in range(self.count):
+            if (lasers ^ self.on_mask) >> laser & 1:
+                self.contacts.command(laser, bool(lasers >> laser & 1), self.clock.monotonic())
+        self.on_mask = lasers
+
+    def read_mask(self):
+        return self.on_mask if self.reports else None
+
+    def close(self):
+        pass

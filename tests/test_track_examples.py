@@ -37,7 +37,7 @@ def bridge() -> dict:
     return runpy.run_path(str(EXAMPLES / "track_to_udp.py"))
 
 
-LIMITS = argparse.Namespace(patience=0.2, grasp_m=0.003)
+LIMITS = argparse.Namespace(patience=60.0, grasp_m=0.003)
 
 
 def test_a_valid_track_is_followed_to_where_the_grasp_point_is_now(bridge):
@@ -70,7 +70,7 @@ def test_anything_else_is_a_hold(bridge, changes):
 
 
 def test_silence_is_a_hold(bridge):
-    assert bridge["command"](track_record(), time.monotonic() - 1.0, LIMITS, time.time())["do"] == "hold"
+    assert bridge["command"](track_record(), time.monotonic() - 100.0, LIMITS, time.time())["do"] == "hold"
     assert bridge["command"](None, time.monotonic(), LIMITS, time.time())["do"] == "hold"
 
 
@@ -78,28 +78,23 @@ def test_silence_is_a_hold(bridge):
 def test_datagrams_go_on_while_no_lines_arrive_and_end_with_a_hold():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(10.0)
+        receiver.settimeout(300.0)
         to = f"127.0.0.1:{receiver.getsockname()[1]}"
-        with subprocess.Popen(
-            [sys.executable, EXAMPLES / "track_to_udp.py", "--to", to, "--rate", "50"], stdin=subprocess.PIPE, text=True
-        ) as process:
+
+        def awaited(words):
+            while words not in (datagram := receiver.recv(1 << 16).decode()):
+                pass
+            return json.loads(datagram)
+
+        program = [sys.executable, EXAMPLES / "track_to_udp.py", "--to", to, "--rate", "50", "--patience", "10"]
+        with subprocess.Popen(program, stdin=subprocess.PIPE, text=True) as process:
             receiver.recv(1 << 16)
             process.stdin.write("junk\n" + json.dumps(track_record()) + "\n")
             process.stdin.flush()
-            found = [json.loads(receiver.recv(1 << 16)) for _ in range(40)]
+            awaited("follow")
+            assert awaited("no track for")["do"] == "hold"
             process.stdin.close()
-            process.wait(timeout=300)
-        receiver.settimeout(0.2)
-        try:
-            while True:
-                found.append(json.loads(receiver.recv(1 << 16)))
-        except TimeoutError:
-            pass
-
-    kinds = [each["do"] for each in found]
-    assert "follow" in kinds
-    assert kinds[39] == "hold"  # 0.2 s after the only line
-    assert "ended" in found[-1]["why"]
+            assert awaited("ended")["do"] == "hold"
 
 
 def test_the_bridge_to_ros_2_is_valid_python_that_reads_the_keys_of_the_messages():

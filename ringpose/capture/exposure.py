@@ -7,7 +7,7 @@ two exposures are merged (`ringpose.capture.hdr`).
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -49,16 +49,8 @@ DARK_SHARE, BRIGHT_SHARE = 0.4, 0.9
 median, are below or above these."""
 
 
-@dataclass(frozen=True, slots=True)
-class Exposures:
-    """The exposures of every step of a shot, in ascending order."""
-
-    values_s: tuple[float, ...]
-
-    @property
-    def longest_s(self) -> float:
-        """The longest one."""
-        return self.values_s[-1]
+Exposures: TypeAlias = tuple[float, ...]
+"""The exposures of every step of a shot in seconds, in ascending order."""
 
 
 class ExposureControl:
@@ -79,12 +71,12 @@ class ExposureControl:
         ring, whose stripes alone would suggest it.
         """
         used, wanted = exposures_of(shot), wanted_exposures(shot, self._lasers, self._rig)
-        if wanted.longest_s < used.longest_s / MAX_RATIO:
-            self._too_long_s = min(self._too_long_s, used.longest_s)
+        if wanted[-1] < used[-1] / MAX_RATIO:
+            self._too_long_s = min(self._too_long_s, used[-1])
         max_s = max(self._min_s, min(self._max_s, self._too_long_s / BELOW_TOO_LONG))
-        wanted = Exposures(tuple(sorted({float(np.clip(each, self._min_s, max_s)) for each in wanted.values_s})))
+        wanted = tuple(sorted({float(np.clip(each, self._min_s, max_s)) for each in wanted}))
         self.exposures = wanted
-        pairs = [(used.values_s[place], wanted.values_s[place]) for place in (0, -1)]
+        pairs = [(used[place], wanted[place]) for place in (0, -1)]
         accepted = all(1 / MAX_RATIO <= better_s / used_s <= MAX_RATIO for used_s, better_s in pairs)
         if accepted:
             self._too_long_s = math.inf
@@ -95,7 +87,7 @@ def exposures_of(shot: Shot) -> Exposures:
     """The exposures that a shot was taken with; those of a merged one are in its `meta`."""
     merged = shot.meta.get("merged")
     every = shot.exposure_s.tolist() if merged is None else [each for group in merged["exposures_s"] for each in group]
-    return Exposures(tuple(sorted(set(every))))
+    return tuple(sorted(set(every)))
 
 
 def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
@@ -108,19 +100,18 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
     points = None if rig is None else detect(shot, rig, edges=False).break_points
     shorter = overexposure(points, images) if isinstance(points, NoBreakPoints) else 1.0
     if shorter > MAX_RATIO:  # the face is brighter than what is seen of the stripes
-        return Exposures(tuple(each / shorter for each in exposures_of(shot).values_s))
+        return tuple(each / shorter for each in exposures_of(shot))
     scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
     stripes = list(_stripes_on_face(points, images, rig)) if rig is not None and isinstance(points, BreakPoints) else []
     if not stripes:
         stripes = [(image, position_px) for image in images for position_px in _any_stripes(image)]
     if not stripes:
-        used = exposures_of(shot)
-        return Exposures(tuple(factor_without_stripes(shot) * each for each in used.values_s))
-    shortest_s = exposures_of(shot).values_s[0]
+        return tuple(factor_without_stripes(shot) * each for each in exposures_of(shot))
+    shortest_s = exposures_of(shot)[0]
     best_s = [_best_exposure_s(image, position_px, scale_s, shortest_s) for image, position_px in stripes]
     if max(best_s) > BRACKET_RATIO * min(best_s):
-        return Exposures((min(best_s), max(best_s)))
-    return Exposures((min(best_s),))
+        return min(best_s), max(best_s)
+    return (min(best_s),)
 
 
 def _stripes_on_face(

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Bool, Float32, UInt, UInt16
+from ringpose.types.arrays import Array, Bool, Float32, UInt
 from ringpose.types.image import Shot, shot_with_frames
 
 FULL_SHARE = 0.98
@@ -123,5 +123,4 @@ def scaled_like(image: UInt[Array, "row column"], exposure_s: float, shot: Shot)
     if merged is None:
         return image
     grey = (image.astype(np.float32) - merged["black_dn"]) * (merged["scale_s"] / exposure_s) + merged["pedestal_dn"]
-    scaled: UInt16[Array, "row column"] = np.rint(grey.clip(0, shot.saturation_dn)).astype(np.uint16)
-    return scaled
+    return np.rint(grey.clip(0, shot.saturation_dn)).astype(np.uint16)

@@ -86,8 +86,7 @@ class LitPixels:
         size = max(image.shape[1] // MAX_WIDTHS_PER_IMAGE, 15)
         lines = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((size, size), dtype=np.uint8))
         detail = image - cv2.blur(image.astype(np.float32), (2 * size + 1, 2 * size + 1))
-        line_dn: Float32[Array, "n"] = np.minimum(lines.ravel()[self.pixel], detail.ravel()[self.pixel])
-        return line_dn
+        return np.minimum(lines.ravel()[self.pixel], detail.ravel()[self.pixel])
 
     def share_of_light(self, image: Image) -> float:
         """Contrast of the pixels in another image, relative to the one in which they were found."""

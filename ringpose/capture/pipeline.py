@@ -206,7 +206,7 @@ class _Sequencer:
             if mask != switched_mask:
                 self._lasers.wait(settle_s)
             switched_mask = mask
-            for exposure_s in (step.exposure_s,) if controlled is None else controlled.values_s:
+            for exposure_s in (step.exposure_s,) if controlled is None else controlled:
                 frames.append(self._frame(mask, exposure_s))
                 read_masks.append(self._lasers.read_mask())
         self._lasers.set_mask(0)
@@ -324,14 +324,14 @@ def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: flo
         lit = camera.trigger(1 << laser, exposure_s).image
         pixels = lit_pixels(lit, [dark], saturation_dn)
         if pixels is not None:
-            times_s += [_steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (0, 1 << laser)]
+            times_s += [steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (0, 1 << laser)]
         dark = require_off(camera, lasers, laser, pixels, (dark, lit), MAX_SETTLE_S, exposure_s)
     if not times_s:
         raise DeviceError("--settle auto", "no laser shows in the image", "give a time, such as --settle 0.05")
     return SETTLE_MARGIN * max(times_s)
 
 
-def _steady_after_s(
+def steady_after_s(
     camera: CameraDriver, lasers: LaserDriver, mask: int, pixels: LitPixels, exposure_s: float | None
 ) -> float:
     """Time from switching to `mask` until the trigger of the first frame after which all frames are steady."""

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -12,8 +11,8 @@ from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.laser_check import Image, LitPixels, lit_pixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
+from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, steady_after_s
 from ringpose.capture.shot_check import require_off
-from ringpose.capture.source import Source
 
 Verdict = Literal["ok", "warning", "fault"]
 """From best to worst."""
@@ -21,17 +20,8 @@ Verdict = Literal["ok", "warning", "fault"]
 FRAMES = 10
 """Frames without lasers, to measure the frame rate and to count repeated frames."""
 
-MAX_SETTLE_S = 0.5
-"""Maximum time in which a laser must follow its command."""
-
-SETTLED = 0.9
-"""Share of a laser's final contrast from which it counts as on; it counts as off below one minus this share."""
-
 MIN_USABLE = 10
 """Minimum number of unsaturated pixels to test the exposure with."""
-
-MARGIN = 1.5
-"""Factor between the time of the slowest laser and the recommended settling time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,16 +32,6 @@ class Check:
     verdict: Verdict
     found: str
     remedy: str = ""
-
-
-@contextmanager
-def opened_devices(source: Source) -> Iterator[tuple[CameraDriver, LaserDriver]]:
-    """Camera and lasers of a source; when the block ends the lasers are off and the devices closed."""
-    camera, lasers = source.devices
-    with camera, lasers:
-        if not isinstance(camera, CameraDriver) or not isinstance(lasers, LaserDriver):
-            raise TypeError("devices are a camera and its lasers")
-        yield camera, lasers
 
 
 def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> Iterator[Check]:
@@ -80,14 +60,14 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
         pixels, check = _check_laser(camera, lasers, laser, dark)
         yield check
         if pixels is not None:
-            times_s = [_response_time_s(camera, lasers, mask, pixels) for mask in (1 << laser, 0)]
+            times_s = [steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (1 << laser, 0)]
             slowest_s = max(slowest_s, *times_s)
             yield _check_exposure(camera, lasers, laser, pixels)
     if slowest_s >= MAX_SETTLE_S:
         yield Check(check="settle", verdict="fault", found=f"a laser has not followed within {MAX_SETTLE_S} s")
     elif slowest_s:
         within = f"the slowest laser follows within {1e3 * slowest_s:.0f} ms"
-        yield Check(check="settle", verdict="ok", found=f"{within}; --settle {MARGIN * slowest_s:.3f} is enough")
+        yield Check(check="settle", verdict="ok", found=f"{within}; --settle {SETTLE_MARGIN * slowest_s:.3f} is enough")
 
 
 def summary(checks: Sequence[Check]) -> Check:
@@ -128,18 +108,6 @@ def _check_laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Im
             check=check, verdict="warning", found=f"{found}, {100 * full:.0f} % saturated", remedy=remedy
         )
     return pixels, Check(check=check, verdict="ok", found=found)
-
-
-def _response_time_s(camera: CameraDriver, lasers: LaserDriver, mask: int, pixels: LitPixels) -> float:
-    """Time from the command until the first frame in which the laser is on, or off if the mask is 0."""
-    lasers.set_mask(mask)
-    commanded_s = time.perf_counter()
-    while (elapsed_s := time.perf_counter() - commanded_s) < MAX_SETTLE_S:
-        above = camera.trigger(mask).image.ravel()[pixels.pixel] - pixels.dark_dn
-        share = float(above.mean() / pixels.contrast_dn.mean())
-        if (share > SETTLED) if mask else (share < 1 - SETTLED):
-            break
-    return elapsed_s
 
 
 def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> Check:

@@ -5,7 +5,6 @@ sources with `device_source` and `capture_record`.
 """
 
 from collections.abc import Callable, Container, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count, islice
@@ -75,7 +74,7 @@ class Source:
     """Takes the shots; those of a scene continue after the names that exist already."""
     folders: frozenset[Path] = frozenset()
     """Folders of recorded shots, as far as they are known before reading."""
-    devices: tuple[AbstractContextManager[None], ...] = ()
+    devices: tuple[()] | tuple[CameraDriver, LaserDriver] = ()
     """To be entered, in this order, while shots are taken."""
     abort: Callable[[], None] | None = None
     """Switches the lasers off, also while another thread takes shots."""
@@ -132,8 +131,7 @@ class TrackedSequence:
 def laser_driver(request: CaptureRequest, camera: CameraDriver | None) -> LaserDriver:
     """The driver of the lasers' URI, `none:` if there is none; `camera` may switch them by its output lines."""
     uri = device_uri("none:" if request.lasers is None else request.lasers, "--lasers", LASERS)
-    lasers: LaserDriver = driver(LASERS, uri.scheme)(uri, LaserContext(names=request.laser_names, camera=camera))
-    return lasers
+    return driver(LASERS, uri.scheme)(uri, LaserContext(names=request.laser_names, camera=camera))
 
 
 def device_source(

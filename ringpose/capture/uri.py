@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from types import TracebackType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 from urllib.parse import parse_qsl
 
 from ringpose.errors import UsageError
@@ -101,6 +101,9 @@ def scheme_and_rest(uri: str, option: str, schemes: Sequence[str]) -> tuple[str,
     return scheme, rest
 
 
+_Opened = TypeVar("_Opened", bound="Device")
+
+
 @runtime_checkable
 class Device(Protocol):
     """A device that is opened and closed; a driver that derives from this is a context manager."""
@@ -111,12 +114,13 @@ class Device(Protocol):
     def close(self) -> None:
         """Close the device; closing it twice does nothing."""
 
-    def __enter__(self) -> None:
+    def __enter__(self: _Opened) -> _Opened:
         try:
             self.open()
         except BaseException:
             self.close()
             raise
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

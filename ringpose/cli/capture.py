@@ -115,7 +115,7 @@ def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
     """Write one record for each check to stdout, the overall verdict last; ends the command."""
     from dataclasses import asdict
 
-    from ringpose.capture.self_test import opened_devices, run_self_test, summary
+    from ringpose.capture.self_test import run_self_test, summary
     from ringpose.cli.acquisition import source_of
     from ringpose.files import records
 
@@ -123,7 +123,8 @@ def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
     if not source.devices:
         raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
     checks = []
-    with opened_devices(source) as (camera, lasers):
+    camera, lasers = source.devices
+    with camera, lasers:
         for check in run_self_test(camera, lasers, request.fixed_exposure_s):
             checks.append(check)
             records.write({key: value for key, value in asdict(check).items() if value})
@@ -148,8 +149,9 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool
     from ringpose.files import records
 
     with ExitStack() as stack:
-        for part in (writer, *source.devices):
-            stack.enter_context(part)
+        stack.enter_context(writer)
+        for device in source.devices:
+            stack.enter_context(device)
         writer.name_camera(source.camera_name())
         lost_dn: list[float] = []
         stack.callback(_report_lost, lost_dn)

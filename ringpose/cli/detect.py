@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ringpose.files.inputs import Input
-    from ringpose.types.arrays import Array, UInt8
     from ringpose.types.assumptions import AssumptionOptions
-    from ringpose.types.detection import Detection
+    from ringpose.types.detection import BreakPoints, Detection
     from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
 
@@ -92,20 +91,16 @@ def detect(
     for path, shot, detection in with_progress(found, "shots", quiet):
         with batch.guarded():
             if overlays is not None:  # first, so that all files exist when the detection's name is printed
-                overlays.write(shot.name, detection_overlay(shot, detection))
+                from ringpose.report.overlay import overlay as drawn
+                from ringpose.report.overlay import picture_of
+
+                overlays.write(shot.name, drawn(picture_of(shot), detection))
             sink.write(detection, path)
             if verbose:
                 messages.echo(f"{shot.name}: {detection.summary}")
             if not (detection.found or segments_only):
                 batch.record_status(NO_POSE)
     batch.finish()
-
-
-def detection_overlay(shot: "Shot", detection: "Detection") -> "UInt8[Array, 'row column 3']":
-    """The picture of one shot with its detection."""
-    from ringpose.report.overlay import overlay, picture_of  # not needed without --overlay
-
-    return overlay(picture_of(shot), detection)
 
 
 class DetectInput:
@@ -124,37 +119,24 @@ class DetectInput:
         """Without `rig` only segments are searched for; the shots must fit `rig_of_shots` if there is one."""
         self.rig, self.rig_of_shots, self.channel = rig, rig_of_shots, channel
         self.method, self.stripes, self.track, self.options = method, stripes, track, options
-        self.previous: Detection | None = None
+        self.previous: BreakPoints | None = None
 
     def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
         """Read and search one input."""
         from ringpose.files.images.shots import read_shot
         from ringpose.files.inputs import path_of_input
+        from ringpose.types.detection import BreakPoints
 
         path = path_of_input(item)
         shot = read_shot(path, self.channel, self.rig_of_shots)
         if self.rig is None:
-            return path, shot, segments_of(shot, self.method)
-        detection = detection_of(shot, self.rig, self.stripes, self.previous, self.options)
-        self.previous = detection if self.track and detection.found else None
+            from ringpose.detect.line_segments import segments_only
+
+            return path, shot, segments_only(shot, self.method)
+        from ringpose.detect.pipeline import detect as detected
+
+        assumptions = self.options.about_shot(self.rig.stability, still=shot.still)
+        detection = detected(shot, self.rig, self.stripes, predicted=self.previous, assumptions=assumptions)
+        if self.track:
+            self.previous = detection.break_points if isinstance(detection.break_points, BreakPoints) else None
         return path, shot, detection
-
-
-def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
-    """The straight line segments of a shot, without stripes or break points."""
-    from ringpose.detect.line_segments import segments_only
-
-    return segments_only(shot, method)
-
-
-def detection_of(
-    shot: "Shot", rig: "Rig", source: StripeSource, previous: "Detection | None", options: "AssumptionOptions"
-) -> "Detection":
-    """The detection in a shot; the search starts near the break points of the previous detection if it is given."""
-    from ringpose.detect.pipeline import detect as detected
-    from ringpose.types.detection import BreakPoints
-
-    points = None if previous is None else previous.break_points
-    predicted = points if isinstance(points, BreakPoints) else None
-    assumptions = options.about_shot(rig.stability, still=shot.still)
-    return detected(shot, rig, source, predicted=predicted, assumptions=assumptions)

@@ -4,7 +4,10 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from time import monotonic
-from typing import IO, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 _Item = TypeVar("_Item")
 
@@ -42,14 +45,19 @@ def with_progress(items: Iterable[_Item], what: str, quiet: bool = False) -> Ite
     return iter(items) if quiet or sys.stderr is None or not sys.stderr.isatty() else _counted(items, what)
 
 
-def _counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
+def _progress(*columns: Any) -> "Progress":
+    """A progress display with these columns on stderr, which goes away at its end."""
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress
 
-    columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} " + what), TimeElapsedColumn())
-    with Progress(
-        *columns, console=Console(file=cast("IO[str]", _Screen(sys.stderr))), transient=True, redirect_stdout=False
-    ) as progress:
+    console = Console(file=cast("IO[str]", _Screen(sys.stderr)))
+    return Progress(*columns, console=console, transient=True, redirect_stdout=False)
+
+
+def _counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    with _progress(SpinnerColumn(), TextColumn("{task.completed:.0f} " + what), TimeElapsedColumn()) as progress:
         task = progress.add_task(what, total=None)
         for item in items:
             yield item
@@ -58,20 +66,11 @@ def _counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
 
 def with_total(items: Iterable[_Item], what: str, total: int, done: int = 0) -> Iterator[_Item]:
     """Yield the items and show on the terminal how many of `total` are done, the rate, and the time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
+    left = TimeRemainingColumn(elapsed_when_finished=True)
     rate = TextColumn("{task.fields[rate]}")
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(what),
-        rate,
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(
-        *columns, console=Console(file=cast("IO[str]", _Screen(sys.stderr))), transient=True, redirect_stdout=False
-    ) as progress:
+    with _progress(BarColumn(), MofNCompleteColumn(), TextColumn(what), rate, left) as progress:
         task = progress.add_task(what, total=total, completed=done, rate="")
         begun_s = monotonic()
         for number, item in enumerate(items, start=1):

@@ -107,8 +107,7 @@ class Archive:
     def loaded(self, key: str) -> Array:
         """An array whose declared size the caller has checked."""
         with self._reporting_damage(), self._zip.open(self._members[key].info) as stream:
-            array: Array = np.lib.format.read_array(stream, allow_pickle=False)
-            return array
+            return np.lib.format.read_array(stream, allow_pickle=False)
 
     def _member(self, info: zipfile.ZipInfo) -> Member:
         """Type and shape in the header of an array; only the header is decompressed.

@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -12,10 +11,10 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.cameras.covariances import checked_covariance, covariance_values, read_covariance
-from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values
+from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values, covariance_values, read_covariance
 from ringpose.files.io import provenance, read_bytes
-from ringpose.files.schema import ROUNDED, Fields
+from ringpose.files.records import plain
+from ringpose.files.schema import ROUNDED, Fields, checked_covariance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.rig import LaserPlanes, Mount, Rig, camera_parameters, laser_parameters
@@ -44,8 +43,13 @@ def read_rig(path: Path) -> Rig:
 
 
 def rig_in(text: bytes, location: str) -> Rig:
-    """The rig in the text of a rig.yaml."""
-    return rig_of(Fields(location, parsed(text, location), _KEYS), hashlib.sha256(text).hexdigest())
+    """The rig in the text of a rig.yaml, fit to measure rings."""
+    fields = Fields(location, parsed(text, location), _KEYS)
+    rig = rig_of(fields, hashlib.sha256(text).hexdigest())
+    for entry, finding in zip(fields.each("lasers"), steep_stripes(rig.lasers), strict=True):
+        if finding:
+            raise entry.problem("normal", finding, "mount the camera so that the stripes run along the rows")
+    return rig
 
 
 def rig_of(fields: Fields, sha256: str = "") -> Rig:
@@ -64,6 +68,18 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},
         sha256=sha256,
     )
+
+
+def steep_stripes(lasers: LaserPlanes) -> list[str]:
+    """For each laser what keeps it from measuring rings: its stripe's angle to the rows; empty if that is fine."""
+    angles_deg = np.degrees(np.arctan2(np.abs(lasers.normal[:, 0]), np.abs(lasers.normal[:, 1]))).tolist()
+    limit = f"at most {MAX_STRIPE_ANGLE_DEG:g}"
+    return [
+        f"draws a stripe at {angle_deg:.1f} degrees to the image's rows, {limit}"
+        if angle_deg > MAX_STRIPE_ANGLE_DEG
+        else ""
+        for angle_deg in angles_deg
+    ]
 
 
 def read_mount(path: Path) -> Mount:
@@ -104,8 +120,12 @@ def write_rig(
     force: bool = False,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Write rig.yaml with provenance; `extra` may have the key `quality`, which is not needed by `read_rig`."""
+    """Write rig.yaml with provenance; `extra` may have the key `quality`, which is not needed by `read_rig`.
+
+    A rig that `rig_of` would reject is not written; one whose stripes are steep is, as its planes are right.
+    """
     values = rig_values(rig)
+    rig_of(Fields(str(path), plain(values), _KEYS))
     head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | values | dict(extra))
@@ -159,11 +179,6 @@ def _lasers(fields: Fields) -> LaserPlanes:
             raise entry.problem("name", f"{name!r} occurs twice")
         names.append(name)
         normals.append(entry.unit_vector("normal", "divide normal and distance_m by it"))
-        x, y, _ = normals[-1].tolist()
-        angle_deg = math.degrees(math.atan2(abs(x), abs(y))) if y else 90.0
-        if angle_deg > MAX_STRIPE_ANGLE_DEG:
-            finding = f"draws a stripe at {angle_deg:.1f} degrees to the image's rows, at most {MAX_STRIPE_ANGLE_DEG:g}"
-            raise entry.problem("normal", finding, "mount the camera so that the stripes run along the rows")
         distances_m.append(entry.length_m("distance_m"))
         if abs(distances_m[-1]) < MIN_DISTANCE_M:
             raise entry.problem("distance_m", f"is {distances_m[-1]:g}: the plane contains the camera's centre")

@@ -19,6 +19,9 @@ MAX_VALUE = 1e30
 ROUNDED = 1e-6
 """Tolerance of the length of a unit vector and of the orthogonality of a rotation, for values rounded in a file."""
 
+_TOLERANCE = 1e-9
+"""Rounding errors of a correlation matrix: asymmetry, and negative eigenvalues per row."""
+
 MAX_LENGTH_M = 5.0
 """Longest plausible length on a rig or board; a larger number is probably in millimetres."""
 
@@ -157,8 +160,7 @@ class Fields:
         length = float(np.linalg.norm(vector))
         if abs(length - 1) > ROUNDED:
             raise self.problem(key, f"has length {length:.6g}, must be 1", remedy if length > 0 else "")
-        unit: Float64[Array, "xyz=3"] = vector / length
-        return unit
+        return vector / length
 
     def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
         """Reject lengths that are only plausible in millimetres."""
@@ -244,3 +246,17 @@ def _numbers(value: object) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float | None):
         raise TypeError(value)
     return math.nan if value is None else float(value)
+
+
+def checked_covariance(fields: Fields, key: str, data: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
+    """The covariance at a key, made exactly symmetric; rejected unless symmetric and positive semidefinite."""
+    variance = np.diag(data)
+    if (variance < 0).any():
+        raise fields.problem(key, "has a negative variance on its diagonal")
+    sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
+    correlation = data / np.outer(sigma, sigma)
+    if np.abs(correlation - correlation.T).max(initial=0.0) > _TOLERANCE:
+        raise fields.problem(key, "is not symmetric")
+    if len(data) and np.linalg.eigvalsh(correlation).min() < -_TOLERANCE * len(data):
+        raise fields.problem(key, "is not positive semidefinite")
+    return (data + data.T) / 2

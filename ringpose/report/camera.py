@@ -226,7 +226,7 @@ def comparison_picture(calibration: CameraCalibration, comparison: ModelComparis
     axes = figure.subplots()
     _map(figure, axes, comparison.difference_px, calibration.camera)
     axes.set_title("difference of the models (px)")
-    return _picture(figure, "The models may differ beyond the outermost corners, where neither is determined.")
+    return _picture(figure, "The map is white beyond the outermost corners, where the models are not determined.")
 
 
 def _limit_px(calibration: CameraCalibration) -> float:

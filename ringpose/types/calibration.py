@@ -265,7 +265,7 @@ class ModelComparison:
 
     fits: tuple[ModelFit, ...]
     difference_px: Float64[Array, "map_row map_column"]
-    """Displacement between the two cameras, with the camera frame rotated to minimise it."""
+    """Displacement between the two cameras, with the camera frame rotated to minimise it; NaN where one is unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,8 +5,6 @@ from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
-from drawn_camera import DrawnCamera
-from virtual_time import VirtualTime
 
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.laser_check import lit_pixels
@@ -15,41 +13,16 @@ from ringpose.capture.pipeline import SETTLE_MARGIN, measured_settle_s
 from ringpose.capture.self_test import run_self_test
 from ringpose.capture.shot_check import require_off
 from ringpose.errors import LaserSafetyError
-from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
+from ringpose.simulate.serve.relays import RelayFaults
 from ringpose.types.image import Frame
 
 EXPOSURE_S = 0.005
 
 
-class ContactLasers(LaserDriver):
-    count = 3
-
-    def __init__(self, contacts: RelayContacts, clock: VirtualTime) -> None:
-        self.contacts, self.clock = contacts, clock
-
-    def set_mask(self, lasers: int) -> None:
-        for laser in range(self.count):
-            self.contacts.command(laser, bool(lasers >> laser & 1), self.clock.monotonic())
-
-    def read_mask(self) -> int | None:
-        return None
-
-    def close(self) -> None:
-        pass
-
-
 @pytest.fixture
-def devices(rng, monkeypatch):
-    """A camera, and lasers with the given faults."""
-    clock = VirtualTime()
-    for module in ("drawn_camera", "ringpose.capture.pipeline", "ringpose.capture.self_test", LaserDriver.__module__):
-        monkeypatch.setattr(f"{module}.time", clock)
-
-    def created(**faults):
-        contacts = RelayContacts(3, RelayFaults(**faults))
-        return DrawnCamera(contacts, rng, brightness_dn=100.0), ContactLasers(contacts, clock)
-
-    return created
+def devices(drawn_devices):
+    """A camera, and lasers with the given faults that report no mask."""
+    return lambda **faults: drawn_devices(RelayFaults(**faults), reports=False, brightness_dn=100.0)
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def _each_board_found_once() -> Iterator[None]:
 
     It takes most of the time of a calibration, and the tests share the carried views.
     """
-    import ringpose.calibrate.boards.motion
+    import ringpose.calibrate.planes.shots
     import ringpose.cli.calibrate.board_views
     from ringpose.calibrate.boards.views import find_board
     from ringpose.types.board import BoardView
@@ -99,7 +99,7 @@ def _each_board_found_once() -> Iterator[None]:
         return replace(view, name=name) if isinstance(view, BoardView) else view
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (ringpose.calibrate.boards.motion, ringpose.cli.calibrate.board_views):
+        for module in (ringpose.calibrate.planes.shots, ringpose.cli.calibrate.board_views):
             patch.setattr(module, "find_board", found)
         yield
 

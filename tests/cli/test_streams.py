@@ -118,7 +118,7 @@ import ringpose.cli.main as cli
 def command(arguments):
     try:
         print("on", flush=True)
-        time.sleep(60)
+        time.sleep(600)
     finally:
         for _ in range(3):
             os.kill(os.getpid(), signal.SIGINT)

@@ -111,7 +111,7 @@ def test_a_killed_process_leaves_no_incomplete_file_under_the_final_name(tmp_pat
         from pathlib import Path
         from ringpose.files.atomic import replacing
         with replacing(Path(sys.argv[1]), False) as stream:
-            stream.write(b"half"); stream.flush(); print("now", flush=True); time.sleep(60)
+            stream.write(b"half"); stream.flush(); print("now", flush=True); time.sleep(600)
         """
     )
     with subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "a")], stdout=subprocess.PIPE) as process:

@@ -1,4 +1,5 @@
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,33 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     assert after.covariance.parameters == names
     np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "key"),
+    [
+        ("lasers", {"distance_m": np.array([0.0, 0.05])}, "distance_m"),
+        ("lasers", {"names": ("left", "left")}, "name"),
+        ("camera", {"camera_matrix": np.diag([-700.0, 710.0, 1.0])}, "camera_matrix"),
+    ],
+)
+def test_a_rig_that_could_not_be_read_is_not_written(rig_file, tmp_path, part, changes, key):
+    rig = read_rig(rig_file())
+
+    with pytest.raises(DataError, match=key):
+        write_rig(tmp_path / "new.yaml", replace(rig, **{part: replace(getattr(rig, part), **changes)}))
+
+    assert not (tmp_path / "new.yaml").exists()
+
+
+def test_a_rig_whose_stripe_is_too_steep_for_rings_is_written_and_named_when_it_is_read(rig_file, tmp_path):
+    rig = read_rig(rig_file())
+    upright = replace(rig.lasers, normal=np.array([[0.8, 0.0, 0.6], [0.0, 0.6, -0.8]]))
+
+    write_rig(tmp_path / "new.yaml", replace(rig, lasers=upright))
+
+    with pytest.raises(DataError, match=r"lasers\[0\].normal: draws a stripe at 90.0 degrees"):
+        read_rig(tmp_path / "new.yaml")
 
 
 def test_a_rounded_normal_is_normalised(rig_file):

@@ -153,5 +153,4 @@ def board_image(shot: Shot) -> UInt[Array, "row column"]:
 def dark_image(shot: Shot) -> UInt[Array, "row column"] | None:
     """The first frame with the lasers off, if there is one."""
     off = np.flatnonzero(shot.lasers == 0)
-    image: UInt[Array, "row column"] | None = shot.images[off[0]] if len(off) else None
-    return image
+    return shot.images[off[0]] if len(off) else None

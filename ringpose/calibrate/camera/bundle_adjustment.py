@@ -17,9 +17,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import moderated_variances, whiten
+from ringpose.calibrate.boards.corner_errors import moderated_variances, whiten, without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
-from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.parameters import (
     CameraModel,
     camera_with,
@@ -80,8 +79,7 @@ class ViewEquations(NamedTuple):
 
     def pose_step(self, step: Float64[Array, "parameter"]) -> Float64[Array, "pose=6"]:
         """Step of the pose for a step of the camera's parameters (back-substitution)."""
-        pose_step: Float64[Array, "pose=6"] = np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
-        return pose_step
+        return np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
 
 
 def blank_camera(camera_name: str, image_width: int, image_height: int, model: CameraModel) -> Camera:

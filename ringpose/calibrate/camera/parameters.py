@@ -60,10 +60,7 @@ def damped_step(
     damping: float,
 ) -> Float64[Array, "parameter"]:
     """Levenberg-Marquardt step of the free parameters; `gradient` is the right-hand side of the normal equations."""
-    step: Float64[Array, "parameter"] = (
-        covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ gradient
-    )
-    return step
+    return covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ gradient
 
 
 def covariance_of_free(

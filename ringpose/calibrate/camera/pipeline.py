@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.camera.bundle_adjustment import (
     CameraSolution,
@@ -13,7 +14,6 @@ from ringpose.calibrate.camera.bundle_adjustment import (
     corners_of,
     undetermined,
 )
-from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.outliers import (
     MAX_VIEW_SHARE,
     outlying_corners,

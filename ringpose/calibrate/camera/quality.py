@@ -60,7 +60,7 @@ def camera_quality(
         },
     }
     if comparison is not None:
-        difference_px = [float(np.median(comparison.difference_px)), float(np.max(comparison.difference_px))]
+        difference_px = [float(np.nanmedian(comparison.difference_px)), float(np.nanmax(comparison.difference_px))]
         fits = [{key: value for key, value in asdict(fit).items() if key != "parameters"} for fit in comparison.fits]
         quality["models"] = {"difference_px": difference_px, "fits": fits}
     quality["views"] = [_view_quality(view) for view in calibration.views]
@@ -133,8 +133,10 @@ def _comparison_lines(comparison: ModelComparison) -> list[str]:
     for fit in comparison.fits:
         held_out = "" if np.isnan(fit.held_out_rms_px) else f", {fit.held_out_rms_px:.4f} px on views left out"
         lines.append(f"{fit.distortion_model}: rms {fit.rms_px:.4f} px{held_out}")
-    median_px, most_px = np.median(comparison.difference_px), np.max(comparison.difference_px)
-    difference = f"the models differ by median {median_px:.3f} px, at most {most_px:.2f} px over the image"
+    median_px, most_px = np.nanmedian(comparison.difference_px), np.nanmax(comparison.difference_px)
+    share = np.isfinite(comparison.difference_px).mean()
+    where = "the image" if share == 1 else f"the {100 * share:.0f} % of the image that the corners reach"
+    difference = f"the models differ by median {median_px:.3f} px, at most {most_px:.2f} px over {where}"
     if not any(np.isnan(fit.held_out_rms_px) for fit in comparison.fits):
         best = min(comparison.fits, key=lambda fit: fit.held_out_rms_px)
         difference += f"; views left out fit {best.distortion_model} best"

@@ -137,14 +137,13 @@ def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: Cam
     covariance = covariance_of_free(information, model.free)
     expected = [sigma_px(covariance_of_free(information - own, model.free) - covariance) for own in whole.information]
     ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
-    jackknife: MapValues = np.sqrt(ratio) * sigma_px(covariance)
-    return jackknife
+    return np.sqrt(ratio) * sigma_px(covariance)
 
 
 def model_comparison(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> ModelComparison:
-    """Rms of both distortion models on the same views, and the displacement between their cameras.
+    """Rms of both distortion models on the same views, and the displacement between their cameras where both are known.
 
     More coefficients always reduce the rms. Whether they describe the lens or the noise is decided by held-out views:
     the larger model is better only if their rms falls as well.
@@ -154,9 +153,11 @@ def model_comparison(
     camera = whole.camera
     blank = blank_camera(camera.camera_name, camera.image_width, camera.image_height, other_model)
     other = camera_solution(used, blank, other_model)
+    corners_px = np.concatenate([view.points_px for view in used])
+    known = known_lens(camera, corners_px, where) & known_lens(other.camera, corners_px, where)
     return ModelComparison(
         fits=(_fit(used, whole, model), _fit(used, other, other_model)),
-        difference_px=displacement_px(camera, other.camera, where),
+        difference_px=np.where(known, displacement_px(camera, other.camera, where), np.nan),
     )
 
 
@@ -196,12 +197,10 @@ def displacement_px(one: Camera, other: Camera, where: ImageMap) -> MapValues:
         return (middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3)
 
     def rotated(directions: Float64[Array, "n xyz=3"], step: Float64[Array, "rotation=3"]) -> Float64[Array, "n xyz=3"]:
-        turned: Float64[Array, "n xyz=3"] = directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
-        return turned
+        return directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
 
     directions = gauss_newton(linearised, rotated, rays(where.points_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
-    length: MapValues = np.linalg.norm(offset_px(directions), axis=-1).reshape(where.points_px.shape[:2])
-    return length
+    return np.linalg.norm(offset_px(directions), axis=-1).reshape(where.points_px.shape[:2])
 
 
 def projection_sigma_px(camera: Camera, where: ImageMap) -> MapValues:
@@ -218,8 +217,7 @@ def projection_sigma_px(camera: Camera, where: ImageMap) -> MapValues:
     )[0]
     remaining = wrt_parameter - wrt_rotation @ rotation
     variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
-    sigma: MapValues = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
-    return sigma
+    return np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
 
 
 def _middle_points(where: ImageMap) -> Bool[Array, "n"]:
@@ -251,5 +249,4 @@ def known_lens(
         return np.ones(where.points_px.shape[:2], dtype=bool)
     middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
     radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (where.points_px, corners_px))
-    known: Bool[Array, "map_row map_column"] = radius <= max(float(reached.max()), float(radius.min()))
-    return known
+    return radius <= max(float(reached.max()), float(radius.min()))

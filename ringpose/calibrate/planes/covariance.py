@@ -138,10 +138,7 @@ def worst_depth_sd_m(
     camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
 ) -> Float64[Array, "laser distance"]:
     """Largest of these standard deviations along each stripe; NaN where none of it is in the image."""
-    worst: Float64[Array, "laser distance"] = np.fmax.reduce(
-        depth_uncertainty(camera, lasers, covariance, distances_m), axis=-1
-    )
-    return worst
+    return np.fmax.reduce(depth_uncertainty(camera, lasers, covariance, distances_m), axis=-1)
 
 
 def _stripe_px(
@@ -201,8 +198,7 @@ def ring_center_sd_m(
     points_covariance = point_covariance(points, np.zeros((len(points), 2, 2)), laser, rig)
     _, jacobian = differentiated(points, edges, Method.PAPER_CONSTRAINED)
     variance = pose_covariance(jacobian, points_covariance).center_m2
-    sd: Float64[Array, "xyz=3"] = np.sqrt(np.diag(variance).clip(0))
-    return sd
+    return np.sqrt(np.diag(variance).clip(0))
 
 
 def _break_points_m(

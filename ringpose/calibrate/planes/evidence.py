@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, Points, condition, outlying_views, robust_plane
-from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.calibrate.planes.stripes.labels import (
     check_order,
     exchanged_lasers,

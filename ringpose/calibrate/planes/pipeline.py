@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors
+from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors, without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
-from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.joint_adjustment import (
@@ -28,7 +27,7 @@ from ringpose.calibrate.planes.plane_fit import (
     plane_without,
     rms,
 )
-from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.errors import DataError
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView

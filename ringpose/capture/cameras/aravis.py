@@ -177,8 +177,7 @@ class AravisCamera(GenApiCamera):
         if not 0 < image_bytes <= size.value:
             return None
         copied = ctypes.string_at(data, image_bytes)
-        image: UInt[Array, "row column"] = np.frombuffer(copied, dtype=kind).reshape(height, width)
-        return image
+        return np.frombuffer(copied, dtype=kind).reshape(height, width)
 
     def _drain(self) -> None:
         """Discard late frames."""

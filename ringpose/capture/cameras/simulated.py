@@ -1,6 +1,7 @@
 """`sim:`: the camera of a simulated scene, rendered in this process, and its lasers."""
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import TypeAlias
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserContext, LaserDriver
@@ -8,13 +9,8 @@ from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.image import Frame
 
-
-@runtime_checkable
-class SceneFrame(Protocol):
-    """Renders a frame of the scene."""
-
-    def __call__(self, moment: int, lasers: int, exposure_s: float | None) -> Frame:
-        """The frame of view `moment` (from 0) while the lasers of the mask are on."""
+SceneFrame: TypeAlias = Callable[[int, int, float | None], Frame]
+"""Renders the frame of a view of the scene (from 0), while the lasers of a mask are on, with an exposure in seconds."""
 
 
 class SimulatedCamera(CameraDriver):

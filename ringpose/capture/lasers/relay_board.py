@@ -62,8 +62,7 @@ class RelaySettings:
     @property
     def codec(self) -> RelayCodec:
         """The protocol of the board."""
-        codec: RelayCodec = CODECS[self.scheme](**self.codec_parameters)
-        return codec
+        return CODECS[self.scheme](**self.codec_parameters)
 
     @property
     def on_limit_s(self) -> float:

@@ -198,18 +198,21 @@ def _calibrate(
             from ringpose.report.planes import planes_report
 
             write_page(report, planes_report(assessment), force=options.force)
-        if not options.quiet:
-            _report_inferred_lasers(stripes)
+        _report_lasers(stripes, rig, quiet=options.quiet)
         batch.record_status(report_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
 
 
-def _report_inferred_lasers(stripes: "StripeShots") -> None:
-    """The number of lasers if it is small and only the masks determine it: another one may be dark or unwired."""
+def _report_lasers(stripes: "StripeShots", rig: "Rig", *, quiet: bool) -> None:
+    """Lasers that cannot measure rings; their number if it is small and by the masks alone: one may be dark."""
     from ringpose.calibrate.planes.stripes.labels import THREE
     from ringpose.cli import messages
+    from ringpose.files.rigs import steep_stripes
 
-    if stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
+    for name, finding in zip(rig.lasers.names, steep_stripes(rig.lasers), strict=True):
+        if finding:
+            messages.echo(f"{name}: {finding}: it cannot measure rings")
+    if not quiet and stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
         number = f"{len(stripes.names)} laser{'s' * (len(stripes.names) > 1)}"
         names = ", ".join(stripes.names)
         messages.echo(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")

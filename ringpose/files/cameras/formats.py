@@ -12,13 +12,13 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras import matlab
 from ringpose.files.cameras import opencv as opencv_storage
-from ringpose.files.cameras.covariances import read_covariance
 from ringpose.files.cameras.ros import (
     CAMERA_KEYS,
     FILE_KEYS,
     camera_of,
     camera_values,
     pinhole_camera,
+    read_covariance,
     write_camera,
 )
 from ringpose.files.io import read_bytes

@@ -1,6 +1,6 @@
 """Cameras with the keys of ROS camera_info, as in camera.yaml and rig.yaml, and the check of camera matrices."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from ringpose.files import atomic
-from ringpose.files.cameras.covariances import covariance_values, read_covariance
 from ringpose.files.io import provenance
-from ringpose.files.schema import Fields
+from ringpose.files.records import plain
+from ringpose.files.schema import Fields, checked_covariance, hint
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, camera_parameters
+from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, ParameterCovariance, camera_parameters
 
 SCHEMA = "camera/1"
 
@@ -43,10 +43,14 @@ def write_camera(
     force: bool = False,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Write camera.yaml; `extra` has the informative keys `standard_deviations` and `quality`."""
-    head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
+    """Write camera.yaml; `extra` has the informative keys `standard_deviations` and `quality`.
+
+    A camera that `read_camera` would reject is not written.
+    """
+    head, values = {"ringpose": SCHEMA, "provenance": provenance(inputs)}, camera_values(camera)
+    camera_of(Fields(str(path), plain(values), CAMERA_KEYS))
     with atomic.replacing(path, force) as stream:
-        write_yaml(stream, head | camera_values(camera) | dict(extra))
+        write_yaml(stream, head | values | dict(extra))
 
 
 def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
@@ -99,6 +103,26 @@ def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> F
         if expected is not None and found != expected:
             raise entry.problem(name, f"is {found}, must be {expected}")
     return entry.vector("data", rows * columns)
+
+
+def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
+    """The covariance under the optional key `covariance` of a camera or rig; its parameters must be known ones."""
+    if not parent.has("covariance"):
+        return None
+    fields = parent.fields("covariance", ("parameters", "data"))
+    names = fields.texts("parameters")
+    for name in names:
+        if name not in known:
+            raise fields.problem("parameters", f"unknown parameter {name!r}", hint(name, known))
+    if len(set(names)) != len(names):
+        raise fields.problem("parameters", "a parameter occurs twice")
+    data = checked_covariance(fields, "data", fields.array("data", (len(names), len(names))))
+    return ParameterCovariance(parameters=names, data=data)
+
+
+def covariance_values(covariance: ParameterCovariance) -> dict[str, Any]:
+    """The mapping that `read_covariance` reads."""
+    return {"parameters": list(covariance.parameters), "data": covariance.data}
 
 
 def pinhole_camera(

@@ -10,10 +10,9 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from ringpose.files.cameras.covariances import checked_covariance
 from ringpose.files.records.rejections import rejection_record, rejections_in
 from ringpose.files.rigs import rig_stability
-from ringpose.files.schema import Fields
+from ringpose.files.schema import Fields, checked_covariance
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior
 from ringpose.types.options import PoseFrame

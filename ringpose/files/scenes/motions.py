@@ -150,8 +150,7 @@ def _quaternion(entry: Fields) -> Float64[Array, "4"]:
     length = float(np.linalg.norm(orientation))
     if abs(length - 1) > 1e-3:
         raise entry.problem("orientation_xyzw", f"has length {length:.6g}, must be 1")
-    unit: Float64[Array, "4"] = orientation / length
-    return unit
+    return orientation / length
 
 
 def mass_properties(parts: Sequence[Part]) -> tuple[float, Float64[Array, "xyz=3"], Float64[Array, "3 3"]]:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from drawn_boards import FOUR, drawn_board
 
-from ringpose.calibrate.boards.motion import STILL_PX, board_shift_px
 from ringpose.calibrate.boards.views import find_board
+from ringpose.calibrate.planes.shots import STILL_PX, board_shift_px
 from ringpose.types.board import BoardView
 from ringpose.types.image import Shot
 

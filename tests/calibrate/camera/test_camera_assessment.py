@@ -186,7 +186,7 @@ def test_held_out_views_are_not_fitted_better_by_coefficients_that_the_lens_does
     plumb_bob, rational = comparison.fits
     assert rational.rms_px < plumb_bob.rms_px
     assert rational.held_out_rms_px > 0.99 * plumb_bob.held_out_rms_px
-    assert np.median(comparison.difference_px) < 0.1
+    assert np.nanmax(comparison.difference_px) < 0.1
 
 
 def test_millimetres_grow_with_distance(ten):

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from known_views import TRUE_CAMERA
 
-from ringpose.calibrate.boards.corner_errors import endpoint_correlation
+from ringpose.calibrate.boards.corner_errors import endpoint_correlation, without_distortion_bias
 from ringpose.calibrate.boards.patterns.circles import seen_offsets
-from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.types.board import BoardView
 
 CORNERS_M = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.08, 0.08, 0], [0, 0.08, 0]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from known_views import TRUE_CAMERA
 
-from ringpose.calibrate.planes.stripes.board_surface import BoardSurface, board_surface, triangulated
+from ringpose.calibrate.planes.stripes.extraction import BoardSurface, board_surface, triangulated
 from ringpose.geometry.rays import project
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.image import Shot

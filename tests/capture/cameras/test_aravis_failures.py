@@ -25,7 +25,7 @@ def test_losing_every_frame_is_an_error_with_a_remedy(serve, camera, monkeypatch
 def test_a_camera_that_stops_answering_is_an_error(serve, camera):
     serve("dead-camera=2")
 
-    with (opened := camera(timeout="0.3")):
+    with (opened := camera(timeout="2")):
         opened.trigger(0)
         opened.trigger(0)
         with pytest.raises(DeviceError, match=r"does not answer any more; check its cable"):

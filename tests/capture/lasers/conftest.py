@@ -2,7 +2,6 @@
 
 import os
 import socket
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,22 +9,10 @@ from typing import Any
 
 import pytest
 from forked import Forked
+from guarded_lasers import BOARDS, PATIENT, LinkedRelays
 from small_rig import SMALL_RIG
 
 from ringpose.simulate.serve.relays import RelayFaults, ServedRelays
-from ringpose.wire.ascii_relays import AsciiCodec
-from ringpose.wire.lcus import LcusCodec
-from ringpose.wire.modbus import ModbusCodec
-from ringpose.wire.numato import NumatoCodec
-
-ARDUINO = AsciiCodec(on="R{n} ON", off="R{n} OFF", read="R?", acknowledged_by="OK")
-
-BOARDS: dict[str, tuple[Any, str]] = {
-    "lcus": (LcusCodec(), "lcus:{port}?ch=1,2,3"),
-    "numato": (NumatoCodec(), "numato:{port}?ch=0,1,2"),
-    "modbus": (ModbusCodec(), "modbus:{port}?ch=0,1,2"),
-    "ascii": (ARDUINO, "ascii:{port}?ch=1,2,3&on=R{{n}}%20ON&off=R{{n}}%20OFF&read=R?&ok=OK&opening=0"),
-}
 
 SCENE = """\
 ringpose: scene/1
@@ -65,14 +52,16 @@ relays.WatchdogLasers = Unwatched
 
 
 @pytest.fixture
-def board() -> Callable[..., Any]:
+def board(tmp_path: Path) -> Callable[..., Any]:
     """Serves a virtual board by its scheme; yields it with its URI."""
 
     @contextmanager
-    def served(scheme: str, faults: RelayFaults | None = None) -> Iterator[tuple[ServedRelays, str]]:
+    def served(
+        scheme: str, faults: RelayFaults | None = None, limits: str = PATIENT
+    ) -> Iterator[tuple[ServedRelays, str]]:
         codec, uri = BOARDS[scheme]
-        with ServedRelays(codec, faults=faults) as relays:
-            yield relays, uri.format(port=relays.port)
+        with LinkedRelays(tmp_path, codec, faults=faults) as relays:
+            yield relays, uri.format(port=relays.port, channels=relays.channels) + limits
 
     return served
 
@@ -104,19 +93,3 @@ def capturing(scene_folder: Path, forker: socket.socket) -> Callable[..., Forked
 def without_watchdog() -> str:
     """Code that replaces the watchdog by a driver that opens the port itself."""
     return WITHOUT_WATCHDOG
-
-
-def waited(condition: Callable[[], bool], limit_s: float) -> float:
-    """Time until a condition holds; infinite if it does not within the limit."""
-    began_s = time.monotonic()
-    while time.monotonic() < began_s + limit_s:
-        if condition():
-            return time.monotonic() - began_s
-        time.sleep(0.0002)
-    return float("inf")
-
-
-@pytest.fixture
-def time_until() -> Callable[..., float]:
-    """The function `waited`."""
-    return waited

@@ -31,7 +31,7 @@ async def serve():
     server = ModbusSerialServer(device, port=sys.argv[1], baudrate=9600, trace_pdu=noted)
     await server.serve_forever(background=True)
     print("serving", flush=True)
-    await asyncio.sleep(60)
+    await asyncio.sleep(600)
 
 asyncio.run(serve())
 """

@@ -1,11 +1,14 @@
 """Conditions under which the watchdog switches off, with a fake clock and board."""
 
+import os
+import signal
+import subprocess
 from dataclasses import replace
 
 import pytest
 
 from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings, settings_of_line
-from ringpose.capture.lasers.watchdog_process import Watchdog
+from ringpose.capture.lasers.watchdog_process import ParentProcess, Watchdog
 from ringpose.errors import DeviceError
 
 SETTINGS = RelaySettings(scheme="lcus", port="port", relays=(0, 1, 2), heartbeat_s=1.0, longest_on_s=5.0)
@@ -147,6 +150,24 @@ def test_a_fault_switches_off_within_10_ms(clock):
     assert waited_s == pytest.approx(0.01)
     assert board.on_mask == 0
     assert watchdog.execute("2 set 1") == "2 off the interlock is open\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "fault"), [(signal.SIGSTOP, "the capture was stopped"), (signal.SIGKILL, "the capture is ending")]
+)
+def test_a_parent_that_is_stopped_or_ending_is_a_fault(monkeypatch, number, fault):
+    """Its kernel flags show that it is ending before its memory is freed and its pipes are closed."""
+    with subprocess.Popen(["sleep", "600"]) as process:
+        monkeypatch.setattr(os, "getppid", lambda: process.pid)
+        parent = ParentProcess(process.pid)
+        running = parent.fault()
+        process.send_signal(number)
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
+        found = parent.fault()
+        process.kill()
+        os.close(parent.end)
+
+    assert (running, found) == ("", fault)
 
 
 def test_settings_round_trip_through_json():

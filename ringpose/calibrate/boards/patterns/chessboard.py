@@ -152,8 +152,7 @@ def _saddle_point(
         return None
     start = (corner - origin).astype(np.float32).reshape(1, 1, 2)
     found = cv2.cornerSubPix(normalised.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
-    moved: Float64[Array, "xy=2"] = np.asarray(found, dtype=np.float64).reshape(2) + origin
-    return moved
+    return np.asarray(found, dtype=np.float64).reshape(2) + origin
 
 
 def _normalised(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> Patch | None:
@@ -173,8 +172,7 @@ def _normalised(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> 
     contrast = second - first
     if np.abs(contrast).min() < MIN_CONTRAST_DN:
         return None
-    normalised: Patch = np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
-    return normalised
+    return np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
 
 
 def _in_board_order(image: GreyImage, grid: Grid) -> Grid:

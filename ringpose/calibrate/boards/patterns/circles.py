@@ -17,8 +17,14 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.patterns.edge_profile import MIN_BLUR_PX
-from ringpose.calibrate.boards.patterns.image_patch import GreyImage, Offsets, Patch, brightness_plane, grey_around
+from ringpose.calibrate.boards.patterns.image_patch import (
+    MIN_BLUR_PX,
+    GreyImage,
+    Offsets,
+    Patch,
+    brightness_plane,
+    grey_around,
+)
 from ringpose.types.arrays import Array, Float64
 
 Centers = Float64[Array, "circle xy=2"]
@@ -129,16 +135,14 @@ def circle_conics(
     conics[:, 0, 0] = conics[:, 1, 1] = 1.0
     conics[:, :2, 2] = conics[:, 2, :2] = -centers_m
     conics[:, 2, 2] = np.sum(centers_m**2, axis=1) - radius_m**2
-    seen: Float64[Array, "circle 3 3"] = inverse.T @ conics @ inverse
-    return seen
+    return inverse.T @ conics @ inverse
 
 
 def ellipse_offsets(centers_m: Centers, radius_m: float, homography: Float64[Array, "3 3"]) -> Centers:
     """Centre of the ellipse minus projection of the circle's centre, in pixels, for circles on a plane."""
     conics = circle_conics(centers_m, radius_m, homography)
     ellipses_px = np.linalg.solve(conics[:, :2, :2], -conics[:, :2, 2:])[..., 0]  # pole of the line at infinity
-    offsets_px: Centers = ellipses_px - cv2.perspectiveTransform(centers_m[None], homography)[0]
-    return offsets_px
+    return ellipses_px - cv2.perspectiveTransform(centers_m[None], homography)[0]
 
 
 def seen_offsets(
@@ -207,5 +211,4 @@ def _step(share: Patch, outside: Patch, slope: Offsets) -> Float64[Array, "xy=2"
     density = np.exp(-0.5 * (distance / blur_px) ** 2) / (blur_px * np.sqrt(2 * np.pi))
     normal = slope[near] / np.linalg.norm(slope[near], axis=-1, keepdims=True)
     jacobian = density[:, None] * np.column_stack([normal, np.ones(len(distance))])
-    step: Float64[Array, "xy=2"] = np.linalg.lstsq(jacobian, seen - ndtr(-distance / blur_px))[0][:2]
-    return step
+    return np.linalg.lstsq(jacobian, seen - ndtr(-distance / blur_px))[0][:2]

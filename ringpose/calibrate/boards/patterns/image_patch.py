@@ -24,6 +24,9 @@ LONGER_SIDE_PX = 2000
 FINEST_PX = 6000
 """Longer side up to which less reduced images are tried if no board is found."""
 
+MIN_BLUR_PX = 0.4
+"""Standard deviation of the sharpest edges: pixels blur by 0.29 px, lenses by as much."""
+
 
 def patch_around(image: GreyImage, column: int, row: int, half: int) -> UInt8[Array, "patch_row patch_column"] | None:
     """The patch with `half` pixels to each side of its centre; None if it exceeds the image."""
@@ -45,8 +48,7 @@ def brightness_plane(patch: Patch, offset: Offsets, used: Bool[Array, "patch_row
     """Grey values of the plane fitted to the used pixels by least squares, at all pixels of the patch."""
     design = np.concatenate([np.ones((*patch.shape, 1)), offset], axis=-1)
     rows = design[used]
-    plane: Patch = design @ np.linalg.lstsq(rows.T @ rows, rows.T @ patch[used])[0]
-    return plane
+    return design @ np.linalg.lstsq(rows.T @ rows, rows.T @ patch[used])[0]
 
 
 def reductions(shape: tuple[int, ...]) -> list[int]:

@@ -11,7 +11,6 @@ from ringpose.calibrate.boards.corner_errors import (
     whiten,
 )
 from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
-from ringpose.calibrate.planes.stripes.board_surface import triangulated
 from ringpose.calibrate.planes.stripes.errors import (
     StripeResiduals,
     center_sigma_px,
@@ -20,6 +19,7 @@ from ringpose.calibrate.planes.stripes.errors import (
     stripe_rays,
     stripe_residuals,
 )
+from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Float64
@@ -88,9 +88,7 @@ def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = No
     pose, unit_covariance = maximum_likelihood_pose(view.board, rig.camera)
     corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
     board = pose, corner_px**2 * unit_covariance
-    planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
-    if view.unlabelled_px:
-        view = labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
+    view = labelled_by_rig(view, pose, rig)
     return RigCheck(
         name=view.board.name,
         distance_m=float(pose.translation_m[2]),
@@ -98,8 +96,16 @@ def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = No
         board_limit_px=MAX_BOARD_PX
         if median_board_rms_px is None
         else min(max(BOARD_FACTOR * median_board_rms_px, MIN_BOARD_PX), MAX_BOARD_PX),
-        lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(planes))),
+        lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(rig.lasers.names))),
     )
+
+
+def labelled_by_rig(view: StripeView, pose: BoardPose, rig: Rig) -> StripeView:
+    """The view with the stripes of frames with all lasers on assigned to the lasers on whose planes they lie."""
+    if not view.unlabelled_px:
+        return view
+    planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
+    return labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
 
 
 def rig_check_lines(check: RigCheck) -> list[str]:
@@ -139,8 +145,10 @@ def _stripe_check(stripe: int, laser: int, view: StripeView, board: _BoardEstima
     found = stripe_residuals(stripe_rays(points_px, rig.camera), pose, normal, distance_m)
     weights = _line_weights(points_px) * found.metres_per_pixel
     offset_m = weights @ found.residual_px
-    variance = _variance(weights @ _jacobian_by_rig(found, view.board, pose, rig), _rig_covariance(rig, laser))
-    variance += _variance(weights @ found.wrt_pose, pose_covariance)
+    variance = _variance(weights @ found.wrt_pose, pose_covariance)
+    if rig.covariance is not None:
+        names = parameter_names(rig.camera.distortion_model) + laser_parameters([name])
+        variance += _variance(weights @ _jacobian_by_rig(found, view.board, pose, rig), rig.covariance.of(names))
     straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
     line_variance = center_sigma_px(straight[stripe], shared_length(straight)) ** 2 / len(points_px)
     variance += _variance(weights @ line_modes(points_px).T, line_variance * np.eye(2))
@@ -153,8 +161,7 @@ def _line_weights(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "positi
     """Weights whose product with values along a stripe is their fitted straight line at its two ends and its middle."""
     level, slope = line_modes(points_px)
     ends = np.array([slope.min(), 0.0, slope.max()])
-    weights: Float64[Array, "position=3 n"] = (level + ends[:, None] * slope) / len(slope)
-    return weights
+    return (level + ends[:, None] * slope) / len(slope)
 
 
 def _jacobian_by_rig(
@@ -168,19 +175,7 @@ def _jacobian_by_rig(
     return np.hstack([found.wrt_camera + found.wrt_pose @ pose_wrt_camera, found.wrt_plane])
 
 
-def _rig_covariance(rig: Rig, laser: int) -> Float64[Array, "parameter parameter"]:
-    """Covariance of the camera and one light plane; zero for parameters of which the rig has none."""
-    names = parameter_names(rig.camera.distortion_model) + laser_parameters([rig.lasers.names[laser]])
-    covariance = np.zeros((len(names), len(names)))
-    if rig.covariance is not None:
-        known = [index for index, name in enumerate(names) if name in rig.covariance.parameters]
-        source = [rig.covariance.parameters.index(names[index]) for index in known]
-        covariance[np.ix_(known, known)] = rig.covariance.data[np.ix_(source, source)]
-    return covariance
-
-
 def _variance(
     jacobian: Float64[Array, "position parameter"], covariance: Float64[Array, "parameter parameter"]
 ) -> Float64[Array, "position"]:
-    variance: Float64[Array, "position"] = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
-    return variance
+    return np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)

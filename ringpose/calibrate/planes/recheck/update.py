@@ -17,8 +17,7 @@ from ringpose.calibrate.boards.corner_errors import (
     whiten,
 )
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, SIGMAS
-from ringpose.calibrate.planes.stripes.board_surface import triangulated
+from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, SIGMAS, labelled_by_rig
 from ringpose.calibrate.planes.stripes.errors import (
     center_sigma_px,
     line_modes,
@@ -26,7 +25,6 @@ from ringpose.calibrate.planes.stripes.errors import (
     stripe_rays,
     stripe_residuals,
 )
-from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
 from ringpose.geometry.rays import undistorted_pixels
@@ -46,9 +44,8 @@ _POSE = 6
 def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
     """What a view of a board shows about camera and light planes, with the board's pose and unevenness eliminated."""
     pose, _ = maximum_likelihood_pose(view.board, rig.camera)
+    view = labelled_by_rig(view, pose, rig)
     planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
-    if view.unlabelled_px:
-        view = labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
     camera = (*parameter_names(rig.camera.distortion_model), FOCAL_RATIO)
     names = (*camera, *laser_parameters(rig.lasers.names))
     corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)

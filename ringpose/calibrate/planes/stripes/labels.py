@@ -184,8 +184,7 @@ def _stripe_ends(points: Float64[Array, "_ xyz=3"]) -> Float64[Array, "end=2 xyz
         return np.full((2, 3), np.nan)
     center = points.mean(axis=0)
     _, singular, axes = np.linalg.svd(points - center, full_matrices=False)
-    ends: Float64[Array, "end=2 xyz=3"] = center + np.outer([-1.0, 1.0], axes[0] * singular[0] / np.sqrt(len(points)))
-    return ends
+    return center + np.outer([-1.0, 1.0], axes[0] * singular[0] / np.sqrt(len(points)))
 
 
 def _hypotheses(ends: StripeEnds, usable: Int64[Array, "usable"]) -> Iterator[tuple[Labels, Planes]]:
@@ -212,8 +211,7 @@ def _farthest_shots(ends: StripeEnds, first: int, usable: Int64[Array, "usable"]
     with np.errstate(invalid="ignore"):
         distance_m = np.linalg.norm(ends[usable].mean(axis=2) - ends[first].mean(axis=1), axis=-1)
     farthest = usable[np.argsort(-np.nan_to_num(distance_m).max(axis=1))]
-    partners: Int64[Array, "partner"] = farthest[farthest != first][:_PARTNERS]
-    return partners
+    return farthest[farthest != first][:_PARTNERS]
 
 
 def _permutations(lasers: int) -> list[tuple[int, ...]]:
@@ -250,8 +248,7 @@ def _refitted(ends: StripeEnds, labels: Labels, planes: Planes) -> Planes:
 def _squared_distances_m2(ends: StripeEnds, planes: Planes) -> Float64[Array, "view laser plane"]:
     """Mean squared distance of each stripe from each plane; a very large number where either is undetermined."""
     distance_m = np.einsum("...ei,pi->...ep", ends, planes[:, :3]) - planes[:, 3]
-    squares: Float64[Array, "view laser plane"] = np.nan_to_num(np.mean(distance_m**2, axis=-2), nan=np.inf)
-    return squares
+    return np.nan_to_num(np.mean(distance_m**2, axis=-2), nan=np.inf)
 
 
 def _nearest_labels(ends: StripeEnds, planes: Planes) -> Labels:
@@ -291,8 +288,7 @@ def _most_common_labels(labels: Labels) -> list[tuple[int, ...]]:
 
 def _agrees(labels: Labels, permutation: Sequence[int]) -> np.ndarray:
     """For each shot, whether all its stripes have the labels of the permutation."""
-    agrees: np.ndarray = np.all((labels == np.array(permutation)) | (labels < 0), axis=1)
-    return agrees
+    return np.all((labels == np.array(permutation)) | (labels < 0), axis=1)
 
 
 def _exchange_text(exchanged: Mapping[int, int], lasers: Sequence[str]) -> str:
