@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.study.runs import with_run
-from ringpose.bench.study.shots import scene_of, study_rows
+from ringpose.bench.study.shots import scene_of, study_rows, with_run
 from ringpose.files.scenes.scene import read_scene
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import MotionPrior
