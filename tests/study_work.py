@@ -2,8 +2,6 @@
 
 import os
 import signal
-from functools import partial
-from pathlib import Path
 
 from ringpose.errors import DataError
 
@@ -19,19 +17,6 @@ def square_or_die(index):
     if index == FATAL:
         os.kill(os.getpid(), signal.SIGKILL)
     return square(index)
-
-
-def _die_once(folder, index):
-    mark = Path(folder) / str(index)
-    if index % 4 == 1 and not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return square(index)
-
-
-def dying_once(folder):
-    """Every fourth shot kills its process the first time that it is computed, as a kill from outside."""
-    return partial(_die_once, str(folder))
 
 
 def reversed_name(path):

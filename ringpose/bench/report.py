@@ -85,7 +85,10 @@ def _shot_record(score: Score) -> Mapping[str, Any]:
 
 
 def recorded_scores(fields: Fields) -> list[Score]:
-    """The scores in a report; all poses of version 2 have the same assumptions, which are the default."""
+    """The scores that the JSON report of `ringpose bench` contains.
+
+    Reports of version 2 do not state assumptions: their poses are those of a still and perfect ring.
+    """
     schema = fields.values.get("ringpose")
     if schema not in (SCHEMA, SCHEMA_2):
         found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"

@@ -10,6 +10,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
+from ringpose.simulate.break_points import inside_image
 from ringpose.simulate.exposure import face_stripe_radiance, view_exposure_s
 from ringpose.simulate.feature_errors import (
     CenterErrors,
@@ -297,12 +298,6 @@ def edge_normals_px(
     across = np.stack([-y, x]) / np.sqrt(x * x + y * y)
     px_per_m = (across * off).sum(axis=0)
     return np.ascontiguousarray((across * np.sign(px_per_m)).T), np.abs(px_per_m)
-
-
-def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, camera: Camera) -> Bool[Array, "*shape"]:
-    """Which positions are at least this far inside the image; false for NaN."""
-    size_px = np.array([camera.image_width, camera.image_height])
-    return np.asarray(((position_px >= margin_px) & (position_px <= size_px - 1 - margin_px)).all(axis=-1))
 
 
 def _cross(first: Float64[Array, "*#n xyz=3"], second: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xyz=3"]:

@@ -43,16 +43,14 @@ def break_points_px_at(
         center_m = placement.points_camera(np.array([0.0, 0.0, ring.height_m]))
         point_m += form_displacement(ring.form, point_m, center_m, placement.rotation, illuminated.planes.normal)
     pixel = project(point_m, camera)
-    shown = in_image(pixel, camera) & _visible_and_lit(illuminated, ring, point_m)
+    shown = inside_image(pixel, -0.5, camera) & _visible_and_lit(illuminated, ring, point_m)
     return np.where(shown[..., None], pixel, np.nan)
 
 
-def in_image(pixel: Float64[Array, "*shape xy=2"], camera: Camera) -> Bool[Array, "*shape"]:
-    """Whether pixels lie inside the image; False for NaN."""
-    size = np.array([camera.image_width, camera.image_height])
-    with np.errstate(invalid="ignore"):
-        inside = (pixel > -0.5) & (pixel < size - 0.5)
-    return np.logical_and(inside[..., 0], inside[..., 1])
+def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, camera: Camera) -> Bool[Array, "*shape"]:
+    """Which positions are at least this far inside the outermost pixels' centres; false for NaN."""
+    size_px = np.array([camera.image_width, camera.image_height])
+    return np.asarray(((position_px >= margin_px) & (position_px <= size_px - 1 - margin_px)).all(axis=-1))
 
 
 def ring_crossings_m(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.geometry.rays import project
-from ringpose.simulate.break_points import in_image, ring_crossings_m
+from ringpose.simulate.break_points import inside_image, ring_crossings_m
 from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, radiance_along
 from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S
 from ringpose.simulate.renderer import pixel_rays
@@ -37,7 +37,7 @@ def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[A
     camera, planes = scene.rig.camera, scene.rig.lasers
     middle_m = np.full(2, (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2)
     points = np.stack([ring_crossings_m(illuminated, scene.ring, middle_m, side)[:, 0] for side in (-1.0, 1.0)], axis=1)
-    lasers, sides = np.nonzero(in_image(project(points, camera), camera))
+    lasers, sides = np.nonzero(inside_image(project(points, camera), -0.5, camera))
     point_m = points[lasers, sides]
     per_px_m = point_m[:, 2] * pixel_rays(camera).angle_per_px
     range_m = np.linalg.norm(point_m - planes.projector_m[lasers], axis=1)

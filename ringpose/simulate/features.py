@@ -20,15 +20,20 @@ from ringpose.simulate.appearance import (
     Appearance,
     edge_normals_px,
     expected_appearance,
-    inside_image,
     laser_frames,
 )
-from ringpose.simulate.break_points import form_deviations, in_gap
-from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors
+from ringpose.simulate.break_points import form_deviations, in_gap, inside_image
 from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
 from ringpose.simulate.pipeline import ring_truth
 from ringpose.simulate.placement import READOUT_S, ring_views
-from ringpose.simulate.stripe_ends import RingCourse, StripeEnds, drawn_motion, stripe_ends
+from ringpose.simulate.stripe_ends import (
+    CommonErrors,
+    RingCourse,
+    StripeEnds,
+    drawn_common_errors,
+    drawn_motion,
+    stripe_ends,
+)
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.detection import (

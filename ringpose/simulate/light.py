@@ -9,7 +9,7 @@ import numpy as np
 
 from ringpose.geometry.rotations import cross
 from ringpose.kernels import render
-from ringpose.kernels.render import LightNumbers, PixelImage, TargetTables
+from ringpose.kernels.render import TargetTables
 from ringpose.simulate.placement import Placement
 from ringpose.types.arrays import Array, Bool, Float32, Float64
 from ringpose.types.rig import LaserPlanes
@@ -48,7 +48,14 @@ class IlluminatedTarget:
     @property
     def sheets(self) -> "Sheets":
         """The light planes in the target frame, in the middle of the exposure."""
-        return sheets(self.planes, self.laser_light, self.placement)
+        planes, placement = self.planes, self.placement
+        return Sheets(
+            normal=placement.vectors_target(planes.normal.T).T,
+            distance_m=planes.distance_m - planes.normal @ placement.translation_m,
+            projector_m=placement.points_target(planes.projector_m.T).T,
+            axis=placement.vectors_target(_fan_axes(planes).T).T,
+            light=self.laser_light,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,17 +68,6 @@ class Sheets:
     axis: Float64[Array, "laser xyz=3"]
     """Central direction of each fan, a unit vector in its plane."""
     light: LaserLight
-
-
-def sheets(planes: LaserPlanes, light: LaserLight, placement: Placement) -> Sheets:
-    """The light planes of the rig in the frame of a target."""
-    return Sheets(
-        normal=placement.vectors_target(planes.normal.T).T,
-        distance_m=planes.distance_m - planes.normal @ placement.translation_m,
-        projector_m=placement.points_target(planes.projector_m.T).T,
-        axis=placement.vectors_target(_fan_axes(planes).T).T,
-        light=light,
-    )
 
 
 def _fan_axes(planes: LaserPlanes) -> Float64[Array, "laser xyz=3"]:
@@ -99,62 +95,48 @@ def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[
 # What the ray caster takes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CasterInput:
-    """Light and placements as the arguments of `ringpose.kernels.render.render`."""
-
-    poses: Float64[Array, "time 12"]
-    lamps: Float64[Array, "lamp=4 5"]
-    lasers: Float64[Array, "laser 11"]
-    light: LightNumbers
-
-
-def caster_input(illuminated: IlluminatedTarget, angle_per_px: float) -> CasterInput:
-    """The light on a target; `angle_per_px` is the width of a pixel at depth 1."""
-    planes = illuminated.planes
+def caster_view(
+    illuminated: IlluminatedTarget,
+    angle_per_px: float,
+    xy: Float64[Array, "xy=2 pixel"],
+    per_px: Float64[Array, "axis=2 xy=2 pixel"] | None,
+    width: int,
+) -> render.View:
+    """The target and its light for rays (x, y, 1); `angle_per_px` is the width of a pixel at depth 1."""
+    planes, laser, light = illuminated.planes, illuminated.laser_light, illuminated.light
     lamps = _LAMP_DIRECTIONS / np.linalg.norm(_LAMP_DIRECTIONS, axis=1, keepdims=True)
     on = np.zeros(len(planes.distance_m))
     on[list(illuminated.lasers)] = 1.0
-    return CasterInput(
+    return render.View(
+        target=illuminated.target,
         poses=np.array([[*each.rotation.ravel(), *each.translation_m] for each in illuminated.during]),
         lamps=np.column_stack([lamps, _LAMP_SHARPNESS, _LAMP_SHARES]),
         lasers=np.column_stack([planes.normal, planes.distance_m, planes.projector_m, _fan_axes(planes), on]),
-        light=_light_numbers(illuminated.light, illuminated.laser_light, angle_per_px),
-    )
+        light=(
+            light.ambient_w_m2, *_sky_numbers(light),
+            laser.power_w, laser.sigma_m, laser.divergence_rad, laser.fan_rad, angle_per_px,
+        ),
+        xy=xy,
+        per_px=per_px,
+        width=width,
+    )  # fmt: skip
 
 
-def _light_numbers(light: Light, lasers: LaserLight, angle_per_px: float) -> LightNumbers:
+def _sky_numbers(light: Light) -> list[float]:
+    """Irradiance, direction and angular radius of sun and Earth, then of the Earth its lit direction and radiance."""
     sun = light.sun_direction / np.linalg.norm(light.sun_direction)
-    sun_x, sun_y, sun_z = sun.tolist()
-    numbers = LightNumbers(
-        ambient_w_m2=light.ambient_w_m2,
-        sun_w_m2=light.sun_w_m2,
-        sun_x=sun_x,
-        sun_y=sun_y,
-        sun_z=sun_z,
-        sun_radius_rad=light.sun_diameter_rad / 2,
-        laser_power_w=lasers.power_w,
-        laser_sigma_m=lasers.sigma_m,
-        laser_divergence_rad=lasers.divergence_rad,
-        laser_fan_rad=lasers.fan_rad,
-        angle_per_px=angle_per_px,
-    )
+    of_sun = [light.sun_w_m2, *sun.tolist(), light.sun_diameter_rad / 2]
     if light.earth is None or light.sun_w_m2 == 0.0:
-        return numbers
+        return of_sun + 9 * [0.0]
     earth = light.earth.direction / np.linalg.norm(light.earth.direction)
-    earth_x, earth_y, earth_z = earth.tolist()
-    lit_x, lit_y, lit_z = _lit_direction(light.earth, earth, sun).tolist()
-    return numbers._replace(
-        earth_w_m2=earthshine_w_m2(light.earth, light.sun_w_m2, light.sun_direction),
-        earth_x=earth_x,
-        earth_y=earth_y,
-        earth_z=earth_z,
-        earth_radius_rad=light.earth.angular_radius_rad,
-        lit_x=lit_x,
-        lit_y=lit_y,
-        lit_z=lit_z,
-        earth_radiance=light.earth.albedo * light.sun_w_m2 / np.pi,
-    )
+    return [
+        *of_sun,
+        earthshine_w_m2(light.earth, light.sun_w_m2, light.sun_direction),
+        *earth.tolist(),
+        light.earth.angular_radius_rad,
+        *_lit_direction(light.earth, earth, sun).tolist(),
+        light.earth.albedo * light.sun_w_m2 / np.pi,
+    ]
 
 
 def earthshine_w_m2(earth: Earth, sun_w_m2: float, sun_direction: Float64[Array, "xyz=3"]) -> float:
@@ -188,13 +170,9 @@ def radiance_along(
     illuminated: IlluminatedTarget, direction: Float64[Array, "ray xyz=3"], angle_per_px: float = 0.0
 ) -> Float32[Array, "source ray"]:
     """Radiance in the middle of the exposure along rays of the camera frame: ambient light, then each laser."""
-    light = caster_input(illuminated, angle_per_px)
     xy = np.ascontiguousarray(direction[:, :2].T / direction[:, 2])
-    rays = xy.shape[1]
-    image = PixelImage(
-        np.zeros((1 + len(light.lasers), rays), np.float32), np.zeros(rays, np.int32), np.zeros(rays, np.uint8)
-    )
-    middle = light.poses[[len(light.poses) // 2]]
-    if rays:
-        render.render(illuminated.target, middle, light.lamps, light.lasers, light.light, xy, None, rays, image)
+    view = caster_view(illuminated, angle_per_px, xy, None, max(len(direction), 1))
+    image = view.blank_image()
+    if len(direction):
+        render.render(view._replace(poses=view.poses[[len(view.poses) // 2]]), image)
     return image.radiance

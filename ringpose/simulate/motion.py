@@ -44,7 +44,10 @@ class FreeAttitude:
         ).sol
 
     def at(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
-        """Rotation from the body frame to the body frame at time 0, and angular velocity along the body's axes."""
+        """Attitude at a time, and the angular velocity then, along the body's axes.
+
+        The attitude is the rotation that turns vectors in the body frame into the body frame of time 0.
+        """
         if not -2 * DIFFERENCE_S <= time_s <= self._duration_s + 2 * DIFFERENCE_S:
             raise DataError("the scene's motion", f"was computed for {self._duration_s:.3f} s, not for {time_s:.3f} s")
         state: Float64[Array, "7"] = self._solution(time_s)

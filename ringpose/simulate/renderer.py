@@ -15,8 +15,8 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistort
 from ringpose.kernels import render
-from ringpose.kernels.render import THIN, PixelImage
-from ringpose.simulate.light import IlluminatedTarget, caster_input
+from ringpose.kernels.render import THIN
+from ringpose.simulate.light import IlluminatedTarget, caster_view
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.types.arrays import Array, Float32, Float64, Int16, UInt8
 from ringpose.types.image import Frame
@@ -70,7 +70,7 @@ def render_view(
 ) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise.
 
-    `samples` is passed on to `layers`.
+    `samples`: of every pixel, as in `layers`; by default as many as each needs.
     """
     generator = np.random.default_rng(seed)
     camera = scene.rig.camera
@@ -174,23 +174,15 @@ def layers(
 
     One sample gives a preview. `blur_px` is the motion of the image during the exposure.
     """
-    light, pixels = caster_input(illuminated, rays.angle_per_px), rays.height * rays.width
-    image = PixelImage(
-        radiance=np.zeros((1 + len(light.lasers), pixels), np.float32),
-        code=np.zeros(pixels, np.int32),
-        stripe=np.zeros(pixels, np.uint8),
-    )
-    view = (
-        illuminated.target, light.poses, light.lamps, light.lasers, light.light,
-        rays.direction, rays.per_px, rays.width, image,
-    )  # fmt: skip
-    cast = functools.partial(render.render, *view)
+    view = caster_view(illuminated, rays.angle_per_px, rays.direction, rays.per_px, rays.width)
+    image = view.blank_image()
     if samples is not None:
-        cast(samples=samples)
+        render.render(view, image, samples=samples)
     else:
-        cast()
+        render.render(view, image)
         shape = (rays.height, rays.width)
-        of_shadow = SAMPLES if light.light.earth_w_m2 == 0.0 else SOFT_SAMPLES
+        has_earthshine = illuminated.light.earth is not None and illuminated.light.sun_w_m2 > 0
+        of_shadow = SOFT_SAMPLES if has_earthshine else SAMPLES
         if not illuminated.has_ambient_light:
             of_shadow = 1
         needed = _samples_needed(image.code.reshape(shape), image.stripe.reshape(shape), blur_px, of_shadow).ravel()
@@ -199,9 +191,9 @@ def layers(
         refined = refined[np.argsort(tile, kind="stable")]
         if illuminated.target.print_cells.size == 1:  # without edges within a surface
             at_edge = refined[(needed[refined] == EDGE_SAMPLES) | (needed[refined] == FINE_SAMPLES)]
-            needed[at_edge[~render.crossed(*view, at_edge)]] = max(SAMPLES, of_shadow)
+            needed[at_edge[~render.crossed(view, image.code, at_edge)]] = max(SAMPLES, of_shadow)
         for count in (SAMPLES, SOFT_SAMPLES, EDGE_SAMPLES, FINE_SAMPLES):
-            cast(pixels=refined[needed[refined] == count], samples=count, step=4 if count == EDGE_SAMPLES else 1)
+            render.render(view, image, refined[needed[refined] == count], count, 4 if count == EDGE_SAMPLES else 1)
     radiance = image.radiance.reshape(-1, rays.height, rays.width)
     return Layers(ambient=radiance[0], laser=radiance[1:])
 

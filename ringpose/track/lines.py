@@ -69,7 +69,7 @@ class Gripper:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineOptions:
-    """What the lines contain."""
+    """Frame of the track records, motion of the camera, and the gripper whose capture they predict."""
 
     gripper: Gripper | None = None
     frame: PoseFrame | Literal["base"] = PoseFrame.CAMERA

@@ -54,9 +54,10 @@ _PLACES_RAD = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """Whitened rows: `target` = `wrt_step` s + `wrt_step_rates` (ds/dt - `step_rates`) + `wrt_common` q + N(0, 1).
+    """A measurement as linear equations with errors of unit variance, one a row.
 
-    s leads from the arcs to the ring, q are independent common errors of unit variance.
+    `target` = `wrt_step` s + `wrt_step_rates` (ds/dt - `step_rates`) + `wrt_common` q + N(0, 1), where the increments s
+    (`STEP`) lead from the arcs to the true ring, and q are the errors that all shots have in common, N(0, 1) too.
     """
 
     shot: str

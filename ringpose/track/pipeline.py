@@ -134,9 +134,10 @@ class Tracker:
         return track_line(self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self.options, lines)
 
     def line_of(self, attempt: Attempt) -> TrackLine:
-        """The record at the time of an attempt, or of the track if that is later.
+        """The track record after an attempt: at the stamp of the attempt, or at that of the track if it is later.
 
-        Stamps outside the buffer cannot be right, but their differences show for how long the track has been predicted.
+        Stamps outside the buffer are wrong, so that only their differences count: the track is predicted by the time
+        that has passed since the first of them.
         """
         outside = attempt.fusion_status in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD)
         if outside and self.track.banks and self._unused is not None:

@@ -133,7 +133,7 @@ def rotations(vectors_rad: Float64[Array, "n 3"]) -> Float64[Array, "n 3 3"]:
 
 
 class Charted(NamedTuple):
-    """States by their coordinates in a chart: increments (`ERRORS`) that `moved` applies to the chart's own state."""
+    """States described relative to another state, the chart: `moved(chart, coordinates)` gives the states back."""
 
     coordinates: Float64[Array, "state error=14"]
     """NaN for a ring that misses the chart's place."""

@@ -1,21 +1,20 @@
 """Accuracy of stripe centres, break points and poses on synthetic images, relative to their Cramer-Rao bounds."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from benchmarks.detection_errors import WRONG_PX, BreakPointErrors, CenterErrors, break_point_errors, center_errors
 from benchmarks.limits import Figure
 from benchmarks.robust_statistics import joined, mean, median, rms, robust_sd
-from benchmarks.stripe_images import Kind, StripeImage, exact_break_points, shot_of, stripe_image
+from benchmarks.stripe_images import Kind, exact_break_points, shot_of, stripe_image
 
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
 from ringpose.estimate.measurements import line_whitening
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection
+from ringpose.types.detection import BreakPointFlag, BreakPoints
 from ringpose.types.pose import RingPose
 
 CLEAN = (Kind.DARK, Kind.DIM)
@@ -40,21 +39,17 @@ USUAL_FOUND = 0.85
 WRONG_SIGMAS = 5.0
 
 
-def accuracy_figures(
-    seeds: int, found: Callable[[StripeImage], Detection] | None = None
-) -> tuple[list[Figure], list[Figure]]:
-    """Figures of stripe centres, column by column, and of break points, on the same images of each kind.
-
-    `found` replaces the detection of break points.
-    """
-    find = found or (lambda image: detect(shot_of(image), image.rig))
+def accuracy_figures(seeds: int) -> tuple[list[Figure], list[Figure]]:
+    """Figures of stripe centres, column by column, and of break points, on the same images of each kind."""
     centers, ends = [], []
     for kind in Kind:
         images = [stripe_image(kind, seed) for seed in range(seeds)]
         if kind in MAX_SIGMA_PX:
             errors = [center_errors(find_stripes(image.image), image) for image in images]
             centers += _center_figures(kind, joined(errors))
-        ends += _break_point_figures(kind, joined([break_point_errors(find(image), image) for image in images]))
+        ends += _break_point_figures(
+            kind, joined([break_point_errors(detect(shot_of(image), image.rig), image) for image in images])
+        )
     return centers, ends
 
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import aligned
@@ -71,24 +70,6 @@ def section_text(section: Section) -> str:
     return "\n".join([section.title, *aligned(rows, left=1)]) + "\n"
 
 
-def section_record(section: Section) -> dict[str, Any]:
-    """The same as plain values; a missing limit is null."""
-    return {
-        "section": section.title,
-        "figures": [
-            {
-                "name": figure.name,
-                "measured": _finite(figure.measured),
-                "min": _finite(figure.min_value),
-                "max": _finite(figure.max_value),
-                "unit": figure.unit,
-                "verdict": figure.verdict.value,
-            }
-            for figure in section.figures
-        ],
-    }
-
-
 def number(value: float, form: str) -> str:
     """A formatted figure, or `-` for NaN."""
     return ABSENT if math.isnan(value) else format(value, form)
@@ -100,7 +81,3 @@ def _limit(figure: Figure) -> str:
     if math.isinf(figure.min_value):
         return f"<= {figure.max_value:.3g}"
     return f"{figure.min_value:.3g} .. {figure.max_value:.3g}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -1,12 +1,11 @@
 """Every limit of the design on speed and accuracy, measured on this machine (`make bench-speed`).
 
-    PYTHONPATH=tests python -m benchmarks.speed [--seeds N] [--rounds N] [--json FILE]    status 1 if a limit is missed
+    PYTHONPATH=tests python -m benchmarks.speed [--seeds N] [--rounds N]    status 1 if a limit is missed
 
 Times are ratios to a reference that runs alternately on the same core, so that they hardly depend on the machine.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -19,7 +18,7 @@ from time import perf_counter, process_time
 import numpy as np
 import yaml
 from benchmarks.accuracy import accuracy_figures, pose_accuracy
-from benchmarks.limits import Figure, Section, section_record, section_text
+from benchmarks.limits import Figure, Section, section_text
 from benchmarks.opencv_detectors import DetectorName, detector
 from benchmarks.stripe_images import (
     Kind,
@@ -358,15 +357,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=40, help="synthetic images of each kind for the accuracy")
     parser.add_argument("--rounds", type=int, default=11, help="repetitions of each time")
-    parser.add_argument("--json", type=Path, help="write the figures into this file too")
     options = parser.parse_args(arguments)
-    measured = []
+    missed = 0
     for section in sections(options.seeds, options.rounds):
         print(section_text(section), flush=True)
-        measured.append(section)
-    if options.json:
-        options.json.write_text(json.dumps([section_record(section) for section in measured]) + "\n")
-    missed = sum(section.missed for section in measured)
+        missed += section.missed
     print(f"limits missed: {missed}")
     return 1 if missed else 0
 

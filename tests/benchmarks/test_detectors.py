@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from benchmarks.compare_detectors import main, stripe_errors
 from benchmarks.detection_errors import break_point_errors, center_errors, column_bound_px, end_bound_px
-from benchmarks.limits import Figure, Section, section_record, section_text
+from benchmarks.limits import Figure, Section, section_text
 from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
 from benchmarks.stripe_images import RADII_M, Kind, exact_break_points, stripe_image, stripe_rig, true_row
 from scipy.special import ndtr
@@ -159,7 +159,7 @@ def test_the_table_has_every_detector_and_the_chain(capsys):
 # Figures and limits
 
 
-def test_figures_beside_their_limits_as_text_and_as_values():
+def test_figures_are_printed_beside_their_limits():
     section = Section(
         title="things",
         figures=[
@@ -178,5 +178,4 @@ def test_figures_beside_their_limits_as_text_and_as_values():
         ["high", "2", "0.8", "..", "1.25", "MISSED"],
         ["free", "7", "-", "-"],
     ]
-    assert [figure["verdict"] for figure in section_record(section)["figures"]] == ["ok", "MISSED", "MISSED", "none"]
     assert section.missed == 2

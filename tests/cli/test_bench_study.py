@@ -121,7 +121,9 @@ def test_two_results_of_one_study_are_compared(folder, capsys):
     capsys.readouterr()
 
     for first in ("a", "a/results.csv"):
-        assert main(["bench", "compare", first, "b", "--by", "distance_m"]) == 0
+        words = ["bench", "compare", first, "b", "--by", "distance_m"]
+        assert main([*words, "--json", "c.json", "--force"]) == 0
+        assert list(json.loads((folder / "c.json").read_text())["provenance"]["inputs"])[1] == "b/results.csv"
         assert "8 of 8" in (out := capsys.readouterr().out) or "4 of 4" in out
     assert main(["bench", "compare", "a", "other"]) == 65
     assert "another truth" in capsys.readouterr().err

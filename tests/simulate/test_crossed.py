@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.kernels import render
-from ringpose.simulate.light import IlluminatedTarget, caster_input
+from ringpose.simulate.light import IlluminatedTarget, caster_view
 from ringpose.simulate.placement import Placement
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.target.parts import body_part, target_tables
@@ -36,24 +36,11 @@ def test_pixels_that_the_outline_of_a_box_crosses_during_the_exposure_are_found(
         planes=scene.rig.lasers, laser_light=LaserLight(), light=Light(name="lamp", ambient_w_m2=1.0), lasers=(),
     )  # fmt: skip
     rays = pixel_rays(CAMERA)
-    light, pixels = caster_input(illuminated, rays.angle_per_px), 80 * 60
-    image = render.PixelImage(
-        np.zeros((1 + len(light.lasers), pixels), np.float32), np.zeros(pixels, np.int32), np.zeros(pixels, np.uint8)
-    )
-    view = (
-        illuminated.target,
-        light.poses,
-        light.lamps,
-        light.lasers,
-        light.light,
-        rays.direction,
-        rays.per_px,
-        80,
-        image,
-    )
-    render.render(*view)
+    view = caster_view(illuminated, rays.angle_per_px, rays.direction, rays.per_px, rays.width)
+    image = view.blank_image()
+    render.render(view, image)
 
-    crossed = render.crossed(*view, np.arange(pixels)).reshape(60, 80)
+    crossed = render.crossed(view, image.code, np.arange(80 * 60)).reshape(60, 80)
 
     column, row = np.meshgrid(np.arange(80), np.arange(60))
     left, right, top, bottom = 20.3, 60.3, 10.3, 50.3

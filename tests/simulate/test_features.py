@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
+from ringpose.estimate.nuisance import FORM_ORDERS
 from ringpose.geometry.rays import undistort
-from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.simulate.common_errors import FORM_ORDERS, drawn_common_errors
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import target_placement
+from ringpose.simulate.stripe_ends import drawn_common_errors
 from ringpose.types.arrays import EDGES
 from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
@@ -118,15 +118,6 @@ def test_motion_displaces_each_lasers_features_by_its_own_time(switched, view, r
     assert np.ptp(points.stamp_s) > 0
 
 
-def test_motion_at_rate_zero_changes_nothing(switched, view):
-    still = draw_detection(switched, view, np.random.default_rng(1))
-    at_rest = Deviations(motion=MotionPrior(speed_sd_m_s=0.0, rate_sd_rad_s=0.0))
-    moving = draw_detection(switched, view, np.random.default_rng(1), at_rest)
-
-    assert np.array_equal(found(still).position_px, found(moving).position_px)
-    assert np.array_equal(found(still).face_end_px, found(moving).face_end_px)
-
-
 def test_form_displaces_the_edges_with_the_tolerance_as_standard_deviation(switched, view, rng):
     tolerance_m = 1e-4
     exact = found(draw_detection(switched, view, rng, EXACT)).position_px
@@ -228,16 +219,6 @@ def test_a_run_has_one_rig_and_one_form(switched, view):
     assert not np.array_equal(found(run[0]).position_px, found(run[1]).position_px)
 
 
-def test_true_rates_are_those_of_the_tilt_basis(switched, view, rng):
-    prior = MotionPrior(speed_sd_m_s=0.02, rate_sd_rad_s=0.05)
-    drawn = [draw_detection(switched, view, rng, replace(EXACT, motion=prior)) for _ in range(100)]
-
-    velocity = np.array([each.truth.velocity_m_s for each in drawn])
-    rates = np.array([tilt_basis(view.normal) @ each.truth.angular_velocity_rad_s for each in drawn])
-    assert velocity.std(axis=0) == pytest.approx(0.02, rel=0.25)
-    assert rates.std(axis=0) == pytest.approx(0.05, rel=0.25)
-
-
 RADII_M = np.array([0.567, 0.597])
 
 
@@ -265,15 +246,6 @@ def test_visible_edges_lie_on_the_ring_and_scatter_as_stated(sunlit, rng):
     assert len(exact.edge) > 12
     assert set(exact.edge) == {0, 1}
     assert np.var(off) == pytest.approx(1.0, abs=0.1)
-
-
-def test_visible_edges_complete_the_exact_pose(sunlit, rng):
-    scene, view = sunlit
-    detection = draw_detection(scene, view, rng, EXACT).detection
-
-    pose = estimate_pose(detection.break_points, scene.rig, ring_edges=detection.ring_edges)
-
-    assert np.abs(pose.center_m - view.center_m).max() < 1e-5
 
 
 def test_edges_move_with_the_ring_by_the_time_of_their_own_frame(sunlit, rng):

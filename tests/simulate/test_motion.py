@@ -188,16 +188,6 @@ def test_a_period_shorter_than_a_shot_is_an_error(moving):
         next(simulate(replace(moving, period_s=0.005)))
 
 
-@pytest.mark.slow
-def test_processes_do_not_change_moving_shots(moving):
-    several = replace(moving, shots=8, period_s=0.05, sequence=(1,))
-
-    (one, of_one), (two, of_two) = (list(zip(*simulate(several, jobs=jobs), strict=True)) for jobs in (1, 2))
-
-    np.testing.assert_array_equal([shot.images for shot in one], [shot.images for shot in two])
-    assert [truth.stamp_s for truth in of_one] == [truth.stamp_s for truth in of_two]
-
-
 def test_the_simulated_camera_shows_the_motion_within_a_moment(moving):
     frames = SceneFrames(moving)
     ((shot, _), _) = simulate(moving)

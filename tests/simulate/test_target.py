@@ -27,17 +27,6 @@ def test_rays_hit_the_box_where_they_enter_it(rng):
     np.testing.assert_allclose(beyond.max(axis=0), 0.0, atol=1e-12)
 
 
-def test_rays_that_enter_the_box_hit_it(rng):
-    eye, direction = rays_at_box(rng)
-    passed = eye[:, None, None] + direction[:, None] * np.linspace(0, 4, 1500)[:, None]
-    inside = (np.abs(passed - np.array([0.0, 0.0, -0.5])[:, None, None]) < SIZE_M[:, None, None] / 2).all(axis=0)
-
-    surface = first_hits(target_of(), eye[:, None], direction).surface
-
-    assert inside.any(axis=0).sum() > 200
-    assert (surface[inside.any(axis=0)] != NONE).all()
-
-
 def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
     eye = np.array([3.0, 2.0, 1.5])
     direction = rng.uniform(-0.9, 0.2, (3, 2000)) - eye[:, None]
@@ -69,17 +58,12 @@ def test_hits_settle_on_the_foil(rng):
     np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0, atol=1e-12)
 
 
-def test_foil_is_determined_by_its_seed():
-    first, again, other = (relief(Foil(seed=seed)).height_m for seed in (1, 1, 2))
+def test_foil_is_determined_by_its_seed_and_has_the_requested_rms_height():
+    first, again, other = (relief(Foil(seed=seed, rms_m=0.002)).height_m for seed in (1, 1, 2))
 
     assert (first == again).all()
     assert (first != other).any()
-
-
-def test_foil_has_the_requested_rms_height():
-    heights_m = relief(Foil(rms_m=0.002)).height_m
-
-    np.testing.assert_allclose([heights_m.mean(), heights_m.std()], [0.0, 0.002], atol=1e-6)
+    np.testing.assert_allclose([first.mean(), first.std()], [0.0, 0.002], atol=1e-6)
 
 
 def test_slopes_are_the_derivatives_of_the_heights():

@@ -180,7 +180,7 @@ def scene_with(scene: Scene, changes: Mapping[str, float]) -> Scene:
 
 
 def change_text(name: str, value: float) -> str:
-    """A change in words."""
+    """A change of the rig as the tables name it, such as `+-10 deg`."""
     if name == "laser_angle_rad":
         return f"+-{degrees(value):.3g} deg"
     if name == "lasers":

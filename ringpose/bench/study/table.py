@@ -99,7 +99,7 @@ class Statistics:
         return nan if values is None else float(np.mean(values))
 
     def bound(self, name: str) -> float:
-        """Root mean square bound; NaN without any."""
+        """Root mean square of the Cramér-Rao bounds of a quantity; NaN without any."""
         return _rms(self.bounds.get(name))
 
     def ratio(self, name: str) -> float:
@@ -236,7 +236,7 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
 
 
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
-    """The statistics of a method by the values of the factor `table`; all shots under `()` if there is none."""
+    """Values of the study's `table` factor and the statistics of a method for each; `()` for all shots without one."""
     keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
     return keys, [summary.columns[method, key] for key in keys]
 
@@ -320,7 +320,7 @@ def _limited(each: Statistics, what: str) -> float:
 
 
 def sorted_keys(keys: Iterable[Key]) -> list[Key]:
-    """Numbers by value, texts in the order of their first occurrence."""
+    """The keys sorted: numbers by value, texts in the order of their first occurrence."""
     every = list(dict.fromkeys(keys))
     texts = list(dict.fromkeys(part for key in every for part in key if isinstance(part, str)))
     return sorted(every, key=lambda key: [texts.index(part) if isinstance(part, str) else part for part in key])

@@ -70,7 +70,9 @@ def compare(
     if json != STDOUT:
         records.write_text(comparison_text(rows, paired, names, tolerance, words))
     if json is not None:
-        files = [Path(name) for name in (a, b) if name != STDOUT] + (truth or []) + ([rig] if rig else [])
+        named = [Path(name) for name in (a, b) if name != STDOUT]
+        tables = [each / "results.csv" if each.is_dir() else each for each in named]  # of studies
+        files = [*tables, *(truth or []), *([rig] if rig else [])]
         made = comparison_record(rows, paired, tolerance, matched)
         write_result(json, records.line_of({**made, "provenance": provenance(files)}), force=force)
     complaints = list(worse_sentences(rows, paired))

@@ -21,21 +21,36 @@ RigToDesign = Annotated[
 SceneFile = Annotated[
     Path | None,
     typer.Option(
-        "--scene", readable=False, metavar="FILE", help="Ring, lasers, lens, sensor and light; else usual ones."
+        "--scene",
+        readable=False,
+        metavar="FILE",
+        help="Take ring, laser light, lens, sensor and light from this scene.",
     ),
 ]
 Vary = Annotated[
     list[str] | None,
     typer.Option(
-        "--vary", metavar="NAME=VALUES", help="Values to try, by commas; may be given again: all are combined."
+        "--vary",
+        metavar="NAME=VALUES",
+        help="Values to try of laser_angle_rad, baseline_m, focal_px, dark_noise_e or lasers, separated by commas; may "
+        "be given again: all combinations are tried.",
     ),
 ]
-Distances = Annotated[str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, by commas.")]
-Offsets = Annotated[
-    str, typer.Option("--offsets", metavar="SHARES", help="Offsets from the image centre, in image widths, by commas.")
+Distances = Annotated[
+    str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, separated by commas.")
 ]
-Pitch = Annotated[float, typer.Option("--pitch", metavar="DEG", min=-60, max=60, callback=finite, help="Of the ring.")]
-Yaw = Annotated[float, typer.Option("--yaw", metavar="DEG", min=-60, max=60, callback=finite, help="Of the ring.")]
+Offsets = Annotated[
+    str,
+    typer.Option(
+        "--offsets",
+        metavar="SHARES",
+        help="Horizontal offsets from the image centre, in image widths, separated by commas.",
+    ),
+]
+Pitch = Annotated[
+    float, typer.Option("--pitch", metavar="DEG", min=-60, max=60, callback=finite, help="Pitch of the ring.")
+]
+Yaw = Annotated[float, typer.Option("--yaw", metavar="DEG", min=-60, max=60, callback=finite, help="Yaw of the ring.")]
 Stability = Annotated[
     float,
     typer.Option("--rig-stability", metavar="FACTOR", min=0, callback=finite, help="Scales the rig's usual stability."),
@@ -43,11 +58,13 @@ Stability = Annotated[
 Minimize = Annotated[Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")]
 MinCoverage = Annotated[
     float,
-    typer.Option("--min-coverage", metavar="SHARE", min=0, max=1, help="Of the places, with all stripes in view."),
+    typer.Option(
+        "--min-coverage", metavar="SHARE", min=0, max=1, help="Smallest share of the places with all stripes in view."
+    ),
 ]
 BestRig = Annotated[
     Path | None,
-    typer.Option("--output", "-o", readable=False, metavar="FILE", help="Write the best rig, to start from."),
+    typer.Option("--output", "-o", readable=False, metavar="FILE", help="Write the best rig (rig.yaml)."),
 ]
 
 QUANTITY = {

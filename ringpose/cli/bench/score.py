@@ -22,7 +22,7 @@ DEFAULT_GROUPS = ("distance_m", "light")
 
 PosesOrFolders = Annotated[
     list[str],
-    typer.Argument(metavar="INPUT...", help="With --truth pose lines (- for stdin); without it data set folders."),
+    typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
 ]
 TruthFiles = Annotated[
     list[Path] | None,
@@ -30,10 +30,14 @@ TruthFiles = Annotated[
 ]
 By = Annotated[
     str | None,
-    typer.Option("--by", metavar="GROUPS", help="Groups of the truth, by commas; distance_m,light if not given."),
+    typer.Option(
+        "--by",
+        metavar="GROUPS",
+        help="Groups of the truth with a line each, separated by commas; default: distance_m,light.",
+    ),
 ]
 Methods = Annotated[
-    list[Method] | None, typer.Option("--method", help="Of data sets, may be given again; all methods if not given.")
+    list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
 ]
 MaxCenter = Annotated[
     float | None,
@@ -81,7 +85,10 @@ def bench(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
+    """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed.
+
+    Further commands, each with its own --help: bench compare, bench study, bench design, bench speed.
+    """
     from ringpose.bench.report import csv_rows, report
     from ringpose.bench.summary import error_limits, exceeded_count_limits, exceeded_error_limits, summaries
     from ringpose.bench.table import table

@@ -19,13 +19,22 @@ if TYPE_CHECKING:
 LOG_S = 60.0
 """Time between two lines of progress where stderr is not a terminal."""
 
-StudyName = Annotated[str, typer.Argument(metavar="STUDY", help="A study.yaml, or the name of a preset.")]
+StudyName = Annotated[
+    str,
+    typer.Argument(
+        metavar="STUDY",
+        help="A study.yaml, or a preset: paper-synthetic, paper-lights, calibrated, tumbling, violations, outliers.",
+    ),
+]
 Output = Annotated[
     Path,
     typer.Option("--output", "-o", readable=False, metavar="DIR", help="Folder of the results; resumed if it exists."),
 ]
 ShotCount = Annotated[
-    int | None, typer.Option("--count", metavar="N", min=1, help="Shots of each cell, instead of the study's.")
+    int | None,
+    typer.Option(
+        "--count", metavar="N", min=1, help="Number of shots in each cell of the grid, instead of the study's."
+    ),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the study's.")]
 Jobs = Annotated[

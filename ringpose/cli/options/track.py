@@ -38,7 +38,7 @@ PredictFor = Annotated[
         metavar="S",
         min=0,
         callback=finite,
-        help="Longest prediction of a track, then two shots must agree; default: 2.",
+        help="Longest prediction; after it, two shots that agree start the track anew; default: 2.",
     ),
 ]
 LostAfter = Annotated[
@@ -54,13 +54,22 @@ LostAfter = Annotated[
 GripperRadial = Annotated[
     float | None,
     typer.Option(
-        "--gripper-radial-m", metavar="M", min=0, callback=finite, help="How far the band may be from the grasp point."
+        "--gripper-radial-m",
+        metavar="M",
+        min=0,
+        callback=finite,
+        help="How far the middle of the ring's band may be from the grasp point.",
     ),
 ]
 GripperTilt = Annotated[
     float | None,
     typer.Option(
-        "--gripper-tilt-deg", metavar="DEG", min=0, max=90, callback=finite, help="How far the normal may be off."
+        "--gripper-tilt-deg",
+        metavar="DEG",
+        min=0,
+        max=90,
+        callback=finite,
+        help="How far the ring's normal may be from the reported one.",
     ),
 ]
 RobotPosesFile = Annotated[

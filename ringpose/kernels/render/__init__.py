@@ -43,36 +43,34 @@ class TargetTables(NamedTuple):
     slopes: Float32[Array, "relief texel_y texel_x uv=2"]
 
 
-class LightNumbers(NamedTuple):
-    """Light other than that of lamps and lasers, and properties that all lasers have in common."""
+class View(NamedTuple):
+    """A lit target, and the pixels of an image of it; rows are the members of the structs in render.c."""
 
-    ambient_w_m2: float = 0.0
-    sun_w_m2: float = 0.0
-    sun_x: float = 0.0
-    sun_y: float = 0.0
-    sun_z: float = -1.0
-    sun_radius_rad: float = 0.0
-    earth_w_m2: float = 0.0
-    earth_x: float = 0.0
-    earth_y: float = 0.0
-    earth_z: float = -1.0
-    earth_radius_rad: float = 0.0
-    lit_x: float = 0.0
-    lit_y: float = 0.0
-    lit_z: float = -1.0
-    earth_radiance: float = 0.0
-    laser_power_w: float = 0.0
-    laser_sigma_m: float = 1.0
-    laser_divergence_rad: float = 0.0
-    laser_fan_rad: float = 1.0
-    angle_per_px: float = 0.0
+    target: TargetTables
+    poses: Float64[Array, "time column=12"]
+    """camera_from_target (rotation in rows, translation) at equal steps of the exposure."""
+    lamps: Float64[Array, "lamp=4 column=5"]
+    lasers: Float64[Array, "laser column=11"]
+    light: tuple[float, ...]
+    """Of the struct Light: other light, and properties that all lasers have in common."""
+    xy: Float64[Array, "xy=2 pixel"]
+    """Rays (x, y, 1) of the pixels."""
+    per_px: Float64[Array, "axis=2 xy=2 pixel"] | None
+    """Their derivatives; only several samples of a pixel need them."""
+    width: int
+
+    def blank_image(self) -> "PixelImage":
+        """An image without light."""
+        pixels = self.xy.shape[1]
+        radiance = np.zeros((1 + len(self.lasers), pixels), np.float32)
+        return PixelImage(radiance, np.zeros(pixels, np.int32), np.zeros(pixels, np.uint8))
 
 
 class PixelImage(NamedTuple):
     """What `render` fills for the chosen pixels."""
 
     radiance: Float32[Array, "source pixel"]
-    """W/(m2 sr): ambient light first, then each laser; to be filled with zeros before."""
+    """W/(m2 sr): ambient light first, then each laser."""
     code: Int32[Array, "pixel"]
     """Equal where two pixels show the same surface, sunlit or not."""
     stripe: UInt8[Array, "pixel"]
@@ -83,52 +81,23 @@ WIDE, THIN = 1, 2
 
 
 def render(
-    target: TargetTables,
-    poses: Float64[Array, "time column=12"],
-    lamps: Float64[Array, "lamp=4 column=5"],
-    lasers: Float64[Array, "laser column=11"],
-    light: LightNumbers,
-    xy: Float64[Array, "xy=2 pixel"],
-    per_px: Float64[Array, "axis=2 xy=2 pixel"] | None,
-    width: int,
-    image: PixelImage,
-    pixels: Int64[Array, "chosen"] | None = None,
-    samples: int = 1,
-    step: int = 1,
+    view: View, image: PixelImage, pixels: Int64[Array, "chosen"] | None = None, samples: int = 1, step: int = 1
 ) -> None:
     """Fill the image of the chosen pixels, or of all, with the mean over their samples.
 
-    `poses` are camera_from_target (rotation in rows, translation) at equal steps of the exposure; a single sample has
-    the middle one. `xy` are the rays (x, y, 1) of the pixels and `per_px` their derivatives. The code and the stripe of
-    several samples are those of the last one. All samples are cast; of those of each surface in a pixel, one in `step`
-    is shaded for all.
+    A single sample has the middle pose. The code and the stripe of several samples are those of the last one. All
+    samples are cast; of those of each surface in a pixel, one in `step` is shaded for all.
     """
-    _kernels.render(
-        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, step,
-        image.radiance, image.code, image.stripe,
-    )  # fmt: skip
+    _kernels.render(*view.target, *view[1:], pixels, samples, step, *image)
 
 
-def crossed(
-    target: TargetTables,
-    poses: Float64[Array, "time column=12"],
-    lamps: Float64[Array, "lamp=4 column=5"],
-    lasers: Float64[Array, "laser column=11"],
-    light: LightNumbers,
-    xy: Float64[Array, "xy=2 pixel"],
-    per_px: Float64[Array, "axis=2 xy=2 pixel"],
-    width: int,
-    image: PixelImage,
-    pixels: Int64[Array, "chosen"],
-) -> Bool[Array, "chosen"]:
-    """Which of the chosen pixels an edge of a surface or of a laser's shadow may cross; the arguments are as above.
+def crossed(view: View, code: Int32[Array, "pixel"], pixels: Int64[Array, "chosen"]) -> Bool[Array, "chosen"]:
+    """Which of the chosen pixels an edge of a surface or of a laser's shadow may cross.
 
     Those whose four corners, at the first and the last pose, and middle do not all have the code of the image.
     """
     result = np.empty(len(pixels), np.uint8)
-    _kernels.crossed(
-        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, image.code, result
-    )  # fmt: skip
+    _kernels.crossed(*view.target, *view[1:], pixels, code, result)
     return result.astype(np.bool_)
 
 

@@ -1,7 +1,7 @@
 """Shots are computed by processes, of which some are killed."""
 
 import pytest
-from study_work import FATAL, dying_once, square, square_or_die
+from study_work import FATAL, square, square_or_die
 
 from ringpose.bench.study.executors import by_processes, here, software
 
@@ -18,13 +18,6 @@ def test_a_shot_that_kills_its_worker_is_given_up_alone():
 
     assert done.pop(FATAL) is None
     assert done == {index: square(index) for index in range(12) if index != FATAL}
-
-
-@pytest.mark.slow
-def test_shots_of_a_worker_that_was_killed_from_outside_are_computed_again(tmp_path):
-    done = sorted(by_processes(dying_once(tmp_path), range(12), 2))
-
-    assert done == list(here(square, range(12)))
 
 
 def test_the_software_is_named_with_a_hash_of_its_code():

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.study.shots import scene_of, setting_of, study_rows, study_shot
+from ringpose.bench.study.shots import scene_of, setting_of, study_rows, study_shot, with_run
 from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import read_study, study_path
-from ringpose.types.assumptions import AssumptionOptions, RigStability
-from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
+from ringpose.simulate.features import Deviations, drawn_features
+from ringpose.types.assumptions import AssumptionOptions, MotionPrior, RigStability
+from ringpose.types.study import TIMES, Factor, ShotRun, Study, StudyMethod, columns
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
 
@@ -230,3 +231,64 @@ def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_witho
     assert row["method"] == "ml"
     assert row["edge_points"] > 30
     assert not row["wrong"]
+
+
+# Runs of shots of a moving target
+
+
+RUN, PRIOR = ShotRun(shots=3, period_s=0.25), MotionPrior(speed_sd_m_s=0.02, rate_sd_rad_s=0.03)
+
+
+@pytest.fixture(scope="module")
+def moving(study):
+    return replace(
+        study,
+        count=1,
+        factors=(
+            Factor(name="distance_m", values=(0.5,)),
+            Factor(name="speed_sd_m_s", values=(0.0, 0.01)),
+            Factor(name="rate_sd_rad_s", values=(0.0, 0.01)),
+        ),
+        methods=(StudyMethod.ML, StudyMethod.TRACK),
+        run=RUN,
+    )
+
+
+def test_each_laser_of_a_moving_target_shows_it_where_it_is_at_its_frame(moving, rng):
+    single = replace(moving, run=ShotRun())
+    scene = with_run(scene_of(single, 0, {"distance_m": 0.5}), RUN, PRIOR, rng)
+
+    drawn = list(drawn_features(scene, Deviations(noise=False)))
+
+    assert len(drawn) == RUN.shots
+    for number in (0, RUN.shots - 1):
+        view, shot = scene.views[number], drawn[number]
+        points = shot.detection.break_points
+        for laser, stamp_s in enumerate(points.stamp_s):
+            passed_s = stamp_s - scene.start_s - number * RUN.period_s
+            rotation, translation_m = view.path.camera_from_target(view.begin_s + passed_s)
+            center_m = rotation @ [0.0, 0.0, scene.ring.height_m] + translation_m
+            still = replace(view, path=None, center_m=center_m, normal=rotation[:, 2])
+            seen = next(drawn_features(replace(scene, views=(still,)), Deviations(noise=False)))
+            assert points.position_px[laser] == pytest.approx(seen.detection.break_points.position_px[laser], abs=1e-3)
+
+
+def test_the_last_shot_of_a_run_is_in_the_pose_of_the_factors(moving):
+    setting = {"distance_m": 0.5, "speed_sd_m_s": 0.01, "rate_sd_rad_s": 0.01}
+    single = scene_of(replace(moving, run=ShotRun()), 0, setting).views[-1]
+
+    first, *_, last = scene_of(moving, 0, setting).views
+
+    assert last.center_m == pytest.approx(single.center_m)
+    assert last.normal == pytest.approx(single.normal)
+    assert 0.001 < np.linalg.norm(first.center_m - last.center_m) < 0.1
+
+
+def test_a_track_of_three_shots_is_better_than_the_last_one(moving):
+    rows = [row for index in range(moving.shots) for row in study_rows(moving, index)]
+
+    by_method = {method: [row for row in rows if row["method"] == method] for method in ("ml", "track")}
+    rms = {method: np.sqrt(np.mean([row["normal_rad"] ** 2 for row in found])) for method, found in by_method.items()}
+    assert rms["track"] < 0.8 * rms["ml"]
+    assert all(row["wrong"] == "" and row["status"] != "none" for row in by_method["track"])
+    assert all((row["velocity_m_s"] is None) == (index % 4 == 0) for index, row in enumerate(by_method["ml"]))
