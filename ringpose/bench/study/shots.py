@@ -225,9 +225,7 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         for source in (*shot.before, shot.source)
     )
     detect_s = perf_counter() - start_s
-    radii = _radii(
-        shot.scene, RADIUS_SD_M * float(np.random.default_rng([_RADII, study.seed, index]).standard_normal())
-    )
+    radii = _radii(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
     bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
     points = detection.break_points
     common: Row = {
@@ -288,10 +286,10 @@ def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | No
     return {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
 
 
-def _radii(scene: Scene, error_m: float = 0.0) -> KnownRadii:
-    """The radii of the scene's ring with the prior of the estimator; `error_m`, drawn from it, is added to both."""
-    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
-    return KnownRadii(radius_m=radius_m + error_m, sd_m=np.full(2, RADIUS_SD_M))
+def _radii(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:
+    """The radii of the scene's ring with the prior of the estimator; with `rng`, their errors are drawn from it."""
+    radius_m, sd_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m]), np.full(2, RADIUS_SD_M)
+    return KnownRadii(radius_m=radius_m if rng is None else radius_m + sd_m * rng.standard_normal(2), sd_m=sd_m)
 
 
 def _by_axis(name: str, vector: Float64[Array, "xyz=3"] | None) -> Row:
