@@ -129,7 +129,7 @@ def without_outliers(
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, camera=camera)
         try:
-            best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False, precise=False)
+            best = explain(measured, prior, labelled=points.labelled, edges_named=False, precise=False)
         except np.linalg.LinAlgError:
             best = None
     if best is not None and straight(*best.estimate.curvature_alone):

@@ -16,6 +16,7 @@ import numpy as np
 
 from ringpose.detect.stripes import lens
 from ringpose.estimate.measurements import Edges
+from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import RingArcs
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
@@ -430,17 +431,24 @@ def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: b
     return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))
 
 
-def edge_observations(found: ClearSteps) -> Edges:
-    """The steps as measurements of the ring's edges, without common errors."""
+def edge_observations(found: ClearSteps, rig: Rig) -> Edges:
+    """The steps as measurements of the ring's edges, without common errors of their own.
+
+    A camera without covariance counts as exact in this search.
+    """
     trace, steps = found
     sigma_px = CLUTTER * np.hypot(steps.sigma_px, MIN_SIGMA_PX)
     point = rays_beside(trace, steps.offset_px)
     ray = point / point[:, 2:]
+    wrt_camera = np.zeros((len(ray), 2, 4 + len(rig.camera.distortion_coefficients)))
+    if rig.covariance is not None:
+        _, wrt_camera = rays_wrt_pixel_and_camera(ray[:, :2], rig.camera)
     step_m = (sigma_px * trace.metres_per_px)[:, None] * trace.outward
     return Edges(
         edge=(trace.edge_sign > 0).astype(np.int64),
         ray=ray,
         step=(step_m[:, :2] - ray[:, :2] * step_m[:, 2:]) / point[:, 2:],
+        wrt_camera=wrt_camera,
         common=np.empty((len(ray), 0)),
         stamp_s=np.full(len(ray), np.nan),
     )

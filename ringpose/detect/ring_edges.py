@@ -123,7 +123,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     found = clear_steps(frame, trace, REACH_PX, precise=True)
-    refined = stripes.fitted(tracked.arcs, edge_observations(found), rig)
+    refined = stripes.fitted(tracked.arcs, edge_observations(found, rig))
     if refined is None:
         return None
     points = ring_edge_points(refined.arcs, found.trace, found.steps.offset_px, found.steps.sigma_px)
@@ -236,7 +236,7 @@ def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> Predi
     ring: PredictedRing | None = stripes.start
     if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
         beside = edges_beside_stripe(stripes.start.arcs, frame, rig)
-        ring = stripes.fitted(stripes.start.arcs, beside, rig, FIRST_ITERATIONS)
+        ring = stripes.fitted(stripes.start.arcs, beside, FIRST_ITERATIONS)
     tracked_px = 0.0
     for _ in range(ROUNDS):
         if ring is None or not plausible(ring.arcs):
@@ -248,10 +248,10 @@ def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> Predi
             break
         tracked_px = len(trace.edge_sign) * spacing_px
         trace = outside_stripes(frame, trace)
-        observations = edge_observations(clear_steps(frame, trace, reach_px))
+        observations = edge_observations(clear_steps(frame, trace, reach_px), rig)
         if len(observations.edge) < MIN_SHARE * len(trace.edge_sign):
             return None
-        ring = stripes.fitted(ring.arcs, observations, rig)
+        ring = stripes.fitted(ring.arcs, observations)
     return ring
 
 
@@ -293,8 +293,8 @@ def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
-        return no_edges()
-    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX))
+        return no_edges(rig.camera)
+    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX), rig)
 
 
 # Fit of the ring to stripes and tracked edge points
@@ -323,11 +323,11 @@ class StripeEvidence:
     measured: Measurements
     start: PredictedRing
 
-    def fitted(self, arcs: RingArcs, edges: Edges, rig: Rig, iterations: int = ITERATIONS) -> PredictedRing | None:
+    def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
         """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open."""
         prior = Prior(regularize_about=self.start.arcs)
         with np.errstate(all="ignore"):
-            ring = refine_ring(replace(self.measured, edges=edges), rig, prior, arcs, iterations)
+            ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
         return None if ring is None else PredictedRing(*ring)
 
 
@@ -344,7 +344,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser):
         return None
-    estimate = estimate_ring(measured, rig, Prior(), tolerance_sigmas=DECISION_SIGMAS)
+    estimate = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
     return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))

@@ -37,7 +37,6 @@ from ringpose.estimate.solver import (
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
-from ringpose.types.rig import Rig
 
 ALARM_SIGMAS = 3.0
 """Limit of the chi-squared test as a normal quantile: one right shot in seven hundred exceeds it by chance."""
@@ -80,7 +79,6 @@ COINCIDENCE = 3.0
 class Search(NamedTuple):
     """What all explanations of a shot are estimated with."""
 
-    rig: Rig
     labelled: bool
     edges_named: bool
     for_pose: bool
@@ -134,7 +132,7 @@ class Explanation:
 
 
 def explain(
-    measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+    measured: Measurements, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
 ) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
@@ -142,13 +140,13 @@ def explain(
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
     whether the ring is needed to the precision of a pose, and not only the decision.
     """
-    guess, search = None, Search(rig, labelled, edges_named, for_pose=precise)
+    guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
-        measured, guess = at_reference_time(measured, rig.lasers, prior)
+        measured, guess = at_reference_time(measured, prior)
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
-    estimate = precise_ring(best.estimate, best.measured, rig)
+    estimate = precise_ring(best.estimate, best.measured)
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         return replace(best, estimate=estimate)
     # the shorter iteration had ended near a saddle point
@@ -219,7 +217,7 @@ def _is_unique(best: Explanation) -> bool:
     """Whether an explanation rejects nothing, and no prior prefers one side of the ring: it has a single optimum."""
     prior = best.estimate.prior
     plain = best.everything is not None and best.everything[1] is best.estimate and not best.flag
-    return plain and not best.estimate.regularized and not prior.single_edge and prior.radii is None
+    return plain and prior.regularize_about is None and not prior.single_edge and prior.radii is None
 
 
 def _side_score(explanation: Explanation) -> float:
@@ -234,17 +232,16 @@ def _explained(
     measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
-    rig, edges_seen = search.rig, len(measured.edges.edge) > 0
-    estimate = estimate_ring(measured, rig, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
-    if estimate is not None and edges_seen:
+    estimate = estimate_ring(measured, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
+    if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
         tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
-        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
+        estimate = estimate_ring(measured, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
-        return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
-    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, tolerance_sigmas=search.tolerance_sigmas)
+        return _explanation(everything, everything, _single_stripes(everything) if search.for_pose else [])
+    hypotheses = sorted(outlier_hypotheses(measured, prior, search.labelled), key=lambda each: each.penalty)
+    solved = partial(_solved, everything=everything, tolerance_sigmas=search.tolerance_sigmas)
     tried: list[Solved] = []
     lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
@@ -264,12 +261,12 @@ def _explained(
         return known[0] if known else next((solved(each) for each in others), None)
 
     best, rivals = _select(everything, tried, both_ends)
-    return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
+    return _explanation(best, everything, [*rivals, *_single_stripes(best)])
 
 
-def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, tolerance_sigmas: float) -> Solved | None:
+def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
-    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, tolerance_sigmas=tolerance_sigmas)
+    estimate = estimate_ring(hypothesis.measured, hypothesis.prior, tolerance_sigmas=tolerance_sigmas)
     if estimate is None:
         return None
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
@@ -282,7 +279,7 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, toleran
         assumed: Estimate | None = everything.estimate
         if hypothesis.measured is not everything.hypothesis.measured:  # a frame was left out as well
             prior = everything.hypothesis.prior
-            assumed = estimate_ring(hypothesis.measured, rig, prior, tolerance_sigmas=tolerance_sigmas)
+            assumed = estimate_ring(hypothesis.measured, prior, tolerance_sigmas=tolerance_sigmas)
         wider = 0.0 if assumed is None else max(estimate.log_determinant - assumed.log_determinant, 0.0)
     return Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate)
 
@@ -327,7 +324,7 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
     )
 
 
-def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
+def _single_stripes(solved: Solved) -> list[Solved]:
     """Explanations by one stripe of two, the other one being on the background, if these are comparable.
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
@@ -341,9 +338,9 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     measured = measured.once()
     found = []
     assumptions = solved.hypothesis.prior.assumptions
-    for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
-        if edges_contradict or ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
-            rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
+    for laser, alone, estimate in single_stripe_estimates(measured, assumptions):
+        if edges_contradict or ring_evidence(estimate, measured, laser) < COINCIDENCE:
+            rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
             found.append(Solved(hypothesis, estimate))

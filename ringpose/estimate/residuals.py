@@ -100,8 +100,6 @@ class Residuals(NamedTuple):
     """Number of residuals of stripes and break points, which come before those of visible edges."""
     data_rows: int
     """Number of residuals before those of the prior."""
-    stripe_numbers: int
-    """Number of distinct numbers of stripes and break points: a residual that is repeated counts once."""
     stripes: StripePrediction
     """Derivatives by the ring's step, its rates, and errors of the camera's motion."""
     points: EdgeDistances
@@ -160,6 +158,8 @@ class Estimate:
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
+    degrees_of_freedom: int
+    """Numbers of stripes, break points and radii less the parameters; rows of weak priors count like measurements."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
@@ -167,29 +167,6 @@ class Estimate:
     def converged(self) -> bool:
         """Whether the iteration came near the optimum before it reached its limit."""
         return self.distance_sigmas < DECISION_SIGMAS
-
-    @property
-    def regularized(self) -> bool:
-        """Whether parameters that the shot leaves open were held by weak priors."""
-        return self.prior.regularize_about is not None
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Numbers of stripes, break points and radii less the parameters.
-
-        Rows of weak priors count like measurements.
-        """
-        prior_rows = len(self.residuals.residual) - self.residuals.data_rows
-        return max(self.residuals.stripe_numbers + prior_rows - PARAMETERS, 0)
-
-    @property
-    def mean_ray_wrt_nuisance(self) -> Float64[Array, "xy=2 error"]:
-        """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
-        residuals, count = self.residuals, len(self.residuals.rate_sds)
-        wrt_rates = np.zeros((2, count))
-        y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
-        wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
-        return np.concatenate([wrt_rates, self.fixed.mean_ray_wrt_rig], axis=1)
 
     @property
     def edge_residuals(self) -> Float64[Array, "visible"]:
