@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.break_points import curved, straight
 from ringpose.detect.edge_search import (
     ALONG_PX,
     MOSTLY_VISIBLE,
@@ -77,6 +76,21 @@ class FoundEdges(NamedTuple):
     """Curvature over its standard deviation; negative if inner and outer edge are exchanged."""
     straight: bool = False
     """Whether they are the edges of something straight."""
+
+
+MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 0.65, 3.0
+"""Curvature of the largest ring that is looked for (a radius of 1.5 m; the largest in launcher manuals has 1.3 m), and
+the standard deviations by which a measured one must be smaller for its edges to count as straight."""
+
+
+def straight(curvature: float, sd: float) -> bool:
+    """Whether edges of that curvature (1/m) cannot be those of a ring: they are straight, as those of a bar."""
+    return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
+
+
+def curved(curvature: float, sd: float) -> bool:
+    """Whether edges of that curvature (1/m) cannot be straight: they bend at least as much as the largest ring."""
+    return abs(curvature) - STRAIGHT_SIGMAS * sd > MIN_CURVATURE_PER_M
 
 
 def detect_ring_edges(

@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.kernels import _kernels
-from ringpose.kernels import lines as kernels
-from ringpose.kernels.lines import Lens, TrackParams
+from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.image import full_scale_dn
@@ -236,9 +235,26 @@ MAX_CORRELATION = 40
 def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
     """The straight line segments of the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
     params = _track_params(camera.image_width)
-    return kernels.stripe_line_segments(
-        stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params
-    )
+    return straight_segments(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params)
+
+
+def straight_segments(
+    position_px: Float64[Array, "center xy=2"],
+    sigma_px: Float64[Array, "center"],
+    piece: Int64[Array, "center"],
+    laser: Int64[Array, "piece"],
+    lens: Lens,
+    params: TrackParams,
+) -> Float64[Array, "track column=11"]:
+    """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
+
+    Pieces are split at their kinks (Ramer-Douglas-Peucker on running medians of seven) and joined across gaps. Each
+    line is fitted twice by least squares, the second time without outliers. Centres must be sorted by piece, then
+    column.
+    """
+    position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
+    found = _kernels.tracks(position, sigma, piece, laser, lens, params)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
 @lru_cache(maxsize=4)

@@ -87,12 +87,13 @@ def quantities(estimate: Estimate) -> Quantities:
     """
     arcs, residuals = estimate.arcs, estimate.residuals
     rays = residuals.stripes.rays[residuals.ends :]
-    mean_ray, normal = rays.mean(axis=0), arcs.normal
-    middle = edge_distances(arcs, mean_ray[None], np.zeros(1))
+    mean_ray, normal = rays.mean(axis=0), arcs.axes[2]
     depth_m = float(arcs.origin @ normal) / float(mean_ray @ normal)
     mean_m = depth_m * mean_ray
-    outward, distance_m = _outward_at(arcs, mean_m), float(middle.distance_m[0])
-    face_direction = cross(normal, outward)
+    outward = _outward_at(arcs, mean_m)
+    face_direction, basis = cross(normal, outward), tilt_basis(normal)
+    middle = edge_distances(arcs, mean_ray[None], np.zeros(1))
+    distance_m = float(middle.distance_m[0])
 
     # the mean point moves along its ray with the plane, and with the lines of its stripes
     offset = (mean_m - arcs.origin) @ arcs.axes.T
@@ -125,7 +126,7 @@ def quantities(estimate: Estimate) -> Quantities:
     mean_ray_wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
     return Quantities(
         normal=normal,
-        basis=tilt_basis(normal),
+        basis=basis,
         center_m=arcs.center,
         radius_m=arcs.radius_m,
         grasp_m=mean_m - distance_m * outward,
@@ -254,7 +255,7 @@ def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate,
     """
     inward, tangent, _ = estimate.arcs.axes
     tilt = found.basis @ inward
-    lever_m = abs(estimate.arcs.mean_radius_m)
+    lever_m = abs(float(found.radius_m.mean()))
     tilt_variance = tilt @ covariance[TILTS, TILTS] @ tilt
     turn_variance = tangent @ covariance[CENTER, CENTER] @ tangent / lever_m**2
     return 0.5 * lever_m * hypot(tilt_variance, turn_variance)

@@ -10,7 +10,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from math import inf, nan, sqrt
 from typing import NamedTuple
 
@@ -25,16 +25,16 @@ from ringpose.estimate.hypotheses import (
     single_stripe_estimates,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
+from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior, initial_guess
 from ringpose.estimate.solver import (
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
-    at_reference_time,
     estimate_ring,
     precise_ring,
+    ring_residuals,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
 
@@ -124,11 +124,8 @@ class Explanation:
     everything: tuple[Measurements, Estimate] | None = None
     """All measurements with the ring that fits them best; None if the iteration diverges."""
 
-    @cached_property
-    def differing(self) -> frozenset[str]:
-        """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
-        rivals = (*self.competing, *([] if self.other_side is None else [self.other_side]))
-        return frozenset[str]().union(*(differing_quantities(self.estimate, each) for each in rivals))
+    differing: frozenset[str] = frozenset()
+    """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`; set for a pose."""
 
 
 def explain(
@@ -142,15 +139,43 @@ def explain(
     """
     guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
-        measured, guess = at_reference_time(measured, prior)
+        measured, guess = _at_reference_time(measured, prior)
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
-    estimate = precise_ring(best.estimate, best.measured)
+    estimate: Estimate | None = best.estimate
+    if best.estimate.distance_sigmas >= PRECISE_SIGMAS:
+        estimate = precise_ring(best.estimate, best.measured)
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
-        return replace(best, estimate=estimate)
-    # the shorter iteration had ended near a saddle point
-    return _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
+        best = replace(best, estimate=estimate)
+    else:  # the shorter iteration had ended near a saddle point
+        best = _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
+    if best is None:
+        return None
+    rivals = (*best.competing, *([] if best.other_side is None else [best.other_side]))
+    differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in rivals))
+    return replace(best, differing=differing)
+
+
+def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:
+    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
+
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
+    ring, None if there is none.
+    """
+    stamp_s, observations = measured.stamp_s, measured.observations
+    arcs = initial_guess(observations, prior)
+    first = float(stamp_s.min(initial=np.inf))
+    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
+        return measured, arcs
+    residuals = ring_residuals(arcs, observations, Prior())
+    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
+    weight = (rows * rows).sum(axis=1)
+    if not 0.0 < float(weight.sum()) < np.inf:
+        return measured, arcs
+    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
+    covered = measured.camera is None or moved.observations.view.camera is not None  # by the robot's poses
+    return (moved if covered else measured), arcs
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:

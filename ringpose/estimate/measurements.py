@@ -188,20 +188,20 @@ class Measurements:
         time_s = stamp_s - self.reference_s
         return np.where(np.isfinite(time_s), time_s, 0.0)
 
-    @property
+    @cached_property
     def stamp_s(self) -> Float64[Array, "row"]:
         """Mid exposure of the frame that each residual of `ringpose.estimate.residuals` comes from; NaN if unknown."""
         isolated = self.points.stamp_s[self.points.isolated]
         return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
 
-    @property
+    @cached_property
     def stripe_numbers(self) -> int:
         """Number of measured numbers of stripes and break points; one that was measured twice counts once."""
         ends = 2 * self.points.laser + self.points.edge
         distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
         return 2 * len(self.stripes) + distinct
 
-    @property
+    @cached_property
     def stripes(self) -> list[int]:
         """The lasers with a line, in ascending order."""
         return sorted(set(self.lines.laser.tolist()))
@@ -234,7 +234,7 @@ class Measurements:
         points, edges = self.points, self.edges
         return replace(self, points=replace(points, edge=1 - points.edge), edges=replace(edges, edge=1 - edges.edge))
 
-    @property
+    @cached_property
     def lasers(self) -> list[int]:
         """The lasers with a line or a break point, in ascending order."""
         return sorted({*self.points.laser.tolist(), *self.lines.laser.tolist()})

@@ -5,7 +5,6 @@ the solution; from there on visible edge points count fully or not at all, and b
 are judged by `ringpose.estimate.explanation`.
 """
 
-from dataclasses import replace
 from math import inf, isfinite, sqrt
 
 import numpy as np
@@ -42,7 +41,6 @@ from ringpose.geometry.ring import (
     TURN,
     Rates,
     RingArcs,
-    motion_derivatives,
     polar_angles,
     predicted_view,
 )
@@ -129,31 +127,8 @@ def estimate_ring(
     return estimate
 
 
-def at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:
-    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
-
-    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
-    ring, None if there is none.
-    """
-    stamp_s, observations = measured.stamp_s, measured.observations
-    arcs = initial_guess(observations, prior)
-    first = float(stamp_s.min(initial=np.inf))
-    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
-        return measured, arcs
-    residuals = ring_residuals(arcs, observations, Prior())
-    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
-    weight = (rows * rows).sum(axis=1)
-    if not 0.0 < float(weight.sum()) < np.inf:
-        return measured, arcs
-    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
-    covered = measured.camera is None or moved.observations.view.camera is not None  # by the robot's poses
-    return (moved if covered else measured), arcs
-
-
 def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
-    """An estimate that may have ended earlier, to the precision of a pose; None if it diverges."""
-    if estimate.distance_sigmas < PRECISE_SIGMAS:
-        return estimate
+    """An estimate that ended earlier, to the precision of a pose; None if it diverges."""
     observations, residuals = measured.observations, estimate.residuals
     try:
         fixed = fixed_columns(residuals, observations, estimate.prior)
@@ -215,6 +190,7 @@ def _gauss_newton(
         chi2=float(squares.sum()) + float(common @ common),
         degrees_of_freedom=max(observations.stripe_numbers + prior_rows - PARAMETERS, 0),
         distance_sigmas=steps.distance_sigmas,
+        edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
     )
 
 

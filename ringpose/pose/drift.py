@@ -18,7 +18,7 @@ from ringpose.estimate.nuisance import (
     light_plane_bases,
     total_covariance,
 )
-from ringpose.geometry.rotations import angle_between, tilt_basis, tilted
+from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
@@ -204,8 +204,8 @@ class RigEvidence:
     def add(self, evidence: PlaneEvidence) -> bool:
         """Add the rows of a shot; whether it shows the target at another pose than the last ones, and counts."""
         for normal, place_m in self._poses:
-            tilt_rad = float(angle_between(normal[None], evidence.normal[None])[0])
-            if tilt_rad < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
+            tilt = np.linalg.norm(normal - evidence.normal)  # the chord of so small an angle
+            if tilt < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
                 return False
         self._poses = [*self._poses, (evidence.normal, evidence.place_m)][-POSES_REMEMBERED:]
         rows = np.zeros((len(evidence.rows), len(self.parameters) + 1))

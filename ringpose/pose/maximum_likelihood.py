@@ -249,7 +249,7 @@ def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag
     if best.prior.radii is None and not curvature > CURVED_SIGMAS * sd:
         return unknown, "the edges may be straight: the shot does not show that it is a ring"
     if len(best.measured.edges.edge):
-        single = len(best.measured.lasers) == 1
+        single = len(set(best.measured.observations.laser.tolist())) == 1
         if single and not edge_evidence(best.estimate, best.measured) >= COINCIDENCE:  # also if it is NaN
             return unknown, "the single stripe may lie on another surface than the visible edges"
         return PoseFlag(0), ""

@@ -43,7 +43,7 @@ def seen_lasers(
         inside, share = used, used.mean(axis=1)
     else:
         inside, share = expected_in_view(best, rig)
-    states, flags, found = {}, PoseFlag(0), break_points.of_lasers
+    states, flags = {}, PoseFlag(0)
     for laser in np.flatnonzero(on).tolist():
         contributed = bool(used[laser].any() or has_line[laser])
         mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
@@ -53,7 +53,7 @@ def seen_lasers(
             missing = expected & ~used[laser]
             flags |= _why_missing(break_points.flags[laser, missing].tolist())
             state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
-        elif mine or found[laser]:
+        elif mine or break_points.of_lasers[laser]:
             state, flags = LaserState.REJECTED, flags | PoseFlag.STRIPE_REJECTED
         elif share[laser] >= SEEN_SHARE:
             state, flags = LaserState.NOT_SEEN, flags | PoseFlag.LASER_MISSING
