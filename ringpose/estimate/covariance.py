@@ -1,7 +1,7 @@
 """From the estimated ring to centre, radii and grasp point with their covariance, and to the record's measurement.
 
-Error propagation of ringpose-method(7), section 5, and the measurement in information form, without priors (section
-9). `x_wrt_y` is the derivative of x with respect to y.
+Error propagation of ringpose-method(7), section 5, the measurement in information form, without priors (section 9),
+and the evidence for errors of the rig (section 11). `x_wrt_y` is the derivative of x with respect to y.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Line segments through stripe centres (tracks), the hypothesis test for the ring's rim, and arcs through endpoints.
+"""Arguments of the kernels for line segments through stripe centres (tracks), the ring's rim, and arcs.
 
 The sources are tracks.c (segmentation and line fits), rim.c (which segments lie on the rim of one planar ring) and
 arcs.c (two concentric arcs through the segments' endpoints).
