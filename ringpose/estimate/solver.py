@@ -105,7 +105,7 @@ def estimate_ring(
         except np.linalg.LinAlgError:
             return None
 
-    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_residuals`
+    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_ring`
         if guess is None and start is None:
             guess = initial_guess(observations, prior)
         first: RingArcs | Estimate | None = guess if start is None else start
@@ -160,7 +160,8 @@ def _gauss_newton(
         normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
         factor = steps.factor(step, normal_matrix, extrapolate=robust is not None)
-        residuals = moved_residuals(residuals, factor * step, factor * nuisance_step[:count], observations, prior)
+        arcs, rates = moved_ring(residuals, factor * step, factor * nuisance_step[:count])
+        residuals = ring_residuals(arcs, observations, prior, rates)
         nuisance = nuisance_columns(residuals, fixed)
         if robust is None and fixed is not None and steps.sigmas < NEAR_SIGMAS:
             robust, weights = weights, _inlier_weights(predicted, residuals)
@@ -261,20 +262,19 @@ def refine_ring(
     and McClure's loss (Statistical Methods for Tomographic Image Reconstruction, 1987), (1 + (r / s)^2)^-2.
     """
     observations = measured.observations
-    residuals = ring_residuals(arcs, observations, prior)
-    fixed = fixed_columns(residuals, observations, prior)
-    normal_matrix = np.zeros((PARAMETERS, PARAMETERS))
-    robust = slice(residuals.ends, residuals.data_rows)
+    rates, fixed, normal_matrix = STILL, None, np.zeros((PARAMETERS, PARAMETERS))
     try:
         for _ in range(iterations):
+            residuals = ring_residuals(arcs, observations, prior, rates)
+            fixed = fixed_columns(residuals, observations, prior) if fixed is None else fixed
+            robust = slice(residuals.ends, residuals.data_rows)
             weights = np.ones(len(residuals.residual))
             weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
             normal_matrix, step, nuisance_step = solve_normal_equations(
                 residuals, weights, nuisance_columns(residuals, fixed)
             )
-            rate_step = nuisance_step[: len(residuals.rate_sds)]
-            residuals = moved_residuals(residuals, step, rate_step, observations, prior)
-        return residuals.arcs, _inverse(normal_matrix)
+            arcs, rates = moved_ring(residuals, step, nuisance_step[: len(residuals.rate_sds)])
+        return arcs, _inverse(normal_matrix)
     except np.linalg.LinAlgError:
         return None
 
@@ -446,14 +446,10 @@ def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
     return found
 
 
-def moved_residuals(
-    residuals: Residuals,
-    step: Float64[Array, "step=7"],
-    rate_step: Float64[Array, "rate"],
-    observations: Observations,
-    prior: Prior,
-) -> Residuals:
-    """The residuals after a step of the ring, and of its rates in their standard deviations.
+def moved_ring(
+    residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
+) -> tuple[RingArcs, Rates]:
+    """The ring after a step, and its rates after one in their standard deviations.
 
     A step longer than `MAX_TILT_RAD` is shortened as a whole. LinAlgError if the ring is then not in front of the
     camera, or has an impossible size. The angular velocity stays across the normal.
@@ -468,7 +464,7 @@ def moved_residuals(
     if len(rate_step):
         along = rates_along(arcs, rates) + rate_step * residuals.rate_sds
         rates = Rates(along[:3], along[3:] @ moved.axes[:2])
-    return ring_residuals(moved, observations, prior, rates)
+    return moved, rates
 
 
 # Common errors, whose derivatives are evaluated once, near the solution
