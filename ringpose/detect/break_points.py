@@ -16,6 +16,7 @@ import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
+from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
 from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
@@ -89,24 +90,11 @@ def break_points(
         face_start_px=ends.straight_px[:, 0],
         face_end_px=ends.straight_px[:, 1],
         face_sigma_px=ends.straight_sigma_px,
-        labelled=all(image.labelled for image in images if not set(image.lasers).isdisjoint(face.lasers)),
+        labelled=not any(
+            image.label == UNLABELLED and not set(image.lasers).isdisjoint(face.lasers) for image in images
+        ),
         stamp_s=stamp_s,
     )
-
-
-MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 0.65, 3.0
-"""Curvature of the largest ring that is looked for (a radius of 1.5 m; the largest in launcher manuals has 1.3 m), and
-the standard deviations by which a measured one must be smaller for its edges to count as straight."""
-
-
-def straight(curvature: float, sd: float) -> bool:
-    """Whether edges of that curvature (1/m) cannot be those of a ring: they are straight, as those of a bar."""
-    return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
-
-
-def curved(curvature: float, sd: float) -> bool:
-    """Whether edges of that curvature (1/m) cannot be straight: they bend at least as much as the largest ring."""
-    return abs(curvature) - STRAIGHT_SIGMAS * sd > MIN_CURVATURE_PER_M
 
 
 class BreakPointsOnRing(NamedTuple):
@@ -129,7 +117,7 @@ def without_outliers(
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, camera=camera)
         try:
-            best = explain(measured, rig, prior, labelled=points.labelled, edges_named=False, precise=False)
+            best = explain(measured, prior, labelled=points.labelled, edges_named=False, precise=False)
         except np.linalg.LinAlgError:
             best = None
     if best is not None and straight(*best.estimate.curvature_alone):

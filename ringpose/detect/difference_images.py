@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64, UInt
-from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Frame, Shot
 
 
@@ -27,20 +27,12 @@ class LaserImage:
     """Lasers that its stripes may belong to."""
     stamp_s: float
     """Mid exposure."""
+    threshold_scale_dn: int
+    """Saturation value of a single exposure, to which thresholds are relative."""
     dark_stamp_s: float = math.nan
     """Mid exposure of the background; NaN without one."""
-    usual_full_dn: int | None = None
-    """Grey value that thresholds are relative to; `saturation_dn` if None."""
-
-    @property
-    def threshold_scale_dn(self) -> int:
-        """Saturation value of a single exposure, to which thresholds are relative."""
-        return self.saturation_dn if self.usual_full_dn is None else self.usual_full_dn
-
-    @property
-    def labelled(self) -> bool:
-        """Whether its stripes can belong to a single laser only."""
-        return len(self.lasers) == 1
+    label: int = UNLABELLED
+    """The laser of its stripes if they can belong to a single one only."""
 
 
 def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[LaserImage]:
@@ -65,7 +57,7 @@ def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[L
 def repeated_image(shot: Shot, images: list[LaserImage]) -> LaserImage | None:
     """A frame with several lasers on that shows the stripes of `images`, of one laser each, once more; None without."""
     lasers = {laser for image in images for laser in image.lasers}
-    if not all(image.labelled for image in images):
+    if any(image.label == UNLABELLED for image in images):
         return None
     for number, mask in enumerate(shot.lasers.tolist()):
         shown = tuple(laser for laser in sorted(lasers) if mask >> laser & 1)
@@ -97,7 +89,8 @@ def _laser_image(shot: Shot, number: int, lasers: tuple[int, ...], also_on: int,
         lasers=lasers,
         stamp_s=shot.mid_exposure_s(number),
         dark_stamp_s=dark_stamp_s,
-        usual_full_dn=shot.merged_full_dn,
+        threshold_scale_dn=shot.usual_full_dn,
+        label=lasers[0] if len(lasers) == 1 else UNLABELLED,
     )
 
 

@@ -2,7 +2,8 @@
 
 The ring's face has one intensity up to its edge, blurred by the optics; the intensity beyond is unknown and varies more
 the farther it is from the edge. The position of the edge is the most likely one under this model, with sub-pixel
-resolution across the edge. Of places beside a laser stripe no step is used.
+resolution across the edge. Of places beside a laser stripe no step is used. The loops are compiled:
+kernels/edges/ring_arcs.c predicts the places, kernels/edges/edge_steps.c takes the profiles and finds the steps.
 """
 
 import math
@@ -15,9 +16,10 @@ import numpy as np
 
 from ringpose.detect.stripes import lens
 from ringpose.estimate.measurements import Edges
+from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import RingArcs
-from ringpose.kernels import edges as kernels
-from ringpose.kernels.edges import PlaceParams, ProfileParams, StepParams, Templates
+from ringpose.kernels import _kernels
+from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.rig import Rig
 
@@ -69,12 +71,37 @@ NUDGE_M = 1e-4
 """Step off the face for the numerical derivative that gives metres per pixel."""
 
 
+class PlaceParams(NamedTuple):
+    """Where points of the edges are predicted."""
+
+    image_width: float
+    image_height: float
+    spacing_px: float
+    """Distance between neighbouring points, at the arcs' origin."""
+    sigma_px: float
+    """Points with a larger predicted sigma across the edge are left out."""
+    half_turn_rad: float
+    """Largest angle on the ring to both sides of the origin."""
+    margin_px: float
+    """Points closer than this to the image border are left out."""
+    wider: float
+    """Upper bound of the distortion at the image border, as a share of the image size."""
+    oblique: float
+    """Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
+    detour: float
+    """Upper bound of the length of an arc from the origin to the farthest image corner, divided by their distance."""
+    nudge_m: float
+    """Step of the numerical derivative for metres per pixel."""
+    farthest: float = 1e5
+    """Largest number of points to each side of the origin."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeTrace:
     """Places on the predicted edges that lie in the image: along the inner edge, then along the outer."""
 
     table: Float64[Array, "n column=13"]
-    """Columns as returned by `ringpose.kernels.edges.edge_places`."""
+    """Columns as returned by `edge_places`."""
 
     @property
     def point(self) -> Float64[Array, "n xyz=3"]:
@@ -141,7 +168,21 @@ def edge_trace(
         nudge_m=NUDGE_M,
         farthest=max_count,
     )
-    return EdgeTrace(kernels.edge_places(arcs, covariance, lens(rig.camera), params))
+    return EdgeTrace(edge_places(arcs, covariance, lens(rig.camera), params))
+
+
+def edge_places(
+    arcs: RingArcs, covariance: Float64[Array, "step=7 step=7"], lens: Lens, params: PlaceParams
+) -> Float64[Array, "n column=13"]:
+    """Predicted points of the inner edge, then of the outer edge, in the image.
+
+    Columns: the point (3, camera frame, m), the unit vector off the face (3), the edge's sign (-1 inner, 1 outer), the
+    distorted pixel position (2), the edge's unit normal there, off the face (2), metres per pixel along it, and
+    the number of the point along the edge.
+    """
+    numbers = np.concatenate([arcs.origin, arcs.axes.ravel(), (arcs.curvature, arcs.half_band_m)])
+    found = _kernels.edge_places(numbers, np.ascontiguousarray(covariance), lens, params)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, 13)
 
 
 def outside_stripes(frame: EdgeImage, trace: EdgeTrace) -> EdgeTrace:
@@ -185,6 +226,46 @@ POOLED = 9
 """Number of neighbouring profiles whose noise is pooled."""
 
 
+class ProfileParams(NamedTuple):
+    """Sampling of intensity profiles across an edge, every pixel from `reach_px` + `inside_px` inside the point on."""
+
+    reach_px: float
+    inside_px: float
+    """Samples from which the intensity and noise of the surface are estimated."""
+    outside_px: float
+    along_px: float
+    """Number of samples along the edge that are averaged."""
+    noise_dn: float
+    """Lower bound of the noise of a sample."""
+    pooled: float
+    """Neighbouring profiles over which the noise variance is averaged."""
+    saturation_dn: float
+
+
+class StepParams(NamedTuple):
+    """Parameters of the step fit in a profile."""
+
+    flat: float
+    """Smallest second difference of the cost at a minimum."""
+    touched_px: float
+    """A profile with a saturated sample closer than this to the step is rejected."""
+    spacing_px: float
+    """Distance between the step positions that are tried."""
+    pooled: float
+    """Neighbouring profiles over which the residual variance is averaged."""
+
+
+class Templates(NamedTuple):
+    """Step templates, which do not depend on the image, for each position of the step."""
+
+    across_px: Float64[Array, "sample"]
+    place_px: Float64[Array, "place"]
+    table: Float64[Array, "part=3 sample place"]
+    """Weight; constant part, orthonormal to the step under the weights; step."""
+    unit: Float64[Array, "place"]
+    """Coefficient of the step part for a step of height 1."""
+
+
 class Profiles(NamedTuple):
     """Intensity across predicted places of an edge, from the surface outward."""
 
@@ -214,15 +295,26 @@ def edge_profiles(
     reach_px: int,
     saturation_dn: int,
 ) -> Profiles:
-    """Mean intensity across each predicted place, over `ALONG_PX` of edge; the normals point off the surface."""
+    """Mean intensity across each predicted place, over `ALONG_PX` of edge; the normals point off the surface.
+
+    Grey values are interpolated bilinearly; a sample is saturated if one of the averaged values is.
+    """
     params = ProfileParams(reach_px, INSIDE_PX, OUTSIDE_PX, ALONG_PX, NOISE_DN, POOLED, saturation_dn)
-    return Profiles(*kernels.edge_profiles(image, position_px, normal, params))
+    value = np.empty((len(position_px), 2 * reach_px + INSIDE_PX + OUTSIDE_PX + 1))
+    saturated, noise = np.empty(value.shape, dtype=np.bool_), np.empty(len(value))
+    image, position_px, normal = (np.ascontiguousarray(each) for each in (image, position_px, normal))
+    _kernels.edge_profiles(image, position_px, normal, params, value, saturated, noise)
+    return Profiles(value, saturated, noise)
 
 
 def edge_steps(profiles: Profiles, reach_px: int, blur_px: float) -> EdgeSteps:
     """The most likely position of a step of this blur (sigma) in each profile, within `reach_px` of the prediction."""
-    params = StepParams(FLAT, TOUCHED_PX, PLACES, POOLED)
-    return EdgeSteps(*kernels.edge_steps(*profiles, _templates(reach_px, blur_px), params).T)
+    params, templates = StepParams(FLAT, TOUCHED_PX, PLACES, POOLED), _templates(reach_px, blur_px)
+    value, saturated, noise_dn = (np.ascontiguousarray(each) for each in profiles)
+    found = _kernels.edge_steps(
+        value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, templates.table, params
+    )
+    return EdgeSteps(*np.frombuffer(found, dtype=np.float64).reshape(-1, 5).T)
 
 
 @lru_cache(maxsize=256)
@@ -339,17 +431,24 @@ def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: b
     return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))
 
 
-def edge_observations(found: ClearSteps) -> Edges:
-    """The steps as measurements of the ring's edges, without common errors."""
+def edge_observations(found: ClearSteps, rig: Rig) -> Edges:
+    """The steps as measurements of the ring's edges, without common errors of their own.
+
+    A camera without covariance counts as exact in this search.
+    """
     trace, steps = found
     sigma_px = CLUTTER * np.hypot(steps.sigma_px, MIN_SIGMA_PX)
     point = rays_beside(trace, steps.offset_px)
     ray = point / point[:, 2:]
+    wrt_camera = np.zeros((len(ray), 2, 4 + len(rig.camera.distortion_coefficients)))
+    if rig.covariance is not None:
+        _, wrt_camera = rays_wrt_pixel_and_camera(ray[:, :2], rig.camera)
     step_m = (sigma_px * trace.metres_per_px)[:, None] * trace.outward
     return Edges(
         edge=(trace.edge_sign > 0).astype(np.int64),
         ray=ray,
         step=(step_m[:, :2] - ray[:, :2] * step_m[:, 2:]) / point[:, 2:],
+        wrt_camera=wrt_camera,
         common=np.empty((len(ray), 0)),
         stamp_s=np.full(len(ray), np.nan),
     )

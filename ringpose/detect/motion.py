@@ -78,10 +78,11 @@ class RingMotion:
 
 
 def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
-    """The motion of a ring with these break points; None if no two frames show its edges at different times."""
+    """The motion of a ring with these break points; None if no two frames show its edges at different times.
+
+    The first frame without lasers, which the shot must have, is compared with the last one.
+    """
     dark = np.flatnonzero(shot.lasers == 0)
-    if not len(dark):
-        return None
     first, last = int(dark[0]), int(dark[-1]) if len(dark) > 1 else len(shot.lasers) - 1
     duration_s = shot.mid_exposure_s(last) - shot.mid_exposure_s(first)
     if not duration_s > 0:

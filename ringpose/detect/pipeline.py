@@ -77,17 +77,17 @@ def detect(
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
     still = assumptions.motion is None and camera is None
+    nothing = Detection(
+        shot=shot.name,
+        stamp_s=shot.measured_at_s,
+        break_points=NoBreakPoints.NO_LASER_FRAME,
+        lasers_on=(np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1,
+        still=shot.still,
+        ambient_changed=shot.ambient_changed,
+    )
     images = laser_images(shot, len(rig.lasers.names), background)
-    lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
-        return Detection(
-            shot=shot.name,
-            stamp_s=shot.measured_at_s,
-            break_points=NoBreakPoints.NO_LASER_FRAME,
-            lasers_on=lasers_on,
-            still=shot.still,
-            ambient_changed=shot.ambient_changed,
-        )
+        return nothing
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
     assigned = predicted is not None and predicted.labelled
@@ -103,16 +103,12 @@ def detect(
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found = with_repetition(found, images, shot, rig, on_ring.motion)
     missing = ring_edges is None and edges and source is StripeSource.CENTERS
-    return Detection(
-        shot=shot.name,
-        stamp_s=shot.measured_at_s,
+    return replace(
+        nothing,
         break_points=found,
         stripes=stripes,
         segments=segments,
         ring_edges=ring_edges if edges else None,
-        lasers_on=lasers_on,
-        still=shot.still,
-        ambient_changed=shot.ambient_changed,
         rejected=(*on_ring.rejected, *_missing_edges(found, shot, missing)) if isinstance(found, BreakPoints) else (),
         advice=exposure_advice(found, shot, images),
     )
@@ -138,8 +134,10 @@ def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Ri
         if bands is not None:
             part = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
             part = _labelled(part, image)
-            parts.append(part if image.labelled or not predicted.labelled else _assigned(part, predicted, image, rig))
-    return joined_stripes(parts) if parts else None
+            parts.append(
+                part if image.label != UNLABELLED or not predicted.labelled else _assigned(part, predicted, image, rig)
+            )
+    return _joined(parts) if parts else None
 
 
 ON_PREDICTED_SIGMAS, ON_PREDICTED_PX = 4.0, 2.0
@@ -180,7 +178,7 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
         _labelled(find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn), image)
         for image in images
     ]
-    return joined_stripes(parts), None
+    return _joined(parts), None
 
 
 def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:
@@ -193,13 +191,18 @@ def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segmen
         replace(part, stamp_s=np.full(len(part.support), image.stamp_s))
         for (_, part), image in zip(found, images, strict=True)
     ]
-    return joined_stripes(stripes), _joined_segments(segments)
+    return _joined(stripes), _joined_segments(segments)
+
+
+def _joined(parts: Sequence[Stripes]) -> Stripes:
+    """Stripes of all frames in one record."""
+    return parts[0] if len(parts) == 1 else joined_stripes(parts)
 
 
 def _labelled(stripes: Stripes, image: LaserImage) -> Stripes:
     """The stripes with their time stamp, assigned to the laser of the frame if it has only one."""
-    laser = np.full_like(stripes.laser, image.lasers[0]) if image.labelled else stripes.laser
-    return replace(stripes, laser=laser, stamp_s=np.full(len(laser), image.stamp_s))
+    count = len(stripes.laser)
+    return replace(stripes, laser=np.full(count, image.label), stamp_s=np.full(count, image.stamp_s))
 
 
 def _joined_segments(parts: list[Segments]) -> Segments:
@@ -332,23 +335,23 @@ def _found(
     if not len(stripes.piece):
         return _Found(_why_no_stripe(images))
     tracks = stripe_line_segments(stripes, rig.camera)
-    unlabelled = [] if assigned else [laser for image in images if not image.labelled for laser in image.lasers]
+    unlabelled = [] if assigned else [laser for image in images if image.label == UNLABELLED for laser in image.lasers]
     face = _face(tracks, unlabelled, rig)
     if isinstance(face, NoBreakPoints):
         return _Found(face)
+    names = (rig.lasers.names[laser] for laser in displaced_lasers(face, tracks, unlabelled, rig))
+    displaced = tuple(Rejection(what="stripe", laser=name) for name in names)
     saturation_dn = images[0].saturation_dn
     points = break_points(face, tracks, images, rig, saturation_dn)
     if saturated_along_stripes(points, images, saturation_dn):
         return _Found(NoBreakPoints.HIDDEN_BY_SATURATION)
     still = assumptions.motion is None and camera is None
-    motion = None if still else ring_motion(points, shot, rig)
+    motion = None if still or shot.lasers.all() else ring_motion(points, shot, rig)
     if motion is not None:
         unmoved = [_without_moved_background(image, motion) for image in images]
         if unmoved != images:
             points = break_points(face, tracks, unmoved, rig, saturation_dn)
     found = without_outliers(points, rig, assumptions, camera)
-    names = (rig.lasers.names[laser] for laser in displaced_lasers(face, tracks, unlabelled, rig))
-    displaced = tuple(Rejection(what="stripe", laser=name) for name in names)
     return _Found(found.break_points, (*found.rejected, *displaced), motion)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from ringpose.detect.stripes import FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
 from ringpose.geometry.rays import undistorted_rays
+from ringpose.kernels import _kernels
 from ringpose.kernels.lines import (
     CENTERS,
     CLIPPED,
@@ -25,14 +26,13 @@ from ringpose.kernels.lines import (
     MIDDLE_X,
     MIDDLE_Y,
     SLOPE,
+    TRACK_COLUMNS,
     X_END,
     X_START,
     CandidateParams,
     FaceParams,
-    Group,
     RingParams,
     UnionParams,
-    ring_faces,
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import UNLABELLED
@@ -169,6 +169,27 @@ class Face:
     """Another assignment explains the same segments about as well, or explains them as stripes on the body."""
 
 
+class Group(NamedTuple):
+    """The best hypothesis with a given number of lasers: one track for each of them."""
+
+    lasers: tuple[int, ...]
+    tracks: tuple[int, ...]
+    """Indices of the tracks."""
+    score: float
+    """Log likelihood up to a constant; minus infinity if no group is possible."""
+    rival: float
+    """Best score of the same tracks with another assignment to lasers."""
+
+
+class Faces(NamedTuple):
+    """Hypotheses for the rim of the ring."""
+
+    tracks: Float64[Array, "n column=11"]
+    """The given tracks, followed by the merged ones."""
+    groups: tuple[Group, Group, Group]
+    """The best groups of one, two and three tracks."""
+
+
 def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The face of the best score, from as many lasers as are consistent; None if no segment can be on a face.
 
@@ -254,6 +275,26 @@ def _off_plane_px(
         y_px = row[MIDDLE_Y] + row[SLOPE] * (x_px - row[MIDDLE_X])
         off_px.append(abs(optics.cy - optics.fy * float((line[0] * x + line[2]) / (line[1] or math.nan)) - y_px))
     return max(off_px)
+
+
+def ring_faces(
+    tracks: Float64[Array, "track column=11"],
+    unlabelled: int,
+    planes: Float64[Array, "laser xyz=3"],
+    params: FaceParams,
+) -> Faces:
+    """The best groups of one, two and three tracks, each of a different laser, that lie on the rim of one planar ring.
+
+    `unlabelled` is the bit mask of the lasers that tracks without a laser may belong to. `planes` are the light planes
+    as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them. Collinear tracks are tried as one, too.
+    The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers, and a tilt
+    prior of sigma 0.5 rad.
+    """
+    every, (one, two, three) = _kernels.faces(
+        np.ascontiguousarray(tracks), unlabelled, np.ascontiguousarray(planes), *params
+    )
+    groups = Group(*one), Group(*two), Group(*three)
+    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:

@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.break_points import curved, straight
-from ringpose.detect.edge_points import ring_edge_points
 from ringpose.detect.edge_search import (
     ALONG_PX,
     MOSTLY_VISIBLE,
@@ -31,8 +29,9 @@ from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
 from ringpose.estimate.solver import estimate_ring, refine_ring
-from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs, edge_distances
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.least_squares import STD_PER_MAD
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, STEP, TURN, RingArcs, edge_distances
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import (
     BreakPointFlag,
     BreakPoints,
@@ -79,6 +78,21 @@ class FoundEdges(NamedTuple):
     """Whether they are the edges of something straight."""
 
 
+MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 0.65, 3.0
+"""Curvature of the largest ring that is looked for (a radius of 1.5 m; the largest in launcher manuals has 1.3 m), and
+the standard deviations by which a measured one must be smaller for its edges to count as straight."""
+
+
+def straight(curvature: float, sd: float) -> bool:
+    """Whether edges of that curvature (1/m) cannot be those of a ring: they are straight, as those of a bar."""
+    return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
+
+
+def curved(curvature: float, sd: float) -> bool:
+    """Whether edges of that curvature (1/m) cannot be straight: they bend at least as much as the largest ring."""
+    return abs(curvature) - STRAIGHT_SIGMAS * sd > MIN_CURVATURE_PER_M
+
+
 def detect_ring_edges(
     break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig, still: bool, motion: RingMotion | None
 ) -> tuple[BreakPoints | NoBreakPoints, RingEdgePoints | None]:
@@ -123,7 +137,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     found = clear_steps(frame, trace, REACH_PX, precise=True)
-    refined = stripes.fitted(tracked.arcs, edge_observations(found), rig)
+    refined = stripes.fitted(tracked.arcs, edge_observations(found, rig))
     if refined is None:
         return None
     points = ring_edge_points(refined.arcs, found.trace, found.steps.offset_px, found.steps.sigma_px)
@@ -236,7 +250,7 @@ def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> Predi
     ring: PredictedRing | None = stripes.start
     if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
         beside = edges_beside_stripe(stripes.start.arcs, frame, rig)
-        ring = stripes.fitted(stripes.start.arcs, beside, rig, FIRST_ITERATIONS)
+        ring = stripes.fitted(stripes.start.arcs, beside, FIRST_ITERATIONS)
     tracked_px = 0.0
     for _ in range(ROUNDS):
         if ring is None or not plausible(ring.arcs):
@@ -248,10 +262,10 @@ def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> Predi
             break
         tracked_px = len(trace.edge_sign) * spacing_px
         trace = outside_stripes(frame, trace)
-        observations = edge_observations(clear_steps(frame, trace, reach_px))
+        observations = edge_observations(clear_steps(frame, trace, reach_px), rig)
         if len(observations.edge) < MIN_SHARE * len(trace.edge_sign):
             return None
-        ring = stripes.fitted(ring.arcs, observations, rig)
+        ring = stripes.fitted(ring.arcs, observations)
     return ring
 
 
@@ -293,8 +307,8 @@ def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
-        return no_edges()
-    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX))
+        return no_edges(rig.camera)
+    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX), rig)
 
 
 # Fit of the ring to stripes and tracked edge points
@@ -323,11 +337,11 @@ class StripeEvidence:
     measured: Measurements
     start: PredictedRing
 
-    def fitted(self, arcs: RingArcs, edges: Edges, rig: Rig, iterations: int = ITERATIONS) -> PredictedRing | None:
+    def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
         """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open."""
         prior = Prior(regularize_about=self.start.arcs)
         with np.errstate(all="ignore"):
-            ring = refine_ring(replace(self.measured, edges=edges), rig, prior, arcs, iterations)
+            ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
         return None if ring is None else PredictedRing(*ring)
 
 
@@ -344,7 +358,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser):
         return None
-    estimate = estimate_ring(measured, rig, Prior(), tolerance_sigmas=DECISION_SIGMAS)
+    estimate = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
     return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))
@@ -357,3 +371,133 @@ def plausible(arcs: RingArcs) -> bool:
     """
     numbers = [arcs.origin[2], arcs.half_band_m, -arcs.axes[2, 2], abs(arcs.curvature)]
     return all(low < number < high for number, (low, high) in zip(numbers, POSSIBLE, strict=True))
+
+
+# Steps -> independent points of the ring's edges, with standard deviations that explain their scatter.
+# The sigma of a single step only ranks it among its neighbours. The actual errors (facets of foil, walls and shadows
+# beside the edge) are estimated from the scatter of neighbouring steps about the fitted ring.
+
+BLUR_SIGMA_PX = 0.03
+"""Standard deviation of a step's position due to the assumed shape of its blur."""
+
+GROUP = 3
+"""Neighbouring steps that are averaged into one point: 12 px, about the largest facet of crinkled foil."""
+
+STRETCH = 15
+"""Number of neighbouring steps, or points, from whose scatter their errors are estimated."""
+
+SHARED = 6
+"""Weight, in steps, of the whole edge's scatter in that estimate: a few steps may agree by chance."""
+
+OUTLIER_SIGMAS = 3.5
+"""A point farther from the ring is rejected; in the scatter its distance is clipped to this."""
+
+DISPLACED_PX = 0.4
+"""A stretch whose mean is this far off the ring is another edge: the rim of a wall, a chamfer, a shadow."""
+
+MAX_DISTANCE_PX = 1.5
+"""Maximum distance of a step from the ring, whatever the scatter of its neighbours."""
+
+POINT_SIGMA_PX = 0.5
+"""Maximum standard deviation of a point."""
+
+MINIMUM_POINTS = 12
+"""Minimum number of points: fewer may be an accidental alignment."""
+
+
+class _Points(NamedTuple):
+    number: Float64[Array, "n"]
+    edge_sign: Float64[Array, "n"]
+    """-1 on the inner edge, +1 on the outer."""
+    position_px: Float64[Array, "n xy=2"]
+    normal: Float64[Array, "n xy=2"]
+    residual_px: Float64[Array, "n"]
+    """Distance off the face, along the normal, from the edge of the fitted ring."""
+    sigma_px: Float64[Array, "n"]
+
+    def selected(self, which: Bool[Array, "n"]) -> "_Points":
+        return _Points(*(part[which] for part in self))
+
+
+def ring_edge_points(
+    arcs: RingArcs, trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]
+) -> RingEdgePoints | None:
+    """Points of the ring near `arcs`, from steps at these offsets from the places of a trace; None for too few."""
+    position = trace.position_px + offset_px[:, None] * trace.normal
+    distances = edge_distances(arcs, rays_beside(trace, offset_px), trace.edge_sign)
+    residual_px = trace.edge_sign * distances.distance_m / trace.metres_per_px
+    steps = _Points(
+        trace.number, trace.edge_sign, position, trace.normal, residual_px, np.hypot(sigma_px, BLUR_SIGMA_PX)
+    )
+    steps = steps.selected(~_displaced(steps))
+    steps = _inliers(steps._replace(sigma_px=steps.sigma_px * _scale(steps)))
+    points = _grouped(steps)
+    # The blur error is common to the steps of a group, so that averaging does not reduce it.
+    points = points._replace(sigma_px=np.hypot(points.sigma_px, BLUR_SIGMA_PX))
+    points = _inliers(points._replace(sigma_px=points.sigma_px * np.maximum(_scale(points), 1.0)))
+    known = points.sigma_px < POINT_SIGMA_PX
+    if np.count_nonzero(known) < MINIMUM_POINTS:
+        return None
+    return RingEdgePoints(
+        position_px=points.position_px[known],
+        normal=points.normal[known],
+        sigma_px=points.sigma_px[known],
+        edge=(points.edge_sign[known] > 0).astype(np.int64),
+    )
+
+
+def _displaced(points: _Points) -> Bool[Array, "n"]:
+    """Which points lie in a stretch that is off the ring as a whole, by more than its own scatter."""
+    displaced = np.zeros(len(points.edge_sign), dtype=bool)
+    for here in _edges(points):
+        near = _stretches(points.residual_px[here])
+        middle = near.mean(axis=-1)
+        variance = np.einsum("ij,ij->i", near, near) / near.shape[1] - middle**2
+        displaced[here] = (np.abs(middle) > DISPLACED_PX) & (middle**2 > variance)
+    return displaced
+
+
+def _inliers(points: _Points) -> _Points:
+    return points.selected(np.abs(points.residual_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, MAX_DISTANCE_PX))
+
+
+def _scale(points: _Points) -> Float64[Array, "n"]:
+    """Root mean square of the whitened residuals over a stretch of the same edge, outliers clipped."""
+    scale = np.ones(len(points.edge_sign))
+    deviation = np.abs(points.residual_px / points.sigma_px)
+    for here in _edges(points):
+        near = _stretches(deviation[here])
+        median = np.sort(near, axis=-1)[:, near.shape[1] // 2, None]
+        near = np.minimum(near, OUTLIER_SIGMAS * STD_PER_MAD * median)
+        squares = np.einsum("ij,ij->i", near, near)
+        scale[here] = np.sqrt((squares + SHARED * squares.mean() / near.shape[1]) / (near.shape[1] + SHARED))
+    return np.maximum(scale, 1e-3)
+
+
+def _grouped(steps: _Points) -> _Points:
+    """Weighted means of neighbouring steps, along the inner edge first."""
+    key = np.floor(steps.number / GROUP)
+    begins = np.append(True, (np.diff(key) != 0) | (np.diff(steps.edge_sign) != 0))[: len(key)]
+    group = np.cumsum(begins) - 1
+    weight = steps.sigma_px**-2
+    total = np.bincount(group, weight)
+    columns = (steps.number, steps.edge_sign, steps.residual_px, *steps.position_px.T, *steps.normal.T)
+    means = [np.bincount(group, weight * values) / total for values in columns]
+    number, edge_sign, residual_px = means[:3]
+    position, normal = np.stack(means[3:5], axis=-1), np.stack(means[5:], axis=-1)
+    normal /= np.hypot(*normal.T)[:, None]
+    return _Points(number, edge_sign, position, normal, residual_px, total**-0.5)
+
+
+def _edges(points: _Points) -> list[Int64[Array, "m"]]:
+    """Indices of the points on the inner and on the outer edge, of each edge that has at least two."""
+    edges = [np.flatnonzero(points.edge_sign == sign) for sign in EDGE_SIGN]
+    return [here for here in edges if len(here) >= 2]
+
+
+def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:
+    """The values of the neighbours of each point, mirrored at the ends."""
+    half = min(STRETCH, len(values)) // 2
+    mirrored = np.concatenate([values[half - 1 :: -1], values, values[: -half - 1 : -1]])
+    near: Float64[Array, "n near"] = mirrored[np.arange(len(values))[:, None] + np.arange(2 * half + 1)]
+    return near

@@ -7,18 +7,21 @@ a speckled stripe is estimated from its flanks. Centres are linked along x into 
 The intersection of a light plane with a planar surface is a straight line. Pieces are therefore cut at kinks and joined
 across gaps, in the undistorted image: the stripe on the ring's face is one such segment ("track"), and walls or foil
 behind it add segments of other directions or offsets.
+
+The centres are computed in kernels/stripes: stripe_search.c (noise, coarse search, ridges), stripe_patches.c (image
+patches and their derivatives), stripe_links.c (ridges linked into pieces), stripe_centers.c (sub-pixel centres) and
+stripe_sigmas.c (standard deviations).
 """
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import lines as kernels
-from ringpose.kernels import stripes as kernel
-from ringpose.kernels.lines import Lens, TrackParams
-from ringpose.kernels.stripes import Filters
-from ringpose.types.arrays import Array, Float64, Int32, UInt
+from ringpose.kernels import _kernels
+from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
+from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.image import full_scale_dn
 from ringpose.types.rig import Camera
@@ -30,7 +33,13 @@ COARSE_SHARE = 0.27
 """Ratio of the mean over the 8 rows of a window to the filter response times the cube of the filter's sigma, for a
 narrow ridge: sqrt(2 pi) / 8 = 0.31, less at the least favourable position in the grid of windows."""
 
-WINDOW_PIXELS = 2 * kernel.CELL * kernel.BLOCK
+BLOCK = 16
+"""Columns that are processed together."""
+
+CELL = 4
+"""Rows of a cell of the coarse search; a cell is one block wide."""
+
+WINDOW_PIXELS = 2 * CELL * BLOCK
 
 FILTER_SIGMA_PX = 2.5
 """Smoothing along the column for detection. Stripes up to twice as wide are found, and flat-topped, saturated ones up
@@ -65,7 +74,7 @@ def find_stripes(
     """
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
     min_peak_dn = MIN_PEAK_DN * full_dn / 255
-    params = kernel.StripeParams(
+    params = StripeParams(
         begin_sigmas=BEGIN_SIGMAS,
         continue_sigmas=CONTINUE_SIGMAS,
         min_response=min_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
@@ -74,7 +83,7 @@ def find_stripes(
         gap=GAP_COLUMNS,
         shortest=MIN_COLUMNS,
     )
-    found = kernel.stripes(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)
+    found = stripe_centers(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)
     pieces = int(found.piece[-1]) + 1 if len(found.piece) else 0
     return Stripes(
         position_px=found.position_px,
@@ -82,6 +91,61 @@ def find_stripes(
         peak_dn=found.peak_dn,
         piece=found.piece,
         laser=np.full(pieces, UNLABELLED, dtype=np.int64),
+    )
+
+
+class StripeParams(NamedTuple):
+    """Detection thresholds."""
+
+    begin_sigmas: float
+    """Response over its noise (clutter included) that at least `shortest` columns of a piece must have."""
+    continue_sigmas: float
+    """Response over its noise that every column must have."""
+    min_response: float
+    """Smallest response of the ridge filter."""
+    coarse_per_response: float
+    """Sum over a window of 8 x 16 pixels, less its surroundings, for a ridge with a response of 1."""
+    full_dn: float
+    """Grey value of a saturated pixel; speckle weights are not used on pieces with many of them."""
+    gap: int
+    """Largest number of missing columns inside a piece."""
+    shortest: int
+    """Smallest number of columns of a piece."""
+
+
+class Centers(NamedTuple):
+    """Stripe centres, sorted by piece, then column."""
+
+    position_px: Float64[Array, "center xy=2"]
+    sigma_px: Float64[Array, "center"]
+    peak_dn: Float64[Array, "center"]
+    piece: Int64[Array, "center"]
+
+
+def stripe_centers(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    bands: Int32[Array, "band side=4"] | None,
+    filters: "Filters",
+    params: StripeParams,
+) -> Centers:
+    """Sub-pixel centres of ridges, column by column, linked into pieces; 8 or 16 bits a pixel.
+
+    `dark` is the same view with the lasers off and is subtracted. `bands` restrict the search: first column, the one
+    after the last, and likewise the rows, rounded outwards to cells of 4 x 16 pixels. Each piece is measured with the
+    filter matched to its width, with a narrower one if clutter disturbs it, or by weighted least squares if speckle
+    dominates. Sigmas are propagated from the sensor noise and raised to the scatter that second differences of the
+    centres show.
+    """
+    lit = np.ascontiguousarray(image)
+    black = None if dark is None else np.ascontiguousarray(dark)
+    where = None if bands is None else np.ascontiguousarray(bands)
+    position, sigma, peak, piece = _kernels.stripes(lit, black, where, filters.taps, filters.figures, params)
+    return Centers(
+        position_px=np.frombuffer(position, np.float64).reshape(-1, 2),
+        sigma_px=np.frombuffer(sigma, np.float64),
+        peak_dn=np.frombuffer(peak, np.float64),
+        piece=np.frombuffer(piece, np.int64),
     )
 
 
@@ -96,6 +160,15 @@ RIDGE_REACH = 3.0
 
 REFINING_REACH = 3.5
 """Half lengths of the filters in sigmas; detection needs less than the measurement."""
+
+
+class Filters(NamedTuple):
+    """Derivative-of-Gaussian filters: the first one detects ridges, the others, by ascending sigma, refine them."""
+
+    taps: Float32[Array, "filter derivative=2 tap"]
+    """First and second derivative, from the middle tap on; the first is odd (positive downwards), the second even."""
+    figures: Float64[Array, "filter figure=4"]
+    """Sigma, taps on one side, and the response of each derivative to white noise of standard deviation 1."""
 
 
 @lru_cache(maxsize=16)
@@ -162,9 +235,26 @@ MAX_CORRELATION = 40
 def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
     """The straight line segments of the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
     params = _track_params(camera.image_width)
-    return kernels.stripe_line_segments(
-        stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params
-    )
+    return straight_segments(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params)
+
+
+def straight_segments(
+    position_px: Float64[Array, "center xy=2"],
+    sigma_px: Float64[Array, "center"],
+    piece: Int64[Array, "center"],
+    laser: Int64[Array, "piece"],
+    lens: Lens,
+    params: TrackParams,
+) -> Float64[Array, "track column=11"]:
+    """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
+
+    Pieces are split at their kinks (Ramer-Douglas-Peucker on running medians of seven) and joined across gaps. Each
+    line is fitted twice by least squares, the second time without outliers. Centres must be sorted by piece, then
+    column.
+    """
+    position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
+    found = _kernels.tracks(position, sigma, piece, laser, lens, params)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,7 @@
 """From the estimated ring to centre, radii and grasp point with their covariance, and to the record's measurement.
 
-Error propagation of ringpose-method(7), section 5, and the measurement in information form, without priors (section
-9). `x_wrt_y` is the derivative of x with respect to y.
+Error propagation of ringpose-method(7), section 5, the measurement in information form, without priors (section 9),
+and the evidence for errors of the rig (section 11). `x_wrt_y` is the derivative of x with respect to y.
 """
 
 import math
@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors
-from ringpose.estimate.residuals import PARAMETERS, Estimate, Prior
+from ringpose.estimate.nuisance import FORM_PARAMETERS, rig_errors
+from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate, Prior
+from ringpose.estimate.solver import rig_jacobian
 from ringpose.geometry.ring import (
     CURVATURE,
     HALF_BAND,
@@ -27,7 +28,8 @@ from ringpose.geometry.ring import (
 )
 from ringpose.geometry.rotations import cross, tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, RingMeasurement, RingVelocity
+from ringpose.types.assumptions import TYPICAL_STABILITY
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PlaneEvidence, RingMeasurement, RingVelocity
 
 TILTS, OFFSET, CENTER_IN_PLANE, RADII = slice(0, 2), 2, slice(3, 5), slice(5, 7)
 CENTER, GRASP, CURVATURE_OUT, BAND_OUT = slice(7, 10), slice(10, 13), 13, 14
@@ -60,6 +62,9 @@ GRASP_UNKNOWN_FROM_M = 0.01
 class Quantities(NamedTuple):
     """The quantities of a pose, and their derivatives with respect to the ring's step."""
 
+    normal: Float64[Array, "3"]
+    basis: Float64[Array, "2 3"]
+    """The tilt basis of the normal."""
     center_m: Float64[Array, "3"]
     radius_m: Float64[Array, "2"]
     grasp_m: Float64[Array, "3"]
@@ -82,20 +87,21 @@ def quantities(estimate: Estimate) -> Quantities:
     """
     arcs, residuals = estimate.arcs, estimate.residuals
     rays = residuals.stripes.rays[residuals.ends :]
-    mean_ray = rays.mean(axis=0)
-    middle = edge_distances(arcs, mean_ray[None], np.zeros(1))
-    depth_m = float(arcs.origin @ arcs.normal) / float(mean_ray @ arcs.normal)
+    mean_ray, normal = rays.mean(axis=0), arcs.axes[2]
+    depth_m = float(arcs.origin @ normal) / float(mean_ray @ normal)
     mean_m = depth_m * mean_ray
-    outward, distance_m = _outward_at(arcs, mean_m), float(middle.distance_m[0])
-    face_direction = cross(arcs.normal, outward)
+    outward = _outward_at(arcs, mean_m)
+    face_direction, basis = cross(normal, outward), tilt_basis(normal)
+    middle = edge_distances(arcs, mean_ray[None], np.zeros(1))
+    distance_m = float(middle.distance_m[0])
 
     # the mean point moves along its ray with the plane, and with the lines of its stripes
     offset = (mean_m - arcs.origin) @ arcs.axes.T
     depth_wrt_step = np.zeros(PARAMETERS)
     depth_wrt_step[[TILT_INWARD, TILT_ALONG, LIFT]] = -offset[0], -offset[1], 1.0
-    mean_wrt_ray = depth_m * (np.eye(3) - np.outer(mean_ray, arcs.normal) / float(mean_ray @ arcs.normal))
+    mean_wrt_ray = depth_m * (np.eye(3) - np.outer(mean_ray, normal) / float(mean_ray @ normal))
     y_wrt_step = residuals.stripes.y_wrt_step[residuals.ends :, :PARAMETERS].mean(axis=0)
-    mean_wrt_step = np.outer(mean_ray, depth_wrt_step / float(mean_ray @ arcs.normal)) + np.outer(
+    mean_wrt_step = np.outer(mean_ray, depth_wrt_step / float(mean_ray @ normal)) + np.outer(
         mean_wrt_ray[:, 1], y_wrt_step
     )
     distance_wrt_step = middle.wrt_step[0] + middle.wrt_ray[0, 1] * y_wrt_step
@@ -104,7 +110,7 @@ def quantities(estimate: Estimate) -> Quantities:
     turn_wrt_step = face_direction @ (mean_wrt_step - center_jacobian) / (arcs.mean_radius_m + distance_m)
     tilt_wrt_step = np.zeros(PARAMETERS)
     tilt_wrt_step[[TILT_INWARD, TILT_ALONG]] = arcs.axes[:2] @ outward
-    outward_wrt_step = np.outer(face_direction, turn_wrt_step) - np.outer(arcs.normal, tilt_wrt_step)
+    outward_wrt_step = np.outer(face_direction, turn_wrt_step) - np.outer(normal, tilt_wrt_step)
 
     jacobian = np.zeros((15, PARAMETERS))
     jacobian[:7] = public_wrt_step(arcs)
@@ -114,7 +120,13 @@ def quantities(estimate: Estimate) -> Quantities:
     jacobian[BAND_OUT, HALF_BAND] = 2.0
     along_wrt_ray = face_direction @ mean_wrt_ray[:, :2]
     along_wrt_x = along_wrt_ray @ np.array([np.ones(len(rays)), residuals.stripes.slope[residuals.ends :]]) / len(rays)
+    count = len(residuals.rate_sds)  # of the mean of the predicted break points, for a fixed ring: by rates, then rig
+    mean_ray_wrt_rates = np.zeros((2, count))
+    y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
+    mean_ray_wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
     return Quantities(
+        normal=normal,
+        basis=basis,
         center_m=arcs.center,
         radius_m=arcs.radius_m,
         grasp_m=mean_m - distance_m * outward,
@@ -122,7 +134,8 @@ def quantities(estimate: Estimate) -> Quantities:
         jacobian=jacobian,
         along=face_direction,
         along_wrt_points_m=along_wrt_x / (residuals.distance_scale * residuals.distance_wrt_x),
-        along_wrt_nuisance_m=along_wrt_ray @ estimate.mean_ray_wrt_nuisance,
+        along_wrt_nuisance_m=along_wrt_ray
+        @ np.concatenate([mean_ray_wrt_rates, estimate.fixed.mean_ray_wrt_rig], axis=1),
     )
 
 
@@ -159,7 +172,7 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     return 0.5 * (covariance + covariance.T)  # exactly symmetric, also for large variances
 
 
-def ring_velocity(estimate: Estimate) -> RingVelocity | None:
+def ring_velocity(estimate: Estimate, found: Quantities) -> RingVelocity | None:
     """Velocity of the ring's centre and angular velocity across its normal, with their covariance; None if still.
 
     The rates are q = -M^-1 (B^T W r + C step) with M = 1 + B^T W B and C = B^T W J, so that their covariance is
@@ -174,7 +187,7 @@ def ring_velocity(estimate: Estimate) -> RingVelocity | None:
     gain = (inverse @ (weighted @ estimate.residuals.jacobian))[:count]
     covariance = (inverse[:count, :count] + gain @ estimate.inverse @ gain.T) * scale[:, None] * scale
     to_basis = np.eye(count)  # angular velocities from the arcs' axes to the tilt basis of the normal
-    to_basis[3:, 3:] = tilt_basis(estimate.arcs.normal) @ estimate.arcs.axes[:2].T
+    to_basis[3:, 3:] = found.basis @ estimate.arcs.axes[:2].T
     covariance = to_basis @ covariance @ to_basis.T
     return RingVelocity(
         center_m_s=estimate.rates.velocity_m_s,
@@ -187,11 +200,10 @@ def difference_from(
     other: Estimate, other_found: Quantities, best: Estimate, found: Quantities
 ) -> Float64[Array, "15"]:
     """The quantities of another estimate minus those of the best one, in the order of the joint covariance."""
-    normal = best.arcs.normal
-    basis = tilt_basis(normal)
+    normal, basis = found.normal, found.basis
     difference = np.zeros(15)
-    difference[TILTS] = basis @ other.arcs.normal / float(other.arcs.normal @ normal)
-    difference[OFFSET] = other.arcs.normal @ other_found.center_m - normal @ found.center_m
+    difference[TILTS] = basis @ other_found.normal / float(other_found.normal @ normal)
+    difference[OFFSET] = other_found.normal @ other_found.center_m - normal @ found.center_m
     difference[RADII] = other_found.radius_m - found.radius_m
     difference[CENTER], difference[GRASP] = other_found.center_m - found.center_m, other_found.grasp_m - found.grasp_m
     offset_m = float(normal @ found.center_m)
@@ -211,16 +223,16 @@ def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
     covariance = joint_covariance(best, found)
     difference = difference_from(rival, other, best, found)
     # the grasp points lie at different places along the face: how far the best one is from the rival's ring
-    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
+    height_m = float(other.normal @ (found.grasp_m - rival.arcs.origin))
     radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
-    across = np.array([best.arcs.normal, found.outward])
+    across = np.array([found.normal, found.outward])
     tested = {
         "center": (difference[CENTER], covariance[CENTER, CENTER]),
         "normal": (difference[TILTS], covariance[TILTS, TILTS]),
         "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
         "radius": (difference[RADII], covariance[RADII, RADII]),
     }
-    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
+    velocity, of_rival = ring_velocity(best, found), ring_velocity(rival, other)
     if velocity is not None and of_rival is not None:
         change = of_rival.center_m_s - velocity.center_m_s
         tested["velocity"] = (change, velocity.covariance[:3, :3])
@@ -235,27 +247,27 @@ def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) 
     return squared <= DIFFERS * len(difference)
 
 
-def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate) -> float:
+def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate, found: Quantities) -> float:
     """Second-order shift of the centre towards the band when the ring tilts or turns by a standard deviation.
 
     Seen from the band the centre lies on a sphere: a tilt along `outward`, or a turn about the normal, by an angle a
     moves the centre out of the tangent plane by R a^2 / 2.
     """
-    inward, tangent, normal = estimate.arcs.axes
-    tilt = tilt_basis(normal) @ inward
-    lever_m = abs(estimate.arcs.mean_radius_m)
+    inward, tangent, _ = estimate.arcs.axes
+    tilt = found.basis @ inward
+    lever_m = abs(float(found.radius_m.mean()))
     tilt_variance = tilt @ covariance[TILTS, TILTS] @ tilt
     turn_variance = tangent @ covariance[CENTER, CENTER] @ tangent / lever_m**2
     return 0.5 * lever_m * hypot(tilt_variance, turn_variance)
 
 
 def with_second_order(
-    covariance: Float64[Array, "15 15"], bias_m: float, estimate: Estimate
+    covariance: Float64[Array, "15 15"], bias_m: float, estimate: Estimate, found: Quantities
 ) -> Float64[Array, "15 15"]:
     """The covariance with the second moment 3 bias^2 of the centre's second-order shift."""
     shift = np.zeros(len(covariance))
     shift[CENTER] = sqrt(3.0) * bias_m * estimate.arcs.axes[0]
-    shift[CENTER_IN_PLANE] = tilt_basis(estimate.arcs.normal) @ shift[CENTER]
+    shift[CENTER_IN_PLANE] = found.basis @ shift[CENTER]
     total: Float64[Array, "15 15"] = covariance + shift[:, None] * shift
     return total
 
@@ -286,20 +298,21 @@ POSE, RATES = slice(0, 7), slice(7, 12)
 """Columns of `MEASURED_PARAMETERS`."""
 
 
-def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErrors | None) -> RingMeasurement:
+def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantities) -> RingMeasurement:
     """The square root of the shot's own information on the twelve parameters and the common errors, at t_0.
 
     The correlated errors of visible edge points are noise of this shot alone: they are eliminated first, with their
     prior, as the leading columns of the QR factorization.
     """
     rows, arcs = estimate.residuals.data_rows, estimate.arcs
-    jacobian = _public_jacobian(estimate)[:rows]
+    jacobian = _public_jacobian(estimate, found)[:rows]
+    errors = rig_errors(measured.rig, estimate.prior.assumptions.stability)
     if estimate.residuals.wrt_rates.size:
         wrt_rates = estimate.residuals.wrt_rates[:rows].copy()
-        wrt_rates[:, 3:] = wrt_rates[:, 3:] @ arcs.axes[:2] @ tilt_basis(arcs.normal).T
+        wrt_rates[:, 3:] = wrt_rates[:, 3:] @ arcs.axes[:2] @ found.basis.T
     else:  # of a ring that is assumed to be still, a rate moves it by (t - t_0) times its derivative, Eq. (8.2)
         time_s = measured.times_s(measured.stamp_s)
-        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(arcs.normal, arcs.center))
+        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(found.normal, found.center_m))
     empty = np.zeros((rows, 0))
     wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
     wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
@@ -315,10 +328,10 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
     triangle = np.linalg.qr(np.concatenate([prior, whitened]), mode="r")
     return RingMeasurement(
         linearized_at=LinearizationPoint(
-            center_m=arcs.center,
-            normal=arcs.normal,
-            radius_inner_m=float(arcs.radius_m[0]),
-            radius_outer_m=float(arcs.radius_m[1]),
+            center_m=found.center_m,
+            normal=found.normal,
+            radius_inner_m=float(found.radius_m[0]),
+            radius_outer_m=float(found.radius_m[1]),
             velocity_m_s=estimate.rates.velocity_m_s,
             rate_rad_s=estimate.rates.rate_rad_s,
         ),
@@ -334,7 +347,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
     )
 
 
-def prior_rows(estimate: Estimate, prior: Prior) -> Float64[Array, "row 13"] | None:
+def prior_rows(estimate: Estimate, prior: Prior, found: Quantities) -> Float64[Array, "row 13"] | None:
     """The rows [J, z - h] of the weak priors, in the twelve parameters; None without weak priors.
 
     The rows of assumed radii, which the record states by themselves, come first and are left out.
@@ -343,14 +356,46 @@ def prior_rows(estimate: Estimate, prior: Prior) -> Float64[Array, "row 13"] | N
     first = estimate.residuals.data_rows + radii
     if first == len(estimate.residuals.residual):
         return None
-    jacobian = -_public_jacobian(estimate)[first:]
+    jacobian = -_public_jacobian(estimate, found)[first:]
     residual = estimate.residuals.residual[first:, None]
     return np.concatenate([jacobian, np.zeros((len(jacobian), len(MEASURED_PARAMETERS) - 7)), residual], axis=1)
 
 
-def _public_jacobian(estimate: Estimate) -> Float64[Array, "row parameter=7"]:
+def _public_jacobian(estimate: Estimate, found: Quantities) -> Float64[Array, "row parameter=7"]:
     """Derivatives of the residuals by the seven parameters of a pose."""
-    jacobian: Float64[Array, "row parameter=7"] = np.linalg.solve(
-        public_wrt_step(estimate.arcs).T, estimate.residuals.jacobian.T
-    ).T
+    jacobian: Float64[Array, "row parameter=7"] = np.linalg.solve(found.jacobian[:7].T, estimate.residuals.jacobian.T).T
     return jacobian
+
+
+REDUNDANT_STRIPES = 3
+"""Stripes from which a single shot shows an error of the rig."""
+
+
+def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence | None:
+    """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
+
+    The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
+    their priors: the Schur complement of section 9.
+    """
+    if estimate.prior.regularize_about is not None or len(measured.stripes) < REDUNDANT_STRIPES:
+        return None
+    errors = rig_errors(measured.rig, TYPICAL_STABILITY)
+    if errors is None:
+        return None
+    residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
+    of_rig = rates + estimate.fixed.mean_ray_wrt_rig.shape[1]
+    own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
+    by_rig, _ = rig_jacobian(residuals, measured.observations, errors)
+    rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
+    eliminated = PARAMETERS + own.shape[1]
+    prior = np.zeros((eliminated, rows.shape[1]))
+    diagonal = range(eliminated)
+    prior[diagonal, diagonal] = np.concatenate([np.full(PARAMETERS, sqrt(RIDGE)), np.ones(own.shape[1])])
+    prior[PARAMETERS : PARAMETERS + rates, -1] = -residuals.rate_deviations
+    triangle = np.linalg.qr(np.concatenate([prior, np.sqrt(estimate.weights)[:, None] * rows]), mode="r")
+    return PlaneEvidence(
+        parameters=errors.parameters,
+        rows=np.asarray(triangle)[eliminated:, eliminated:],
+        normal=estimate.arcs.axes[2],
+        place_m=estimate.arcs.origin,
+    )

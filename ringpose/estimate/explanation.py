@@ -10,7 +10,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from math import inf, nan, sqrt
 from typing import NamedTuple
 
@@ -25,19 +25,18 @@ from ringpose.estimate.hypotheses import (
     single_stripe_estimates,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
+from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior, initial_guess
 from ringpose.estimate.solver import (
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
-    at_reference_time,
     estimate_ring,
     precise_ring,
+    ring_residuals,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
-from ringpose.types.rig import Rig
 
 ALARM_SIGMAS = 3.0
 """Limit of the chi-squared test as a normal quantile: one right shot in seven hundred exceeds it by chance."""
@@ -80,7 +79,6 @@ COINCIDENCE = 3.0
 class Search(NamedTuple):
     """What all explanations of a shot are estimated with."""
 
-    rig: Rig
     labelled: bool
     edges_named: bool
     for_pose: bool
@@ -126,15 +124,12 @@ class Explanation:
     everything: tuple[Measurements, Estimate] | None = None
     """All measurements with the ring that fits them best; None if the iteration diverges."""
 
-    @cached_property
-    def differing(self) -> frozenset[str]:
-        """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
-        rivals = (*self.competing, *([] if self.other_side is None else [self.other_side]))
-        return frozenset[str]().union(*(differing_quantities(self.estimate, each) for each in rivals))
+    differing: frozenset[str] = frozenset()
+    """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`; set for a pose."""
 
 
 def explain(
-    measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+    measured: Measurements, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
 ) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
@@ -142,17 +137,45 @@ def explain(
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
     whether the ring is needed to the precision of a pose, and not only the decision.
     """
-    guess, search = None, Search(rig, labelled, edges_named, for_pose=precise)
+    guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
-        measured, guess = at_reference_time(measured, rig.lasers, prior)
+        measured, guess = _at_reference_time(measured, prior)
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
-    estimate = precise_ring(best.estimate, best.measured, rig)
+    estimate: Estimate | None = best.estimate
+    if best.estimate.distance_sigmas >= PRECISE_SIGMAS:
+        estimate = precise_ring(best.estimate, best.measured)
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
-        return replace(best, estimate=estimate)
-    # the shorter iteration had ended near a saddle point
-    return _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
+        best = replace(best, estimate=estimate)
+    else:  # the shorter iteration had ended near a saddle point
+        best = _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
+    if best is None:
+        return None
+    rivals = (*best.competing, *([] if best.other_side is None else [best.other_side]))
+    differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in rivals))
+    return replace(best, differing=differing)
+
+
+def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:
+    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
+
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
+    ring, None if there is none.
+    """
+    stamp_s, observations = measured.stamp_s, measured.observations
+    arcs = initial_guess(observations, prior)
+    first = float(stamp_s.min(initial=np.inf))
+    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
+        return measured, arcs
+    residuals = ring_residuals(arcs, observations, Prior())
+    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
+    weight = (rows * rows).sum(axis=1)
+    if not 0.0 < float(weight.sum()) < np.inf:
+        return measured, arcs
+    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
+    covered = measured.camera is None or moved.observations.view.camera is not None  # by the robot's poses
+    return (moved if covered else measured), arcs
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
@@ -219,7 +242,7 @@ def _is_unique(best: Explanation) -> bool:
     """Whether an explanation rejects nothing, and no prior prefers one side of the ring: it has a single optimum."""
     prior = best.estimate.prior
     plain = best.everything is not None and best.everything[1] is best.estimate and not best.flag
-    return plain and not best.estimate.regularized and not prior.single_edge and prior.radii is None
+    return plain and prior.regularize_about is None and not prior.single_edge and prior.radii is None
 
 
 def _side_score(explanation: Explanation) -> float:
@@ -234,17 +257,16 @@ def _explained(
     measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
-    rig, edges_seen = search.rig, len(measured.edges.edge) > 0
-    estimate = estimate_ring(measured, rig, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
-    if estimate is not None and edges_seen:
+    estimate = estimate_ring(measured, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
+    if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
         tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
-        estimate = estimate_ring(measured, rig, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
+        estimate = estimate_ring(measured, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
-        return _explanation(everything, everything, _single_stripes(everything, rig) if search.for_pose else [])
-    hypotheses = sorted(outlier_hypotheses(measured, rig, prior, search.labelled), key=lambda each: each.penalty)
-    solved = partial(_solved, everything=everything, rig=rig, tolerance_sigmas=search.tolerance_sigmas)
+        return _explanation(everything, everything, _single_stripes(everything) if search.for_pose else [])
+    hypotheses = sorted(outlier_hypotheses(measured, prior, search.labelled), key=lambda each: each.penalty)
+    solved = partial(_solved, everything=everything, tolerance_sigmas=search.tolerance_sigmas)
     tried: list[Solved] = []
     lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
@@ -264,12 +286,12 @@ def _explained(
         return known[0] if known else next((solved(each) for each in others), None)
 
     best, rivals = _select(everything, tried, both_ends)
-    return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
+    return _explanation(best, everything, [*rivals, *_single_stripes(best)])
 
 
-def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, tolerance_sigmas: float) -> Solved | None:
+def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas: float) -> Solved | None:
     """A hypothesis with its ring; None if the arcs are not a ring, unless both ends of a stripe are rejected."""
-    estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, tolerance_sigmas=tolerance_sigmas)
+    estimate = estimate_ring(hypothesis.measured, hypothesis.prior, tolerance_sigmas=tolerance_sigmas)
     if estimate is None:
         return None
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
@@ -282,7 +304,7 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, rig: Rig, toleran
         assumed: Estimate | None = everything.estimate
         if hypothesis.measured is not everything.hypothesis.measured:  # a frame was left out as well
             prior = everything.hypothesis.prior
-            assumed = estimate_ring(hypothesis.measured, rig, prior, tolerance_sigmas=tolerance_sigmas)
+            assumed = estimate_ring(hypothesis.measured, prior, tolerance_sigmas=tolerance_sigmas)
         wider = 0.0 if assumed is None else max(estimate.log_determinant - assumed.log_determinant, 0.0)
     return Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate)
 
@@ -327,7 +349,7 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
     )
 
 
-def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
+def _single_stripes(solved: Solved) -> list[Solved]:
     """Explanations by one stripe of two, the other one being on the background, if these are comparable.
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
@@ -341,9 +363,9 @@ def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     measured = measured.once()
     found = []
     assumptions = solved.hypothesis.prior.assumptions
-    for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
-        if edges_contradict or ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
-            rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
+    for laser, alone, estimate in single_stripe_estimates(measured, assumptions):
+        if edges_contradict or ring_evidence(estimate, measured, laser) < COINCIDENCE:
+            rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
             found.append(Solved(hypothesis, estimate))

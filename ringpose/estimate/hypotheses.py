@@ -12,14 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import fixed_columns
 from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
-from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, nuisance_columns, ring_residuals
+from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, fixed_columns, nuisance_columns, ring_residuals
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import PoseFlag
-from ringpose.types.rig import Rig
 
 PARAMETER_PENALTY = 4.0
 """Penalty in chi-squared for each rejected number; by chance, rejecting one lowers chi-squared by 1."""
@@ -74,11 +72,11 @@ class Hypothesis(NamedTuple):
     """Whether the image shows what occludes the rejected break point, and nothing at the stripe's other end."""
 
 
-def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
+def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
     """One break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the radii wrong."""
-    yield from _wrong_points(measured, rig, prior)
-    yield from _wrong_stripes(measured, rig, prior)
-    yield from _wrong_assignments(measured, rig, prior, labelled)
+    yield from _wrong_points(measured, prior)
+    yield from _wrong_stripes(measured, prior)
+    yield from _wrong_assignments(measured, prior, labelled)
     if len(measured.edges.edge):
         remark = "the visible edges contradict the stripes and were left out"
         penalty = OUTLIER_PENALTY + 2 * PARAMETER_PENALTY
@@ -116,10 +114,10 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
     yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.RING_FORM, remark, OUTLIER_PENALTY)
 
 
-def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:
+def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
     points, flag = measured.points, PoseFlag.POINT_REJECTED
     for laser in sorted(set(points.laser.tolist())):
-        of_laser, name = np.flatnonzero(points.laser == laser), rig.lasers.names[laser]
+        of_laser, name = np.flatnonzero(points.laser == laser), measured.rig.lasers.names[laser]
         rejected = tuple(
             Rejection(what="point", laser=name, edge="outer" if points.edge[number] else "inner")
             for number in of_laser.tolist()
@@ -138,18 +136,18 @@ def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hy
             yield Hypothesis(rest, prior, flag, remark, penalty, tuple(dict.fromkeys(rejected)), laser, both=True)
 
 
-def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:
+def _wrong_stripes(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
     seen = measured.lasers
     for laser in seen if len(seen) > 1 else []:
-        rest, name = measured.without_laser(laser), rig.lasers.names[laser]
+        rest, name = measured.without_laser(laser), measured.rig.lasers.names[laser]
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
         remark = f"the stripe of laser {name} contradicts the others and was left out"
         rejected = (Rejection(what="stripe", laser=name),)
         yield Hypothesis(rest, prior, PoseFlag.STRIPE_REJECTED, remark, penalty, rejected, laser)
 
 
-def _wrong_assignments(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
-    seen, names = measured.lasers, rig.lasers.names
+def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
+    seen, names = measured.lasers, measured.rig.lasers.names
     for order in _assignments(seen, len(names)):
         if list(order) != seen:
             changed = measured.relabelled(dict(zip(seen, order, strict=True)))
@@ -178,7 +176,7 @@ def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
 
 
 def single_stripe_estimates(
-    measured: Measurements, rig: Rig, assumptions: Assumptions
+    measured: Measurements, assumptions: Assumptions
 ) -> Iterator[tuple[int, Measurements, Estimate]]:
     """For each of two stripes its laser, and measurements and ring without it; nothing for other numbers of stripes.
 
@@ -189,12 +187,12 @@ def single_stripe_estimates(
         alone = measured.without_laser(laser)
         if not len(alone.points.x):
             continue
-        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions), tolerance_sigmas=DECISION_SIGMAS)
+        estimate = estimate_ring(alone, Prior(assumptions=assumptions), tolerance_sigmas=DECISION_SIGMAS)
         if estimate is not None:
             yield laser, alone, estimate
 
 
-def ring_evidence(estimate: Estimate, measured: Measurements, laser: int, rig: Rig) -> float:
+def ring_evidence(estimate: Estimate, measured: Measurements, laser: int) -> float:
     """Log likelihood ratio of a laser's stripe on the ring that another stripe predicts, against one anywhere.
 
     ln N(r; 0, C) - ln(1 / range): r are the stripe's whitened residuals at the prediction, C is their covariance.
@@ -202,13 +200,13 @@ def ring_evidence(estimate: Estimate, measured: Measurements, laser: int, rig: R
     line = np.flatnonzero(np.repeat(measured.lines.laser == laser, 2))
     points = np.flatnonzero(measured.points.laser == laser)
     rows = np.concatenate([line, 2 * len(measured.lines.laser) + points])
-    residual, covariance = _predicted_residuals(estimate, measured, rig)
+    residual, covariance = _predicted_residuals(estimate, measured)
     residual, covariance = residual[rows], covariance[np.ix_(rows, rows)]
     log_ring = -0.5 * (
         residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
     )
     # the same range in standard deviations
-    focal = rig.camera.camera_matrix[[0, 1], [0, 1]]
+    focal = measured.rig.camera.camera_matrix[[0, 1], [0, 1]]
     whitening = measured.lines.whitening[measured.lines.laser == laser][0]
     sigma_px = measured.points.sigma_x[points] * focal[0]
     log_range = np.log(BACKGROUND_RANGE_PX[: len(rows)]).sum()
@@ -217,15 +215,15 @@ def ring_evidence(estimate: Estimate, measured: Measurements, laser: int, rig: R
 
 
 def _predicted_residuals(
-    estimate: Estimate, measured: Measurements, rig: Rig
+    estimate: Estimate, measured: Measurements
 ) -> tuple[Float64[Array, "row"], Float64[Array, "row row"]]:
     """Residuals of stripes and break points at a ring that was estimated without some of them, and their covariance.
 
     1 + [J B] C [J B]^T, with the joint covariance C of ring and common errors.
     """
-    observations = measured.observations(rig.lasers)
+    observations = measured.observations
     residuals = ring_residuals(estimate.arcs, observations, estimate.prior, estimate.rates)
-    fixed = fixed_columns(residuals, observations, estimate.prior, rig)
+    fixed = fixed_columns(residuals, observations, estimate.prior)
     jacobian = np.concatenate([residuals.jacobian, nuisance_columns(residuals, fixed)], axis=1)
     step = np.concatenate([np.zeros(PARAMETERS), estimate.nuisance_step])
     covariance = np.linalg.inv(estimate.joint_information)
@@ -235,7 +233,7 @@ def _predicted_residuals(
     )
 
 
-def edge_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> float:
+def edge_evidence(estimate: Estimate, measured: Measurements) -> float:
     """Log likelihood ratio of a single stripe on the ring that the visible edges predict, against one anywhere.
 
     The stripe's whitened residuals r at the common ring have the covariance 1 - H, with its block H of the hat matrix:
@@ -247,11 +245,12 @@ def edge_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> float
     if len(measured.points.x) + 2 * len(measured.lines.laser) > measured.stripe_numbers:
         measured = measured.once()  # it must not predict itself
     measured = replace(measured, edges=replace(measured.edges, walls=False))
-    again = estimate_ring(measured, rig, estimate.prior, estimate, tolerance_sigmas=DECISION_SIGMAS)
+    again = estimate_ring(measured, estimate.prior, estimate, tolerance_sigmas=DECISION_SIGMAS)
     if again is None:
         return -np.inf
     estimate = again
-    residuals, points, focal = estimate.residuals, measured.points, rig.camera.camera_matrix[[0, 1], [0, 1]]
+    residuals, points = estimate.residuals, measured.points
+    focal = measured.rig.camera.camera_matrix[[0, 1], [0, 1]]
     count, ends = residuals.stripe_rows, residuals.ends
     rows = np.concatenate([residuals.jacobian, estimate.nuisance], axis=1) * np.sqrt(estimate.weights)[:, None]
     prior = np.eye(rows.shape[1])[PARAMETERS:]
@@ -263,7 +262,7 @@ def edge_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> float
     # in pixels: ordinates of the line's two ends, abscissae of the break points, ordinates of those without a line
     of_points = [1.0 / points.sigma_x / focal[0], residuals.ordinates.scale / focal[1]]
     whitening = np.diag(np.concatenate([np.ones(ends), *of_points]))
-    whitening[:ends, :ends] = measured.observations(rig.lasers).whitening / focal[1]
+    whitening[:ends, :ends] = measured.observations.whitening / focal[1]
     position_px, change_px, end_px, _ = BACKGROUND_RANGE_PX
     range_px = np.full(count, position_px)
     range_px[ends : ends + len(points.x)] = end_px

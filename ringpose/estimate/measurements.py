@@ -12,6 +12,7 @@ correlation remains in the residuals raises the points' standard deviations (`in
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import product
 from math import sqrt
 from typing import Any, NamedTuple
@@ -19,11 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import rays_wrt_pixel, undistort
+from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort
 from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
-from ringpose.types.rig import Camera, LaserPlanes, Rig
+from ringpose.types.rig import Camera, Rig
 
 NOMINAL_SIGMA_PX = 0.3
 """Of a break point without a covariance; it only weights the points against each other and is not reported."""
@@ -70,6 +71,8 @@ class Lines:
     y: Float64[Array, "line end=2"]
     whitening: Float64[Array, "line 2 end=2"]
     """W with W^T W the inverse covariance of the two ordinates."""
+    wrt_camera: Float64[Array, "line end=2 xy=2 parameter"]
+    """Derivatives of x and y for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
     stamp_s: Float64[Array, "line"]
     """Mid exposure of the stripe's frame; NaN if unknown."""
 
@@ -92,6 +95,8 @@ class Points:
     """Mid exposure of the stripe's frame; NaN if unknown."""
     beside_occluder: Bool[Array, "point"]
     """Whether the image shows a surface in front of the ring beside the point."""
+    wrt_camera: Float64[Array, "point xy=2 parameter"]
+    """Derivatives of x and y for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
 
 
 class Observations(NamedTuple):
@@ -99,6 +104,9 @@ class Observations(NamedTuple):
 
     measured: "Measurements"
     view: RingView
+    laser: Int64[Array, "sample"]
+    wrt_camera: Float64[Array, "ray xy=2 parameter"]
+    """Derivatives of the rays of samples and visible edge points by the camera's parameters."""
     whitening: Float64[Array, "end end"]
     """Block-diagonal, of the lines' ordinates."""
     isolated: int
@@ -115,6 +123,8 @@ class Edges:
     ray: Float64[Array, "visible xyz=3"]
     step: Float64[Array, "visible xy=2"]
     """Displacement by one standard deviation, along the edge's normal in the image."""
+    wrt_camera: Float64[Array, "visible xy=2 parameter"]
+    """Derivatives of x and y of the rays for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
     common: Float64[Array, "visible error"]
     """Derivatives with respect to the common errors (unit variance), in the points' standard deviations."""
     stamp_s: Float64[Array, "visible"]
@@ -123,10 +133,11 @@ class Edges:
     """Whether the edges beside a single stripe may be the feet of the ring's walls."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Measurements:
-    """All that was measured in one shot."""
+    """All that was measured in one shot, and the rig that measured it."""
 
+    rig: Rig
     lines: Lines
     points: Points
     edges: Edges
@@ -139,8 +150,10 @@ class Measurements:
     camera: CameraMotion | None = None
     """Motion of the camera by the poses of a robot that carries it; None if the camera counts as inertial."""
 
-    def observations(self, planes: LaserPlanes) -> Observations:
+    @cached_property
+    def observations(self) -> Observations:
         """The view of the ring by ends of lines, break points and visible edge points, and the errors of these."""
+        planes = self.rig.lasers
         laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
         rays = np.ones((len(laser), 3))
         ends = 2 * len(self.lines.laser)
@@ -165,28 +178,30 @@ class Measurements:
             of_visible=instant[len(laser) :],
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
+        of_lines = self.lines.wrt_camera
+        of_rays = of_lines.reshape(ends, *of_lines.shape[2:]), self.points.wrt_camera, self.edges.wrt_camera
         isolated = int(np.count_nonzero(self.points.isolated))
-        return Observations(self, view, whitening, isolated, self.stripe_numbers)
+        return Observations(self, view, laser, np.concatenate(of_rays), whitening, isolated, self.stripe_numbers)
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""
         time_s = stamp_s - self.reference_s
         return np.where(np.isfinite(time_s), time_s, 0.0)
 
-    @property
+    @cached_property
     def stamp_s(self) -> Float64[Array, "row"]:
         """Mid exposure of the frame that each residual of `ringpose.estimate.residuals` comes from; NaN if unknown."""
         isolated = self.points.stamp_s[self.points.isolated]
         return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
 
-    @property
+    @cached_property
     def stripe_numbers(self) -> int:
         """Number of measured numbers of stripes and break points; one that was measured twice counts once."""
         ends = 2 * self.points.laser + self.points.edge
         distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
         return 2 * len(self.stripes) + distinct
 
-    @property
+    @cached_property
     def stripes(self) -> list[int]:
         """The lasers with a line, in ascending order."""
         return sorted(set(self.lines.laser.tolist()))
@@ -212,14 +227,14 @@ class Measurements:
 
     def without_edges(self) -> "Measurements":
         """The measurements without visible edges."""
-        return replace(self, edges=no_edges())
+        return replace(self, edges=no_edges(self.rig.camera))
 
     def with_edges_exchanged(self) -> "Measurements":
         """The measurements with inner edges taken for outer ones and the reverse."""
         points, edges = self.points, self.edges
         return replace(self, points=replace(points, edge=1 - points.edge), edges=replace(edges, edge=1 - edges.edge))
 
-    @property
+    @cached_property
     def lasers(self) -> list[int]:
         """The lasers with a line or a break point, in ascending order."""
         return sorted({*self.points.laser.tolist(), *self.lines.laser.tolist()})
@@ -247,6 +262,7 @@ def measurements_of(
     reference_s = float(stamps.mean()) if len(stamps) else math.nan
     every = np.concatenate([stamps, edges.stamp_s])
     return Measurements(
+        rig=rig,
         lines=lines,
         points=points,
         edges=edges,
@@ -259,15 +275,15 @@ def measurements_of(
 
 def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lines, Points, bool]:
     """Lines and break points, and whether all of these have a covariance."""
-    lines = _lines(break_points, camera)
     laser, edge = np.nonzero(break_points.seen)
+    lines = _lines(break_points, camera)
     covariance_px2 = break_points.covariance_px2[laser, edge]
     has_covariances = bool(np.isfinite(covariance_px2).all())
     if not has_covariances:
         unknown = ~np.isfinite(covariance_px2).all(axis=(1, 2))
         covariance_px2[unknown] = NOMINAL_SIGMA_PX**2 * np.eye(2)
     xy = undistort(break_points.position_px[laser, edge], camera)
-    ray_wrt_pixel = rays_wrt_pixel(xy, camera)
+    ray_wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(xy, camera)
     has_line = np.zeros(len(break_points.position_px), dtype=bool)
     has_line[lines.laser] = True
     covariance = ray_wrt_pixel @ (covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)) @ ray_wrt_pixel.swapaxes(1, 2)
@@ -282,6 +298,7 @@ def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lin
         isolated=~has_line[laser],
         stamp_s=_stamps(break_points)[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
+        wrt_camera=wrt_camera,
     )
     return lines, points, has_covariances
 
@@ -325,11 +342,14 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
     whitening = np.zeros((len(laser), 2, 2))
     for block, sds in zip(whitening, sigma.tolist(), strict=True):
         block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
+    xy = (ends[laser] - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+    _, wrt_camera = rays_wrt_pixel_and_camera(xy.reshape(-1, 2), camera)
     return Lines(
         laser=laser,
-        x=(ends[laser, :, 0] - matrix[0, 2]) / matrix[0, 0],
-        y=(ends[laser, :, 1] - matrix[1, 2]) / matrix[1, 1],
+        x=xy[..., 0],
+        y=xy[..., 1],
         whitening=whitening,
+        wrt_camera=wrt_camera.reshape(*xy.shape, wrt_camera.shape[-1]),
         stamp_s=_stamps(break_points)[laser],
     )
 
@@ -361,12 +381,13 @@ def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Li
     return np.array([middle[number] for number in laser.tolist()], dtype=np.float64)
 
 
-def no_edges() -> Edges:
+def no_edges(camera: Camera) -> Edges:
     """No visible edge points."""
     return Edges(
         edge=np.empty(0, dtype=np.int64),
         ray=np.empty((0, 3)),
         step=np.empty((0, 2)),
+        wrt_camera=np.empty((0, 2, 4 + len(camera.distortion_coefficients))),
         common=np.empty((0, ERRORS)),
         stamp_s=np.empty(0),
     )
@@ -374,14 +395,16 @@ def no_edges() -> Edges:
 
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     if ring_edges is None or not len(ring_edges.edge):
-        return no_edges()
+        return no_edges(camera)
     xy = undistort(ring_edges.position_px, camera)
+    ray_wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(xy, camera)
     sigma_px = np.maximum(ring_edges.sigma_px, MIN_SIGMA_PX)[:, None]
     step_px = ring_edges.normal * sigma_px
     return Edges(
         edge=ring_edges.edge,
         ray=np.concatenate([xy, np.ones((len(xy), 1))], axis=1),
-        step=(rays_wrt_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
+        step=(ray_wrt_pixel @ step_px[:, :, None])[:, :, 0],
+        wrt_camera=wrt_camera,
         common=common_errors_px(ring_edges) / sigma_px,
         stamp_s=np.full(len(xy), np.nan) if ring_edges.stamp_s is None else ring_edges.stamp_s,
     )

@@ -13,10 +13,6 @@ from math import sqrt
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.residuals import FixedColumns, Prior, Residuals
-from ringpose.geometry.rays import pixels_wrt_ray_and_camera
-from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
@@ -41,9 +37,9 @@ FORM_PARAMETERS = tuple(
 """Amplitudes in metres: radial deviation of each edge and axial deviation of the face, a_k cos(k phi) + b_k sin(k phi),
 with the angle phi from the middle of the arc that was seen."""
 
-
-WALL_SD_M = 0.03
-"""Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
+FORM_SHARE = 1.0 / sqrt(len(FORM_ORDERS))
+"""Standard deviation of each amplitude over the tolerance, so that the deviation at any angle has the tolerance as its
+own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,119 +135,3 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     kept = variance > _NEGLIGIBLE * (float(variance[-1]) if len(variance) else 0.0)
     root: Float64[Array, "n error"] = scale[:, None] * axes[:, kept] * np.sqrt(variance[kept])
     return root
-
-
-def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior, rig: Rig) -> FixedColumns:
-    """Derivatives by the errors of rig, form, mount and visible edges."""
-    measured = observations.measured
-    by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
-    mean_ray = np.zeros((2, 0))
-    errors = rig_errors(rig, prior.assumptions.stability)
-    if errors is not None:
-        by_rig, mean_ray = _wrt_rig(residuals, observations, errors, rig)
-        mean_ray = mean_ray @ errors.root
-        columns.append(by_rig @ errors.root)
-    if prior.assumptions.ring_tolerance_m > 0.0:
-        form = form_jacobian(residuals, measured)
-        columns.append(form_sd_m(prior.assumptions.ring_tolerance_m) * form)
-    if residuals.wrt_camera.shape[1] and measured.camera is not None:
-        variance = measured.camera.mount.covariance
-        uncertain = np.diag(variance) > 0
-        columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
-    columns.append(edge_jacobian(residuals, measured))
-    return FixedColumns(
-        by_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
-    )
-
-
-def rig_jacobian(
-    residuals: Residuals, observations: Observations, errors: RigErrors, rig: Rig
-) -> Float64[Array, "row parameter"]:
-    """Derivatives of the residuals with respect to the rig's parameters, in their own units; 0 for the prior."""
-    return _wrt_rig(residuals, observations, errors, rig)[0]
-
-
-def _wrt_rig(
-    residuals: Residuals, observations: Observations, errors: RigErrors, rig: Rig
-) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
-    """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
-
-    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
-    points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
-    """
-    measured, ends, stripes = observations.measured, residuals.ends, residuals.stripes
-    samples = len(observations.view.rays)
-    rays = _rays_wrt_rig(np.concatenate([observations.view.rays, observations.view.visible_rays]), errors, rig)
-    ray, edge_ray = rays[:samples], rays[samples:]
-    laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
-    y_wrt_tilts = (errors.basis[laser] @ stripes.y_wrt_light_normal[:, :, None])[:, :, 0]
-    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance])
-    predicted_y = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
-    sloped = stripes.slope[:, None] * ray[:, 0]
-    above = ray[:, 1] - sloped - predicted_y
-    distance = residuals.points.wrt_ray[:, 1:] * predicted_y[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
-    blocks = [observations.whitening @ above[:ends], residuals.distance_scale[:, None] * distance]
-    which, share, scale = residuals.ordinates
-    if len(which):
-        blocks.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
-    if len(edge_ray):
-        by_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
-        blocks.append((by_ray[:, :, None] * edge_ray).sum(axis=1))
-    blocks.append(np.zeros((len(residuals.residual) - residuals.data_rows, len(errors.parameters))))
-    mean_ray = np.array([ray[ends:, 0].mean(axis=0), (predicted_y + sloped)[ends:].mean(axis=0)])
-    return np.concatenate(blocks), mean_ray
-
-
-def form_sd_m(tolerance_m: float) -> float:
-    """Standard deviation of each amplitude, so that the deviation at any angle has the tolerance as its own."""
-    return tolerance_m / sqrt(len(FORM_ORDERS))
-
-
-def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row amplitude=18"]:
-    """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
-
-    An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
-    angle of the row.
-    """
-    isolated = np.flatnonzero(measured.points.isolated)
-    rays = residuals.stripes.rays
-    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
-    edge = [np.full(residuals.ends, -1), measured.points.edge, measured.points.edge[isolated], measured.edges.edge]
-    of_edge = np.concatenate(edge)
-    shape = np.column_stack([wave(order * angle) for order in FORM_ORDERS for wave in (np.cos, np.sin)])
-    jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
-    data, count = jacobian[: residuals.data_rows], shape.shape[1]
-    for number, sign in enumerate(EDGE_SIGN):  # the increment HALF_BAND moves the outer edge outward, the inner inward
-        radial = np.where(of_edge == number, sign * residuals.jacobian[: residuals.data_rows, HALF_BAND], 0.0)
-        data[:, number * count : (number + 1) * count] = radial[:, None] * shape
-    data[:, 2 * count :] = residuals.jacobian[: residuals.data_rows, LIFT, None] * shape
-    return jacobian
-
-
-def edge_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row error"]:
-    """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
-
-    What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
-    face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
-    a tilt has the same effect. The depth of the foot below the face is then an error of each edge.
-    """
-    rows = slice(residuals.data_rows - len(measured.edges.edge), residuals.data_rows)
-    columns = [measured.edges.common] if len(measured.edges.edge) else []
-    if columns and measured.edges.walls and len(measured.lasers) == 1:
-        outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
-        of_edge = measured.edges.edge[:, None] == range(len(EDGE_SIGN))
-        wall_seen = of_edge & (outward[:, None] * EDGE_SIGN > 0.0)
-        columns.append(WALL_SD_M * wall_seen * outward[:, None])
-    jacobian = np.zeros((len(residuals.residual), sum(each.shape[1] for each in columns)))
-    if columns:
-        jacobian[rows] = np.concatenate(columns, axis=1)
-    return jacobian
-
-
-def _rays_wrt_rig(rays: Float64[Array, "n xyz=3"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 parameter"]:
-    """Derivatives of the normalised coordinates of fixed pixels with respect to the rig's parameters."""
-    if not errors.camera.any():
-        return np.zeros((len(rays), 2, len(errors.parameters)))
-    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(rays[:, :2], rig.camera)
-    derivative: Float64[Array, "n 2 parameter"] = -np.linalg.inv(pixel_wrt_ray) @ (pixel_wrt_camera @ errors.camera)
-    return derivative

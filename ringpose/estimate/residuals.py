@@ -16,13 +16,13 @@ import numpy as np
 from ringpose.estimate.measurements import Measurements, Observations, Points
 from ringpose.geometry.ring import (
     CURVATURE,
+    GENERATORS,
     STEP,
     EdgeDistances,
     Rates,
     RingArcs,
     StripePrediction,
 )
-from ringpose.geometry.rotations import cross
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import Assumptions
 from ringpose.types.pose import KnownRadii
@@ -100,8 +100,6 @@ class Residuals(NamedTuple):
     """Number of residuals of stripes and break points, which come before those of visible edges."""
     data_rows: int
     """Number of residuals before those of the prior."""
-    stripe_numbers: int
-    """Number of distinct numbers of stripes and break points: a residual that is repeated counts once."""
     stripes: StripePrediction
     """Derivatives by the ring's step, its rates, and errors of the camera's motion."""
     points: EdgeDistances
@@ -157,9 +155,13 @@ class Estimate:
     prior: Prior
     """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
     remaining: Float64[Array, "row"]
-    """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
+    """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas ..."""
+    edge_residuals: Float64[Array, "visible"]
+    """... and those of the visible edge points among them."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
+    degrees_of_freedom: int
+    """Numbers of stripes, break points and radii less the parameters; rows of weak priors count like measurements."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
@@ -167,34 +169,6 @@ class Estimate:
     def converged(self) -> bool:
         """Whether the iteration came near the optimum before it reached its limit."""
         return self.distance_sigmas < DECISION_SIGMAS
-
-    @property
-    def regularized(self) -> bool:
-        """Whether parameters that the shot leaves open were held by weak priors."""
-        return self.prior.regularize_about is not None
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Numbers of stripes, break points and radii less the parameters.
-
-        Rows of weak priors count like measurements.
-        """
-        prior_rows = len(self.residuals.residual) - self.residuals.data_rows
-        return max(self.residuals.stripe_numbers + prior_rows - PARAMETERS, 0)
-
-    @property
-    def mean_ray_wrt_nuisance(self) -> Float64[Array, "xy=2 error"]:
-        """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
-        residuals, count = self.residuals, len(self.residuals.rate_sds)
-        wrt_rates = np.zeros((2, count))
-        y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
-        wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
-        return np.concatenate([wrt_rates, self.fixed.mean_ray_wrt_rig], axis=1)
-
-    @property
-    def edge_residuals(self) -> Float64[Array, "visible"]:
-        """Residuals of the visible edge points, less common errors, in standard deviations."""
-        return self.remaining[self.residuals.stripe_rows : self.residuals.data_rows]
 
     @cached_property
     def joint_information(self) -> Float64[Array, "n n"]:
@@ -223,7 +197,7 @@ class Estimate:
         free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
         return float((self.remaining[:count][free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
 
-    @property
+    @cached_property
     def curvature_alone(self) -> tuple[float, float]:
         """The curvature by the shot alone, without the prior, and its standard deviation.
 
@@ -294,12 +268,13 @@ def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
     points_wrt_x -= (depth_m * (plane[0] + slope * plane[1]))[:, None] * points_m
 
     normal = -plane / float(np.sqrt(plane @ plane))
-    outward = _outward_direction(normal, measured, points_m, points_wrt_x)
+    across = (normal @ GENERATORS).reshape(3, 3)  # across @ v is the cross product of the normal and v
+    outward = _outward_direction(normal, across, measured, points_m, points_wrt_x)
     mean_ray = rays.mean(axis=0)
     curvature, half_band_m = _expected_size(measured, points_m @ outward, prior)
     return RingArcs(
         origin=mean_ray / float(mean_ray @ plane),
-        axes=np.array([-outward, cross(normal, -outward), normal]),
+        axes=np.array([-outward, across @ -outward, normal]),
         curvature=curvature,
         half_band_m=half_band_m,
     )
@@ -327,6 +302,7 @@ def _plane_of_stripes(observations: Observations) -> Float64[Array, "3"]:
 
 def _outward_direction(
     normal: Float64[Array, "3"],
+    across: Float64[Array, "3 3"],
     measured: Measurements,
     points_m: Float64[Array, "point 3"],
     points_wrt_x: Float64[Array, "point 3"],
@@ -335,7 +311,7 @@ def _outward_direction(
     points = measured.points
     direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x)) @ points_wrt_x
     if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
-        direction = cross(normal, points_m[-1] - points_m[0])
+        direction = across @ (points_m[-1] - points_m[0])
     if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
         direction = points_wrt_x[0]
     direction = direction - (direction @ normal) * normal

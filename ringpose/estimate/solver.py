@@ -5,13 +5,12 @@ the solution; from there on visible edge points count fully or not at all, and b
 are judged by `ringpose.estimate.explanation`.
 """
 
-from dataclasses import replace
 from math import inf, isfinite, sqrt
 
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.nuisance import fixed_columns
+from ringpose.estimate.nuisance import FORM_ORDERS, FORM_PARAMETERS, FORM_SHARE, RigErrors, covariance_root, rig_errors
 from ringpose.estimate.residuals import (
     CURVATURE_SD,
     EXPECTED_CURVATURE,
@@ -35,17 +34,17 @@ from ringpose.geometry.ring import (
     CURVATURE,
     EDGE_SIGN,
     HALF_BAND,
+    LIFT,
     MIN_RATE,
     TILT_ALONG,
     TILT_INWARD,
     TURN,
     Rates,
     RingArcs,
-    motion_derivatives,
+    polar_angles,
     predicted_view,
 )
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.rig import LaserPlanes, Rig
 
 HUBER_SIGMAS = 3.0
 """Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
@@ -83,7 +82,6 @@ MAX_TILT_RAD = 0.7
 
 def estimate_ring(
     measured: Measurements,
-    rig: Rig,
     prior: Prior,
     start: Estimate | None = None,
     *,
@@ -99,17 +97,15 @@ def estimate_ring(
     """
     edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
-    observations = measured.observations(rig.lasers)
+    observations = measured.observations
 
     def solve(start: RingArcs | Estimate, prior: Prior, tolerance_sigmas: float = tolerance_sigmas) -> Estimate | None:
         try:
-            return _gauss_newton(
-                _linearized(start, observations, rig, prior), observations, rig, prior, tolerance_sigmas
-            )
+            return _gauss_newton(_linearized(start, observations, prior), observations, prior, tolerance_sigmas)
         except np.linalg.LinAlgError:
             return None
 
-    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_residuals`
+    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_ring`
         if guess is None and start is None:
             guess = initial_guess(observations, prior)
         first: RingArcs | Estimate | None = guess if start is None else start
@@ -131,37 +127,12 @@ def estimate_ring(
     return estimate
 
 
-def at_reference_time(
-    measured: Measurements, planes: LaserPlanes, prior: Prior
-) -> tuple[Measurements, RingArcs | None]:
-    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
-
-    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
-    ring, None if there is none.
-    """
-    stamp_s, observations = measured.stamp_s, measured.observations(planes)
-    arcs = initial_guess(observations, prior)
-    first = float(stamp_s.min(initial=np.inf))
-    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
-        return measured, arcs
-    residuals = ring_residuals(arcs, observations, Prior())
-    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
-    weight = (rows * rows).sum(axis=1)
-    if not 0.0 < float(weight.sum()) < np.inf:
-        return measured, arcs
-    moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
-    covered = measured.camera is None or moved.observations(planes).view.camera is not None  # by the robot's poses
-    return (moved if covered else measured), arcs
-
-
-def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estimate | None:
-    """An estimate that may have ended earlier, to the precision of a pose; None if it diverges."""
-    if estimate.distance_sigmas < PRECISE_SIGMAS:
-        return estimate
-    observations, residuals = measured.observations(rig.lasers), estimate.residuals
+def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
+    """An estimate that ended earlier, to the precision of a pose; None if it diverges."""
+    observations, residuals = measured.observations, estimate.residuals
     try:
-        fixed = fixed_columns(residuals, observations, estimate.prior, rig)
-        return _gauss_newton((residuals, fixed, estimate.remaining), observations, rig, estimate.prior, PRECISE_SIGMAS)
+        fixed = fixed_columns(residuals, observations, estimate.prior)
+        return _gauss_newton((residuals, fixed, estimate.remaining), observations, estimate.prior, PRECISE_SIGMAS)
     except np.linalg.LinAlgError:
         return None
 
@@ -169,7 +140,6 @@ def precise_ring(estimate: Estimate, measured: Measurements, rig: Rig) -> Estima
 def _gauss_newton(
     linearized: tuple[Residuals, FixedColumns | None, Float64[Array, "row"]],
     observations: Observations,
-    rig: Rig,
     prior: Prior,
     tolerance_sigmas: float,
 ) -> Estimate:
@@ -182,7 +152,7 @@ def _gauss_newton(
     nuisance, count, robust, steps = nuisance_columns(residuals, fixed), len(residuals.rate_sds), None, _Steps()
     for iteration in range(MAX_ITERATIONS):
         if iteration == 1 and fixed is None:
-            fixed = fixed_columns(residuals, observations, prior, rig)
+            fixed = fixed_columns(residuals, observations, prior)
             nuisance = nuisance_columns(residuals, fixed)
         # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
         if robust is None:
@@ -190,7 +160,8 @@ def _gauss_newton(
         normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
         factor = steps.factor(step, normal_matrix, extrapolate=robust is not None)
-        residuals = moved_residuals(residuals, factor * step, factor * nuisance_step[:count], observations, prior)
+        arcs, rates = moved_ring(residuals, factor * step, factor * nuisance_step[:count])
+        residuals = ring_residuals(arcs, observations, prior, rates)
         nuisance = nuisance_columns(residuals, fixed)
         if robust is None and fixed is not None and steps.sigmas < NEAR_SIGMAS:
             robust, weights = weights, _inlier_weights(predicted, residuals)
@@ -203,6 +174,7 @@ def _gauss_newton(
     remaining = residuals.residual + nuisance @ nuisance_step
     squares = np.minimum(remaining**2, 1e6)
     squares[residuals.stripe_rows : residuals.data_rows] = 0.0
+    prior_rows = len(remaining) - residuals.data_rows
     common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
     return Estimate(
         residuals=residuals,
@@ -217,12 +189,14 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
+        degrees_of_freedom=max(observations.stripe_numbers + prior_rows - PARAMETERS, 0),
         distance_sigmas=steps.distance_sigmas,
+        edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
     )
 
 
 def _linearized(
-    start: RingArcs | Estimate, observations: Observations, rig: Rig, prior: Prior
+    start: RingArcs | Estimate, observations: Observations, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
     """The residuals at a ring or at an estimate nearby, fixed columns at the latter, and what these leave of residuals.
 
@@ -230,7 +204,7 @@ def _linearized(
     """
     if isinstance(start, Estimate):
         residuals = ring_residuals(start.arcs, observations, prior, start.rates)
-        fixed: FixedColumns | None = fixed_columns(residuals, observations, prior, rig)
+        fixed: FixedColumns | None = fixed_columns(residuals, observations, prior)
         nuisance = nuisance_columns(residuals, fixed)
         comparable = nuisance.shape[1] == len(start.nuisance_step)
         predicted = residuals.residual + nuisance @ start.nuisance_step if comparable else residuals.residual
@@ -280,28 +254,27 @@ def nuisance_columns(residuals: Residuals, fixed: FixedColumns | None) -> Float6
 
 
 def refine_ring(
-    measured: Measurements, rig: Rig, prior: Prior, arcs: RingArcs, iterations: int
+    measured: Measurements, prior: Prior, arcs: RingArcs, iterations: int
 ) -> tuple[RingArcs, Float64[Array, "step=7 step=7"]] | None:
     """A ring near `arcs` after some iterations, and the covariance of its step; None if it diverges.
 
     For the edge search: many visible edge points may be outliers, so that these have the redescending weights of Geman
     and McClure's loss (Statistical Methods for Tomographic Image Reconstruction, 1987), (1 + (r / s)^2)^-2.
     """
-    observations = measured.observations(rig.lasers)
-    residuals = ring_residuals(arcs, observations, prior)
-    fixed = fixed_columns(residuals, observations, prior, rig)
-    normal_matrix = np.zeros((PARAMETERS, PARAMETERS))
-    robust = slice(residuals.ends, residuals.data_rows)
+    observations = measured.observations
+    rates, fixed, normal_matrix = STILL, None, np.zeros((PARAMETERS, PARAMETERS))
     try:
         for _ in range(iterations):
+            residuals = ring_residuals(arcs, observations, prior, rates)
+            fixed = fixed_columns(residuals, observations, prior) if fixed is None else fixed
+            robust = slice(residuals.ends, residuals.data_rows)
             weights = np.ones(len(residuals.residual))
             weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
             normal_matrix, step, nuisance_step = solve_normal_equations(
                 residuals, weights, nuisance_columns(residuals, fixed)
             )
-            rate_step = nuisance_step[: len(residuals.rate_sds)]
-            residuals = moved_residuals(residuals, step, rate_step, observations, prior)
-        return residuals.arcs, _inverse(normal_matrix)
+            arcs, rates = moved_ring(residuals, step, nuisance_step[: len(residuals.rate_sds)])
+        return arcs, _inverse(normal_matrix)
     except np.linalg.LinAlgError:
         return None
 
@@ -425,7 +398,6 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         ends=ends,
         stripe_rows=stripe_rows,
         data_rows=data_rows,
-        stripe_numbers=observations.stripe_numbers,
         stripes=stripes,
         points=points,
         edges=edges,
@@ -474,14 +446,10 @@ def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
     return found
 
 
-def moved_residuals(
-    residuals: Residuals,
-    step: Float64[Array, "step=7"],
-    rate_step: Float64[Array, "rate"],
-    observations: Observations,
-    prior: Prior,
-) -> Residuals:
-    """The residuals after a step of the ring, and of its rates in their standard deviations.
+def moved_ring(
+    residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
+) -> tuple[RingArcs, Rates]:
+    """The ring after a step, and its rates after one in their standard deviations.
 
     A step longer than `MAX_TILT_RAD` is shortened as a whole. LinAlgError if the ring is then not in front of the
     camera, or has an impossible size. The angular velocity stays across the normal.
@@ -496,4 +464,106 @@ def moved_residuals(
     if len(rate_step):
         along = rates_along(arcs, rates) + rate_step * residuals.rate_sds
         rates = Rates(along[:3], along[3:] @ moved.axes[:2])
-    return ring_residuals(moved, observations, prior, rates)
+    return moved, rates
+
+
+# Common errors, whose derivatives are evaluated once, near the solution
+
+WALL_SD_M = 0.03
+"""Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
+
+
+def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior) -> FixedColumns:
+    """Derivatives by the errors of rig, form, mount and visible edges."""
+    measured = observations.measured
+    by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
+    mean_ray = np.zeros((2, 0))
+    errors = rig_errors(measured.rig, prior.assumptions.stability)
+    if errors is not None:
+        by_rig, mean_ray = rig_jacobian(residuals, observations, errors)
+        mean_ray = mean_ray @ errors.root
+        columns.append(by_rig @ errors.root)
+    if prior.assumptions.ring_tolerance_m > 0.0:
+        form = form_jacobian(residuals, measured)
+        columns.append(FORM_SHARE * prior.assumptions.ring_tolerance_m * form)
+    if residuals.wrt_camera.shape[1] and measured.camera is not None:
+        variance = measured.camera.mount.covariance
+        uncertain = np.diag(variance) > 0
+        columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
+    columns.append(edge_jacobian(residuals, observations))
+    return FixedColumns(
+        by_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
+    )
+
+
+def rig_jacobian(
+    residuals: Residuals, observations: Observations, errors: RigErrors
+) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
+    """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
+
+    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
+    points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
+    """
+    ends, stripes, laser, wrt_camera = residuals.ends, residuals.stripes, observations.laser, observations.wrt_camera
+    rays = (wrt_camera.reshape(-1, len(errors.camera)) @ errors.camera).reshape(
+        len(wrt_camera), 2, len(errors.parameters)
+    )
+    ray, edge_ray = rays[: len(laser)], rays[len(laser) :]
+    y_wrt_tilts = (errors.basis[laser] @ stripes.y_wrt_light_normal[:, :, None])[:, :, 0]
+    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance])
+    predicted_y = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
+    sloped = stripes.slope[:, None] * ray[:, 0]
+    above = ray[:, 1] - sloped - predicted_y
+    distance = residuals.points.wrt_ray[:, 1:] * predicted_y[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
+    blocks = [observations.whitening @ above[:ends], residuals.distance_scale[:, None] * distance]
+    which, share, scale = residuals.ordinates
+    if len(which):
+        blocks.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
+    if len(edge_ray):
+        by_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
+        blocks.append((by_ray[:, :, None] * edge_ray).sum(axis=1))
+    blocks.append(np.zeros((len(residuals.residual) - residuals.data_rows, len(errors.parameters))))
+    mean_ray = np.array([ray[ends:, 0].mean(axis=0), (predicted_y + sloped)[ends:].mean(axis=0)])
+    return np.concatenate(blocks), mean_ray
+
+
+def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row amplitude=18"]:
+    """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
+
+    An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
+    angle of the row.
+    """
+    isolated = np.flatnonzero(measured.points.isolated)
+    rays = residuals.stripes.rays
+    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
+    edge = [np.full(residuals.ends, -1), measured.points.edge, measured.points.edge[isolated], measured.edges.edge]
+    of_edge = np.concatenate(edge)
+    shape = np.column_stack([wave(order * angle) for order in FORM_ORDERS for wave in (np.cos, np.sin)])
+    jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
+    data, count = jacobian[: residuals.data_rows], shape.shape[1]
+    for number, sign in enumerate(EDGE_SIGN):  # the increment HALF_BAND moves the outer edge outward, the inner inward
+        radial = np.where(of_edge == number, sign * residuals.jacobian[: residuals.data_rows, HALF_BAND], 0.0)
+        data[:, number * count : (number + 1) * count] = radial[:, None] * shape
+    data[:, 2 * count :] = residuals.jacobian[: residuals.data_rows, LIFT, None] * shape
+    return jacobian
+
+
+def edge_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row error"]:
+    """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
+
+    What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
+    face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
+    a tilt has the same effect. The depth of the foot below the face is then an error of each edge.
+    """
+    edges = observations.measured.edges
+    rows = slice(residuals.data_rows - len(edges.edge), residuals.data_rows)
+    columns = [edges.common] if len(edges.edge) else []
+    if columns and edges.walls and len(set(observations.laser.tolist())) == 1:
+        outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
+        of_edge = edges.edge[:, None] == range(len(EDGE_SIGN))
+        wall_seen = of_edge & (outward[:, None] * EDGE_SIGN > 0.0)
+        columns.append(WALL_SD_M * wall_seen * outward[:, None])
+    jacobian = np.zeros((len(residuals.residual), sum(each.shape[1] for each in columns)))
+    if columns:
+        jacobian[rows] = np.concatenate(columns, axis=1)
+    return jacobian

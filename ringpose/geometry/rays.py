@@ -81,11 +81,13 @@ def _focal_and_principal(camera: Camera) -> tuple[Float64[Array, "2"], Float64[A
     return np.array([matrix[0, 0], matrix[1, 1]]), np.array([matrix[0, 2], matrix[1, 2]])
 
 
-def rays_wrt_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
-    """Derivatives of the normalised coordinates with respect to the distorted pixel."""
-    pixel_wrt_ray, _ = pixels_wrt_ray_and_camera(xy, camera)
+def rays_wrt_pixel_and_camera(
+    xy: Float64[Array, "n xy=2"], camera: Camera
+) -> tuple[Float64[Array, "n 2 2"], Float64[Array, "n 2 parameter"]]:
+    """Derivatives of the normalised coordinates by the distorted pixel and, for fixed pixels, by the camera."""
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(xy, camera)
     inverse: Float64[Array, "n 2 2"] = np.linalg.inv(pixel_wrt_ray)
-    return inverse
+    return inverse, -inverse @ pixel_wrt_camera
 
 
 def pixels_wrt_ray_and_camera(

@@ -14,15 +14,11 @@ from math import degrees, hypot, nan, sqrt
 import numpy as np
 
 from ringpose.estimate.explanation import chi2_quantile
-from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import (
     light_plane_bases,
-    rig_errors,
-    rig_jacobian,
     total_covariance,
 )
-from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate
-from ringpose.geometry.rotations import angle_between, tilt_basis, tilted
+from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
@@ -160,9 +156,6 @@ SAME_TILT_RAD, SAME_PLACE_M = 0.003, 0.001
 POSES_REMEMBERED = 50
 """Number of last poses that new ones are compared with."""
 
-REDUNDANT_STRIPES = 3
-"""Stripes from which a single shot shows an error of the rig."""
-
 _PLANE = len(PLANE_PARAMETERS)
 
 
@@ -191,6 +184,13 @@ class RigEvidence:
         self.rig = rig
         self._left_out = left_out
         self.parameters, self.prior = _parameters_and_prior(rig, stability)
+        # a normal quantile z of a probability p becomes about sqrt(z^2 + 2 ln n) for p / n (Bonferroni)
+        tests = len(rig.lasers.names) * STREAM_SHOTS
+        self.limit = chi2_quantile(_PLANE, sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * np.log(tests)))
+        """Chi-squared of a plane above which the rig has changed: for tests of each shot of a stream."""
+        self._columns = np.array(
+            [list(map(self.parameters.index, laser_parameters([name]))) for name in rig.lasers.names]
+        )
         self._kept = shots_kept
         self._rows: list[Float64[Array, "row column"]] = []
         self._all: Float64[Array, "row column"] | None = None
@@ -201,18 +201,11 @@ class RigEvidence:
         """Number of shots whose evidence counts."""
         return len(self._rows)
 
-    @property
-    def limit(self) -> float:
-        """Chi-squared of a plane above which the rig has changed: for tests of each shot of a stream (Bonferroni)."""
-        # a normal quantile z of a probability p becomes about sqrt(z^2 + 2 ln n) for p / n
-        tests = len(self.rig.lasers.names) * STREAM_SHOTS
-        return chi2_quantile(_PLANE, sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * np.log(tests)))
-
     def add(self, evidence: PlaneEvidence) -> bool:
         """Add the rows of a shot; whether it shows the target at another pose than the last ones, and counts."""
         for normal, place_m in self._poses:
-            tilt_rad = float(angle_between(normal[None], evidence.normal[None])[0])
-            if tilt_rad < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
+            tilt = np.linalg.norm(normal - evidence.normal)  # the chord of so small an angle
+            if tilt < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
                 return False
         self._poses = [*self._poses, (evidence.normal, evidence.place_m)][-POSES_REMEMBERED:]
         rows = np.zeros((len(evidence.rows), len(self.parameters) + 1))
@@ -265,8 +258,8 @@ class RigEvidence:
 
     def columns(self, laser: int) -> Int64[Array, "3"]:
         """Where the parameters of a light plane stand."""
-        names = laser_parameters([self.rig.lasers.names[laser]])
-        return np.array([self.parameters.index(name) for name in names])
+        columns: Int64[Array, "3"] = self._columns[laser]
+        return columns
 
     def _evidence(self) -> Float64[Array, "row column"]:
         if self._all is None:
@@ -323,36 +316,6 @@ def _parameters_and_prior(
     covariance = np.zeros((known + len(more), known + len(more)))
     covariance[:known, :known] = total.data
     return (*total.parameters, *more), covariance
-
-
-def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> PlaneEvidence | None:
-    """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
-
-    The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
-    their priors: the Schur complement of section 9.
-    """
-    if estimate.regularized or len(measured.stripes) < REDUNDANT_STRIPES:
-        return None
-    errors = rig_errors(rig, TYPICAL_STABILITY)
-    if errors is None:
-        return None
-    residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
-    of_rig = estimate.mean_ray_wrt_nuisance.shape[1]
-    own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
-    by_rig = rig_jacobian(residuals, measured.observations(rig.lasers), errors, rig)
-    rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
-    eliminated = PARAMETERS + own.shape[1]
-    prior = np.zeros((eliminated, rows.shape[1]))
-    diagonal = range(eliminated)
-    prior[diagonal, diagonal] = np.concatenate([np.full(PARAMETERS, sqrt(RIDGE)), np.ones(own.shape[1])])
-    prior[PARAMETERS : PARAMETERS + rates, -1] = -residuals.rate_deviations
-    triangle = np.linalg.qr(np.concatenate([prior, np.sqrt(estimate.weights)[:, None] * rows]), mode="r")
-    return PlaneEvidence(
-        parameters=errors.parameters,
-        rows=np.asarray(triangle)[eliminated:, eliminated:],
-        normal=estimate.arcs.normal,
-        place_m=estimate.arcs.origin,
-    )
 
 
 def evidence_for_file(line: PoseLine) -> PlaneEvidence | None:

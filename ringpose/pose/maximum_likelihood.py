@@ -15,6 +15,7 @@ from ringpose.estimate.covariance import (
     EDGE_ON_BELOW,
     GRASP,
     GRASP_UNKNOWN_FROM_M,
+    REDUNDANT_STRIPES,
     TILT_SD_LIMIT_RAD,
     TILTS,
     UNKNOWN_FROM,
@@ -23,6 +24,7 @@ from ringpose.estimate.covariance import (
     difference_from,
     exceeds_sd,
     joint_covariance,
+    plane_evidence,
     prior_rows,
     quantities,
     ring_measurement,
@@ -34,13 +36,11 @@ from ringpose.estimate.covariance import (
 from ringpose.estimate.explanation import COINCIDENCE, RADIUS_SIGMAS, Explanation, edge_mean_square, explain
 from ringpose.estimate.hypotheses import edge_evidence
 from ringpose.estimate.measurements import Measurements, measurements_of
-from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Estimate, Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -96,18 +96,22 @@ def most_likely_pose(
     `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
-    lasers = unused_lasers(rig, lasers_on, break_points.of_lasers)
-    without = PoseResult(pose=NoPose.NOT_FINITE, lasers=lasers, rejected=tuple(rejected))
-    unusable = _unusable(measured, rig, camera)
+
+    def without(reason: NoPose) -> PoseResult:
+        lasers = unused_lasers(rig, lasers_on, break_points.of_lasers)
+        return PoseResult(pose=reason, lasers=lasers, rejected=tuple(rejected))
+
+    unusable = _unusable(measured, camera)
     if unusable is not None:
-        return replace(without, pose=unusable)
+        return without(unusable)
     assumptions, untimed = _timed(break_points, assumptions, moving=camera is not None)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
-    named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
-    explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
+    flags_seen = break_points.flags[measured.points.laser, measured.points.edge]
+    named = not bool((flags_seen & int(BreakPointFlag.EDGE_UNKNOWN)).any())
+    explained = partial(explain, measured, labelled=break_points.labelled, edges_named=named)
     best = explained(Prior(radii, assumptions))
     if best is None:
-        return replace(without, pose=_why_no_estimate(measured, rig))
+        return without(_why_no_estimate(measured))
     if known is not None and not isinstance(known, KnownRadii):
         covariance = joint_covariance(best.estimate, quantities(best.estimate))[CURVATURE_OUT:, CURVATURE_OUT:]
         arcs = best.estimate.arcs
@@ -118,8 +122,8 @@ def most_likely_pose(
                 assumptions = replace(assumptions, ring_tolerance_m=ring.tolerance_m)
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
-    result = _result(best, rig, source)
-    doubts, remark = untimed or _displaced(rejected) or _ring_doubts(best, break_points, rig)
+    result = _result(best, source)
+    doubts, remark = untimed or _displaced(rejected) or _ring_doubts(best, break_points)
     result = replace(result, flags=result.flags | doubts, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
@@ -130,28 +134,28 @@ def most_likely_pose(
     return replace(result, pose=pose, flags=flags, lasers=states, rejected=rejected)
 
 
-def _unusable(measured: Measurements, rig: Rig, camera: CameraMotion | None) -> NoPose | None:
+def _unusable(measured: Measurements, camera: CameraMotion | None) -> NoPose | None:
     """Why these measurements cannot be estimated from; None if they can."""
     if not len(measured.points.x):
         return NoPose.TOO_FEW_BREAK_POINTS
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
         return NoPose.UNTRIANGULATED
-    if camera is not None and measured.observations(rig.lasers).view.camera is None:
+    if camera is not None and measured.observations.view.camera is None:
         return NoPose.NO_ROBOT_POSES
     return None
 
 
-def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
+def _why_no_estimate(measured: Measurements) -> NoPose:
     """The reason for an estimate that is not finite: a ray is nearly parallel to its light plane or meets it behind."""
-    points = measured.points
+    points, lasers = measured.points, measured.rig.lasers
     rays = np.stack([points.x, points.y, np.ones_like(points.x)], axis=-1)
-    cosine = (rays * rig.lasers.normal[points.laser]).sum(axis=1)
-    behind = rig.lasers.distance_m[points.laser] * cosine <= 0
+    cosine = (rays * lasers.normal[points.laser]).sum(axis=1)
+    behind = lasers.distance_m[points.laser] * cosine <= 0
     grazing = np.abs(cosine) < GRAZING * np.sqrt((rays * rays).sum(axis=1))
     return NoPose.UNTRIANGULATED if bool((grazing | behind).any()) else NoPose.NOT_FINITE
 
 
-def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
+def _result(best: Explanation, source: str) -> PoseResult:
     """The pose of the best explanation, with everything that is not determined set to NaN and flagged."""
     estimate, measured = best.estimate, best.measured
     found = quantities(estimate)
@@ -161,16 +165,16 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         flags=best.flag,
         remark=best.remark,
         stamp_s=measured.reference_s,
-        priors=_priors(best, rig, source),
+        priors=_priors(best, found, source),
         rejected=best.rejected,
-        plane_evidence=_plane_evidence(best, rig),
+        plane_evidence=_plane_evidence(best),
     )
     if not bool(np.isfinite(covariance).all()):
         return result
-    bias_m = second_order_bias_m(covariance, estimate)
-    covariance = with_second_order(covariance, bias_m, estimate)
-    origin, normal = estimate.arcs.origin, estimate.arcs.normal
-    if abs(float(origin @ normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
+    bias_m = second_order_bias_m(covariance, estimate, found)
+    covariance = with_second_order(covariance, bias_m, estimate, found)
+    origin = estimate.arcs.origin
+    if abs(float(origin @ found.normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
         return replace(result, pose=NoPose.EDGE_ON)
     reported = _determined(best, found, covariance)
     if not reported.grasp and not reported.normal:
@@ -181,24 +185,23 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     flags = best.flag | _weak_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
     pose = replace(
         _reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
-        residual_rms_px=_residual_rms_px(estimate, measured, rig),
+        residual_rms_px=_residual_rms_px(estimate, measured),
         remark=best.remark,
     )
     if not measured.has_covariances:
         unknown = PoseFlag(0) if best.prior.assumptions.motion is None else PoseFlag.VELOCITY_WEAK
         return replace(result, pose=pose, flags=flags | ALL_WEAK | unknown)
-    velocity, of_velocity = _velocity(best, flags)
-    errors = rig_errors(rig, best.prior.assumptions.stability)
-    measurement = ring_measurement(estimate, measured, errors)
+    velocity, of_velocity = _velocity(best, found, flags)
+    measurement = ring_measurement(estimate, measured, found)
     return replace(result, pose=pose, flags=flags | of_velocity, velocity=velocity, measurement=measurement)
 
 
-def _velocity(best: Explanation, flags: PoseFlag) -> tuple[RingVelocity | None, PoseFlag]:
+def _velocity(best: Explanation, found: Quantities, flags: PoseFlag) -> tuple[RingVelocity | None, PoseFlag]:
     """The velocity, with the mean and variance of the prior where the shot does not determine it, and its flags.
 
     That of the centre depends on its side, and on the radius: within the errors of an unknown radius not linearly.
     """
-    velocity = ring_velocity(best.estimate)
+    velocity = ring_velocity(best.estimate, found)
     if velocity is None:
         return None, PoseFlag(0)
     if "velocity" in best.differing or not best.side_known:
@@ -213,11 +216,11 @@ def _timed(
 
     Stripes that were taken one after the other need stamps of their own.
     """
+    if not (moving or assumptions.motion is not None) or not break_points.labelled:  # the camera or the target
+        return assumptions, None
     seen = break_points.of_lasers
     stamps = [] if break_points.stamp_s is None else break_points.stamp_s[seen].tolist()
-    distinct = len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))
-    moving = moving or assumptions.motion is not None  # the camera or the target
-    if not moving or not break_points.labelled or distinct or int(seen.sum()) == 1:
+    if int(seen.sum()) == 1 or (len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))):
         return assumptions, None
     return replace(assumptions, motion=None), (ALL_WEAK | PoseFlag.VELOCITY_WEAK, NOT_TIMED)
 
@@ -233,7 +236,7 @@ def _displaced(rejected: Sequence[Rejection]) -> tuple[PoseFlag, str] | None:
     return PoseFlag.INCONSISTENT, f"the stripe of laser {lasers[0]} is near the ring of the others, but not on it"
 
 
-def _ring_doubts(best: Explanation, break_points: BreakPoints, rig: Rig) -> tuple[PoseFlag, str]:
+def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
     """Flags of a shot that something else than a ring may have left, such as the side of a board, and why.
 
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
@@ -246,8 +249,8 @@ def _ring_doubts(best: Explanation, break_points: BreakPoints, rig: Rig) -> tupl
     if best.prior.radii is None and not curvature > CURVED_SIGMAS * sd:
         return unknown, "the edges may be straight: the shot does not show that it is a ring"
     if len(best.measured.edges.edge):
-        single = len(best.measured.lasers) == 1
-        if single and not edge_evidence(best.estimate, best.measured, rig) >= COINCIDENCE:  # also if it is NaN
+        single = len(set(best.measured.observations.laser.tolist())) == 1
+        if single and not edge_evidence(best.estimate, best.measured) >= COINCIDENCE:  # also if it is NaN
             return unknown, "the single stripe may lie on another surface than the visible edges"
         return PoseFlag(0), ""
     seen = break_points.seen
@@ -258,15 +261,15 @@ def _ring_doubts(best: Explanation, break_points: BreakPoints, rig: Rig) -> tupl
     return PoseFlag.GRASP_WEAK if len(best.measured.stripes) == 1 else PoseFlag(0), ""
 
 
-def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
+def _plane_evidence(best: Explanation) -> PlaneEvidence | None:
     """Evidence for errors of the rig; of all measurements where what contradicts one ring may be due to the rig."""
     if best.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS:
         return None
     if best.flag & RIG_SUSPECT and len(best.measured.lines.laser) > len(best.measured.stripes):
         return None  # a stripe that was measured twice may have moved in between
     if best.competing or best.flag & RIG_SUSPECT:
-        return None if best.everything is None else plane_evidence(best.everything[1], best.everything[0], rig)
-    return plane_evidence(best.estimate, best.measured, rig)
+        return None if best.everything is None else plane_evidence(best.everything[1], best.everything[0])
+    return plane_evidence(best.estimate, best.measured)
 
 
 def _unverified(best: Explanation) -> PoseFlag:
@@ -280,8 +283,8 @@ def _unverified(best: Explanation) -> PoseFlag:
     return flags
 
 
-def _priors(best: Explanation, rig: Rig, source: str) -> Priors:
-    radius = None
+def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
+    radius, rig = None, best.measured.rig
     if best.prior.radii is not None:
         inner_m, outer_m = best.prior.radii.radius_m.tolist()
         inner_sd_m, outer_sd_m = best.prior.radii.sd_m.tolist()
@@ -293,7 +296,7 @@ def _priors(best: Explanation, rig: Rig, source: str) -> Priors:
         radius=radius,
         rig_covariance=rig.covariance is not None and bool(np.isfinite(rig.covariance.data).all()),
         moved_planes=rig.moved_planes,
-        regularization=prior_rows(best.estimate, best.prior),
+        regularization=prior_rows(best.estimate, best.prior, found),
     )
 
 
@@ -313,9 +316,9 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
     return covariance
 
 
-def _residual_rms_px(estimate: Estimate, measured: Measurements, rig: Rig) -> float:
+def _residual_rms_px(estimate: Estimate, measured: Measurements) -> float:
     """Root mean square distance of the break points from the predicted ones: along their lines, and across."""
-    points, residuals, matrix = measured.points, estimate.residuals, rig.camera.camera_matrix
+    points, residuals, matrix = measured.points, estimate.residuals, measured.rig.camera.camera_matrix
     along_px = residuals.points.distance_m / residuals.distance_wrt_x * matrix[0, 0]
     across_px = (points.y - residuals.stripes.rays[residuals.ends :, 1]) * matrix[1, 1]
     stretch = 1.0 + residuals.stripes.slope[residuals.ends :] ** 2
@@ -350,7 +353,7 @@ def _determined(best: Explanation, found: Quantities, covariance: Float64[Array,
     curvature = best.estimate.arcs.curvature
     curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * curvature
     curved = curved and curvature > 1.0 / MAX_RADIUS_M
-    across = np.array([best.estimate.arcs.normal, found.outward])
+    across = np.array([found.normal, found.outward])
     grasp_sd_m = standard_deviation(across @ covariance[GRASP, GRASP] @ across.T)
     edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
     radii_given = best.prior.radii is not None
@@ -380,7 +383,7 @@ def _reported_pose(
     radius_inner_m, radius_outer_m = np.where(reported.radius, found.radius_m, np.nan).tolist()
     return RingPose(
         center_m=found.center_m if reported.center else unknown,
-        normal=estimate.arcs.normal if reported.normal else unknown,
+        normal=found.normal if reported.normal else unknown,
         radius_inner_m=radius_inner_m,
         radius_outer_m=radius_outer_m,
         grasp_m=found.grasp_m if reported.grasp else unknown,

@@ -47,14 +47,13 @@ def seen_lasers(
     for laser in np.flatnonzero(on).tolist():
         contributed = bool(used[laser].any() or has_line[laser])
         mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
-        found = bool(mine or break_points.of_lasers[laser])
         if contributed:
             clipped = break_points.flags[laser] & int(BreakPointFlag.CLIPPED) != 0
             expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image
             missing = expected & ~used[laser]
             flags |= _why_missing(break_points.flags[laser, missing].tolist())
             state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
-        elif found:
+        elif mine or break_points.of_lasers[laser]:
             state, flags = LaserState.REJECTED, flags | PoseFlag.STRIPE_REJECTED
         elif share[laser] >= SEEN_SHARE:
             state, flags = LaserState.NOT_SEEN, flags | PoseFlag.LASER_MISSING
@@ -101,7 +100,7 @@ def _share_by_single_stripes(best: Explanation, rig: Rig) -> Float64[Array, "las
     If one of two stripes does not lie on the ring, their common ring may predict the missing one outside the image.
     """
     share = np.zeros(len(rig.lasers.names))
-    for _, _, estimate in single_stripe_estimates(best.measured, rig, best.prior.assumptions):
+    for _, _, estimate in single_stripe_estimates(best.measured, best.prior.assumptions):
         points_m = predicted_break_points(estimate.arcs, rig.lasers.normal, rig.lasers.distance_m)
         distance_px = _distance_inside_px(points_m, rig)
         share = np.maximum(share, (distance_px > BORDER_PX).mean(axis=1))

@@ -210,8 +210,6 @@ UNLABELLED = -1
 
 def joined_stripes(parts: Sequence[Stripes]) -> Stripes:
     """Stripes of several frames or windows in one record, with consecutive piece indices."""
-    if len(parts) == 1:
-        return parts[0]
     before = np.cumsum([0, *(len(part.laser) for part in parts[:-1])])
     return Stripes(
         position_px=np.concatenate([part.position_px for part in parts]),

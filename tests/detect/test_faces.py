@@ -8,9 +8,9 @@ from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 from ring_scenes import line_of_face, make_scene
 
 from ringpose.detect.break_points import without_outliers
-from ringpose.detect.rim import best_hypothesis, displaced_lasers, may_be_background, ring_face, surface_in_front
+from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face, surface_in_front
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import TRACK_COLUMNS, Group
+from ringpose.kernels.lines import TRACK_COLUMNS
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints
 from ringpose.types.rig import LaserPlanes
 

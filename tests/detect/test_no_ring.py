@@ -57,7 +57,7 @@ def faces(saturated_ends: int) -> tuple[BreakPoints, LaserImage]:
     for end in range(saturated_ends):
         row, column = int(y[end // 2]), 151 if end % 2 == 0 else 85
         dark[row - 8 : row + 9, column : column + 15] = 255
-    image = LaserImage(lit=dark, dark=dark, saturation_dn=255, lasers=(0, 1, 2), stamp_s=0.0)
+    image = LaserImage(lit=dark, dark=dark, saturation_dn=255, lasers=(0, 1, 2), stamp_s=0.0, threshold_scale_dn=255)
     return points, image
 
 

@@ -87,7 +87,7 @@ def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
     seen = visible_edges(scene, 40, 0.3, rng) if edges else None
 
     result = most_likely_pose(points, rig, seen, known)
-    best = explain(measurements_of(points, rig, seen), rig, Prior(known), labelled=True, edges_named=True)
+    best = explain(measurements_of(points, rig, seen), Prior(known), labelled=True, edges_named=True)
 
     rows = np.concatenate([result.measurement.square_root, prior_rows(result, rig)])
     still = np.delete(rows, range(*RATES.indices(len(MEASURED_PARAMETERS))), axis=1)

@@ -41,7 +41,7 @@ def unscaled(residuals, points):
 def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     arcs, count = some_arcs(scene, rng), len(shot.points.x)
-    observations, step = shot.observations(scene.rig.lasers), STEP * np.eye(7)[parameter]
+    observations, step = shot.observations, STEP * np.eye(7)[parameter]
     residuals = ring_residuals(arcs, observations, Prior())
 
     forward, backward = (
@@ -58,12 +58,10 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
 def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     arcs, prior = some_arcs(scene, rng), Prior(RADII)
-    residuals = ring_residuals(arcs, shot.observations(scene.rig.lasers), prior)
+    residuals = ring_residuals(arcs, shot.observations, prior)
 
     forward, backward = (
-        ring_residuals(
-            arcs.moved(sign * STEP * np.eye(7)[parameter]), shot.observations(scene.rig.lasers), prior
-        ).residual[-2:]
+        ring_residuals(arcs.moved(sign * STEP * np.eye(7)[parameter]), shot.observations, prior).residual[-2:]
         for sign in (1, -1)
     )
 
@@ -79,7 +77,7 @@ def test_derivatives_of_visible_edges_do_not_contain_errors_of_the_points(scene_
     arcs = ring_arcs(ring.center_m, ring.normal, ring.radius_m, scene.points_m.mean(axis=(0, 1)))
 
     without, with_errors = (
-        ring_residuals(arcs, measurements_of(points, scene.rig, edges).observations(scene.rig.lasers), Prior())
+        ring_residuals(arcs, measurements_of(points, scene.rig, edges).observations, Prior())
         for edges in (exact, noisy)
     )
 

@@ -36,10 +36,10 @@ def noisy(scene_of, face_points, rng):
 @pytest.mark.parametrize("radii", [None, INNER_ONLY, BOTH], ids=["radii unknown", "one radius", "both radii"])
 def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, radii):
     rig, measured = noisy
-    rig = with_covariance(rig) if calibrated else rig
-    observations, prior = measured.observations(rig.lasers), Prior(radii)
+    measured = replace(measured, rig=with_covariance(rig)) if calibrated else measured
+    observations, prior = measured.observations, Prior(radii)
 
-    estimate = estimate_ring(measured, rig, prior)
+    estimate = estimate_ring(measured, prior)
 
     def cost(step):
         residuals = ring_residuals(estimate.arcs.moved(step), observations, prior)
@@ -60,11 +60,11 @@ def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, ra
 
 
 def test_an_estimate_is_the_same_from_any_start(noisy):
-    rig, measured = noisy
-    rough = estimate_ring(measured, rig, Prior(), tolerance_sigmas=DECISION_SIGMAS)
+    _, measured = noisy
+    rough = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
 
-    estimate = estimate_ring(measured, rig, Prior())
-    others = estimate_ring(measured, rig, Prior(), rough), precise_ring(rough, measured, rig)
+    estimate = estimate_ring(measured, Prior())
+    others = estimate_ring(measured, Prior(), rough), precise_ring(rough, measured)
 
     sd = np.sqrt(estimate.inverse.diagonal())
     for other in others:
@@ -94,7 +94,7 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
     if not ends_seen:
         measured = replace(measured, points=replace(measured.points, x=measured.points.middle_x.copy()))
 
-    start = initial_guess(measured.observations(scene.rig.lasers), Prior())
+    start = initial_guess(measured.observations, Prior())
 
     np.testing.assert_allclose(start.normal, scene.ring.normal, atol=1e-3)
     assert start.origin @ start.normal == pytest.approx(scene.ring.normal @ scene.ring.center_m, rel=1e-3)
@@ -103,8 +103,8 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
 
 
 def test_a_plane_behind_the_camera_is_no_start(noisy):
-    rig, measured = noisy
-    observations = measured.observations(rig.lasers)
+    _, measured = noisy
+    observations = measured.observations
     view = observations.view
     behind = observations._replace(view=view._replace(light_distance_m=-view.light_distance_m))
 

@@ -10,15 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import map_coordinates, uniform_filter1d
 
+from ringpose.detect.edge_search import PlaceParams, edge_places, edge_profiles
 from ringpose.geometry.ring import RingArcs, edge_points
-from ringpose.kernels import edges
-from ringpose.kernels.edges import PlaceParams, ProfileParams
 from ringpose.kernels.lines import Lens
 
 LENS = Lens(1778.0, 1781.0, 790.0, 611.0, -0.12, 0.05, 4e-4, -3e-4, 0.01)
 RATIONAL = LENS._replace(k4=0.02, k5=-0.01, k6=0.004)
 PLACES = PlaceParams(1600.0, 1200.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4)
-PROFILES = ProfileParams(2.0, 5.0, 3.0, 4.0, 0.3, 9.0, 255.0)
 
 steps_of_state = arrays(np.float64, 7, elements=st.floats(-1, 1)).map(
     lambda part: part * [0.4, 0.4, 0.2, 0.1, 0.7, 3.0, 0.01]
@@ -56,7 +54,7 @@ def imaged(points, lens):
 def test_places_lie_on_the_edges_where_opencv_sees_them(lens, step):
     ring = arcs(step)
 
-    found = edges.edge_places(ring, covariance(0.0), lens, PLACES)
+    found = edge_places(ring, covariance(0.0), lens, PLACES)
 
     point, outward, side, place, normal, metres = np.split(found[:, :12], [3, 6, 7, 9, 11], axis=1)
     center = ring.origin + ring.axes[0] / ring.curvature
@@ -73,7 +71,7 @@ def test_places_lie_on_the_edges_where_opencv_sees_them(lens, step):
 
 
 def test_places_begin_at_the_origin_and_are_as_far_apart_as_asked_for():
-    found = edges.edge_places(arcs(), covariance(0.0), LENS, PLACES)
+    found = edge_places(arcs(), covariance(0.0), LENS, PLACES)
 
     for side in (1.0, -1.0):
         own = found[found[:, 6] == side]
@@ -89,9 +87,9 @@ def test_there_are_no_places_where_the_edge_is_predicted_worse_than_asked_for(pa
     known = np.zeros((7, 7))
     known[parameter, parameter] = (0.003, 0.003, 0.02, 3e-4, 0.004, 0.1, 3e-4)[parameter] ** 2
 
-    found = edges.edge_places(arcs(), known, LENS, PLACES)
+    found = edge_places(arcs(), known, LENS, PLACES)
 
-    everywhere = edges.edge_places(arcs(), covariance(0.0), LENS, PLACES)
+    everywhere = edge_places(arcs(), covariance(0.0), LENS, PLACES)
     step = np.zeros(7)
     step[parameter] = 1e-3 * np.sqrt(known[parameter, parameter])
     angle = everywhere[:, 12] * PLACES.spacing_px * arcs().origin[2] / LENS.fx
@@ -103,7 +101,7 @@ def test_there_are_no_places_where_the_edge_is_predicted_worse_than_asked_for(pa
 def test_a_straight_ring_has_places_on_both_edges():
     straight = replace(arcs(), curvature=0.0)
 
-    found = edges.edge_places(straight, covariance(0.0), LENS, PLACES)
+    found = edge_places(straight, covariance(0.0), LENS, PLACES)
 
     across = (found[:, :3] - straight.origin) @ straight.axes[0]
     np.testing.assert_allclose(across, -0.015 * found[:, 6], atol=1e-12)
@@ -111,7 +109,7 @@ def test_a_straight_ring_has_places_on_both_edges():
 
 
 def test_so_many_places_at_most_are_to_both_sides():
-    found = edges.edge_places(arcs(), covariance(0.0), LENS, PLACES._replace(farthest=3.0))
+    found = edge_places(arcs(), covariance(0.0), LENS, PLACES._replace(farthest=3.0))
 
     assert np.abs(found[:, 12]).max() == 3
 
@@ -119,7 +117,7 @@ def test_so_many_places_at_most_are_to_both_sides():
 def test_a_ring_behind_the_camera_has_no_places():
     behind = replace(arcs(), origin=np.array([0.0, 0.0, -0.5]))
 
-    assert len(edges.edge_places(behind, covariance(0.0), LENS, PLACES)) == 0
+    assert len(edge_places(behind, covariance(0.0), LENS, PLACES)) == 0
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -129,7 +127,7 @@ def test_profiles_are_means_of_scipys_bilinear_interpolation(dtype, rng):
     place, angle = rng.uniform(-3, 44, (30, 2)), rng.uniform(0, 2 * np.pi, 30)
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
-    value, saturated, noise_dn = edges.edge_profiles(image, place, normal, PROFILES)
+    value, saturated, noise_dn = edge_profiles(image, place, normal, 2, 255)
 
     across, along = np.arange(-7.0, 6.0), np.arange(4) - 1.5
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
@@ -153,7 +151,7 @@ def test_profiles_are_means_of_scipys_bilinear_interpolation(dtype, rng):
 def test_places_and_normals_that_are_none_read_nothing_beyond_the_image(place, normal):
     image = np.full((40, 40), 7, np.uint8)
 
-    value, saturated, _ = edges.edge_profiles(image, np.full((2, 2), place), np.full((2, 2), normal), PROFILES)
+    value, saturated, _ = edge_profiles(image, np.full((2, 2), place), np.full((2, 2), normal), 2, 255)
 
     assert not value.any()
     assert not saturated.any()

@@ -5,7 +5,8 @@ import pytest
 from crowded_tracks import ANY, RULES, crowd, planes, rules_of, tracks_between, true_ends, with_rules
 from drawn_scene import drawn_rig
 
-from ringpose.kernels.lines import BEYOND_ENDS, TRACK_COLUMNS, ring_faces
+from ringpose.detect.rim import ring_faces
+from ringpose.kernels.lines import BEYOND_ENDS, TRACK_COLUMNS
 
 
 def exact_score(tracks, params):

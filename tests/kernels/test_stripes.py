@@ -5,9 +5,8 @@ import pytest
 from benchmarks.stripe_images import Kind, stripe_rig, switched_frames
 from scipy.ndimage import gaussian_filter1d
 
-from ringpose.detect.stripes import stripe_filters
+from ringpose.detect.stripes import Filters, StripeParams, stripe_centers, stripe_filters
 from ringpose.kernels import _kernels
-from ringpose.kernels.stripes import Filters, StripeParams, stripes
 
 FILTERS = stripe_filters(2.5)
 RULES = StripeParams(
@@ -49,7 +48,7 @@ def zeros_of_slope(image, sigma, near):
 def test_centres_are_zeros_of_the_slope_under_a_filter_somewhat_wider_than_the_stripe(sigma, rng):
     image, truth = drawn(sigma, rng)
 
-    found = stripes(image, None, None, FILTERS, RULES)
+    found = stripe_centers(image, None, None, FILTERS, RULES)
 
     assert found.position_px[:, 0].tolist() == list(range(200))
     off_px = found.position_px[:, 1] - zeros_of_slope(image, 1.26 * sigma, truth)
@@ -60,7 +59,7 @@ def test_centres_are_zeros_of_the_slope_under_a_filter_somewhat_wider_than_the_s
 def test_centres_have_no_bias_and_scatter_no_more_than_reported_under_any_ridge_filter(sigma, filter_sigma, rng):
     image, truth = drawn(sigma, rng, noise=3.0)
 
-    found = stripes(image, None, None, stripe_filters(filter_sigma), RULES._replace(coarse_per_response=5.0))
+    found = stripe_centers(image, None, None, stripe_filters(filter_sigma), RULES._replace(coarse_per_response=5.0))
 
     error_px = found.position_px[:, 1] - truth[found.position_px[:, 0].astype(int)]
     assert len(error_px) > 190
@@ -74,7 +73,7 @@ def test_centres_of_saturated_tops_have_no_bias(width, rng):
     apart = abs(np.arange(160)[:, None] - truth)
     image = np.clip(400 - 60 * np.maximum(apart - width / 2, 0) + rng.normal(0, 3, apart.shape), 0, 255)
 
-    found = stripes(image.astype(np.uint8), None, None, FILTERS, RULES)
+    found = stripe_centers(image.astype(np.uint8), None, None, FILTERS, RULES)
 
     error_px = found.position_px[:, 1] - truth[found.position_px[:, 0].astype(int)]
     assert len(error_px) >= 190
@@ -87,9 +86,9 @@ def test_centres_before_a_dark_frame_are_those_of_the_difference(dtype, rng):
     image, _ = drawn(1.6, rng, beneath=0.0, peak=120.0)
     dark = rng.integers(0, 120, image.shape, np.uint8)
 
-    found = stripes((image + dark).astype(dtype), dark.astype(dtype), None, FILTERS, RULES)
+    found = stripe_centers((image + dark).astype(dtype), dark.astype(dtype), None, FILTERS, RULES)
 
-    expected = stripes(image.astype(dtype), None, None, FILTERS, RULES)
+    expected = stripe_centers(image.astype(dtype), None, None, FILTERS, RULES)
     np.testing.assert_array_equal(found.piece, expected.piece)
     np.testing.assert_allclose(found.position_px, expected.position_px, atol=1e-9)
 
@@ -100,8 +99,8 @@ def test_sixteen_bits_of_the_same_light_give_the_same_centres(kind):
     wide = RULES._replace(full_dn=255.0 * 257, min_response=RULES.min_response * 257)
 
     eight, sixteen = (
-        stripes(image, None, None, FILTERS, RULES),
-        stripes(image.astype(np.uint16) * 257, None, None, FILTERS, wide),
+        stripe_centers(image, None, None, FILTERS, RULES),
+        stripe_centers(image.astype(np.uint16) * 257, None, None, FILTERS, wide),
     )
 
     assert len(eight.piece) > 500
@@ -116,7 +115,7 @@ def test_a_mirrored_image_has_mirrored_centres(sigma, axis, rng):
     image, _ = drawn(sigma, rng, skew=0.3)
     mirrored = np.flip(image, axis)
 
-    found, other = (stripes(each, None, None, FILTERS, RULES) for each in (image, mirrored))
+    found, other = (stripe_centers(each, None, None, FILTERS, RULES) for each in (image, mirrored))
 
     x, y = found.position_px.T
     back = np.stack([199 - x, y] if axis else [x, 159 - y], axis=-1)
@@ -129,9 +128,9 @@ def test_a_part_of_an_image_has_the_centres_that_the_image_has_there(shape, move
     image, _ = drawn(1.6, rng)
     top, left = 20 + moved[0], min(moved[1], 200 - shape[1])
 
-    found = stripes(image[top : top + shape[0], left : left + shape[1]], None, None, FILTERS, RULES)
+    found = stripe_centers(image[top : top + shape[0], left : left + shape[1]], None, None, FILTERS, RULES)
 
-    whole = stripes(image, None, None, FILTERS, RULES)
+    whole = stripe_centers(image, None, None, FILTERS, RULES)
     expected = whole.position_px[left : left + shape[1]] - [left, top]
     np.testing.assert_allclose(found.position_px, expected, atol=1e-4)
 
@@ -142,7 +141,7 @@ def test_a_part_of_an_image_has_the_centres_that_the_image_has_there(shape, move
 def test_pieces_of_noise_ascend_column_by_column(dtype, gap, shortest, rng):
     image = rng.integers(0, np.iinfo(dtype).max, (160, 150), dtype, endpoint=True)
 
-    found = stripes(image, None, None, FILTERS, WEAK_RULES._replace(gap=gap, shortest=shortest))
+    found = stripe_centers(image, None, None, FILTERS, WEAK_RULES._replace(gap=gap, shortest=shortest))
 
     assert (np.diff(found.piece) >= 0).all()
     assert np.isfinite(found.position_px).all()
@@ -156,9 +155,9 @@ def test_every_band_shows_only_its_own_stripe(rng):
     upper, _ = drawn(1.6, rng, beneath=0.0)
     image = np.maximum(upper, np.roll(upper, 50, axis=0))
 
-    found = stripes(image, None, np.array([[32, 112, 120, 140]], np.int32), FILTERS, RULES)
+    found = stripe_centers(image, None, np.array([[32, 112, 120, 140]], np.int32), FILTERS, RULES)
 
-    whole = stripes(image, None, None, FILTERS, RULES)
+    whole = stripe_centers(image, None, None, FILTERS, RULES)
     inside = (whole.position_px[:, 1] > 120) & (np.abs(whole.position_px[:, 0] - 71.5) < 40)
     np.testing.assert_allclose(found.position_px, whole.position_px[inside], atol=1e-9)
 
@@ -170,7 +169,7 @@ def test_bands_anywhere_show_no_stripe_outside_them(height, count, rng):
     bands = np.sort(rng.integers(-20, 480, (count, 2, 2)), axis=-1).reshape(count, 4)
     bands[:, 2:] = bands[:, 2:] * height // 343
 
-    found = stripes(image.image[150 : 150 + height], None, bands.astype(np.int32), FILTERS, RULES)
+    found = stripe_centers(image.image[150 : 150 + height], None, bands.astype(np.int32), FILTERS, RULES)
 
     x, y = found.position_px.T
     near = [(x >= a - 16) & (x < b + 16) & (y >= c - 8) & (y < d + 8) for a, b, c, d in bands]
@@ -180,12 +179,12 @@ def test_bands_anywhere_show_no_stripe_outside_them(height, count, rng):
 @pytest.mark.parametrize("value", [0, 100, 255])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 50), (3, 3), (50, 1), (4, 16), (128, 64)])
 def test_images_of_one_value_have_no_stripe(shape, value):
-    assert len(stripes(np.full(shape, value, np.uint8), None, None, FILTERS, RULES).piece) == 0
+    assert len(stripe_centers(np.full(shape, value, np.uint8), None, None, FILTERS, RULES).piece) == 0
 
 
 @pytest.mark.parametrize("shape", [(1, 50), (2, 50), (3, 40), (5, 300), (50, 1)])
 def test_centres_of_few_rows_or_columns_lie_in_the_image(shape, rng):
-    found = stripes(rng.integers(0, 256, shape, np.uint8), None, None, FILTERS, WEAK_RULES._replace(shortest=1))
+    found = stripe_centers(rng.integers(0, 256, shape, np.uint8), None, None, FILTERS, WEAK_RULES._replace(shortest=1))
 
     assert ((found.position_px >= -0.5) & (found.position_px <= np.array(shape[::-1]) - 0.5)).all()
 
@@ -194,9 +193,9 @@ def test_centres_of_few_rows_or_columns_lie_in_the_image(shape, rng):
 def test_an_image_may_be_a_view_of_another(part):
     image, _ = switched_frames(Kind.DARK, 0, SEVENTH_RIG)
 
-    found = stripes(image.image[part], None, None, FILTERS, RULES)
+    found = stripe_centers(image.image[part], None, None, FILTERS, RULES)
 
-    expected = stripes(image.image[part].copy(), None, None, FILTERS, RULES)
+    expected = stripe_centers(image.image[part].copy(), None, None, FILTERS, RULES)
     assert len(found.piece) > 100
     np.testing.assert_array_equal(found.position_px, expected.position_px)
 

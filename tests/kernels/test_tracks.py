@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams, stripe_line_segments
+from ringpose.detect.stripes import straight_segments
+from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
 
 RULES = TrackParams(
     kink_px=0.6,
@@ -21,7 +22,7 @@ BENT = Lens(900.0, 905.0, 400.0, 300.0, -0.2, 0.1, 0.001, -0.002, 0.03, 0.01, 0.
 
 
 def line(x, y, laser=-1):
-    """One piece as arguments of stripe_line_segments."""
+    """One piece as arguments of straight_segments."""
     position = np.column_stack([x, y]).astype(np.float64)
     return position, np.full(len(x), 0.1), np.zeros(len(x), dtype=np.int64), np.array([laser], dtype=np.int64)
 
@@ -33,13 +34,13 @@ def columns(rows, name):
 @pytest.mark.parametrize("wrong", [{"min_columns": 3}, {"image_width": 0}, {"max_lag": -1}, {"kink_px": np.nan}])
 def test_parameters_out_of_range_are_a_value_error(wrong):
     with pytest.raises(ValueError, match="params"):
-        stripe_line_segments(*line(np.arange(100, 300), np.zeros(200)), STRAIGHT, RULES._replace(**wrong))
+        straight_segments(*line(np.arange(100, 300), np.zeros(200)), STRAIGHT, RULES._replace(**wrong))
 
 
 def test_a_drawn_line_comes_back():
     x = np.arange(100, 300)
 
-    rows = stripe_line_segments(*line(x, 200 + 0.03 * x), STRAIGHT, RULES)
+    rows = straight_segments(*line(x, 200 + 0.03 * x), STRAIGHT, RULES)
 
     assert len(rows) == 1
     assert columns(rows, "slope") == pytest.approx(0.03, abs=1e-9)
@@ -53,7 +54,7 @@ def test_tracks_of_noisy_lines_are_least_squares_lines(rng):
     position = np.concatenate([np.column_stack([x, y + 60 * k]) for k, y in enumerate(drawn)])
     piece, laser = np.repeat([0, 1, 2], 200), np.array([-1, 2, 0])
 
-    rows = stripe_line_segments(position, np.full(600, 0.2), piece, laser, STRAIGHT, RULES)
+    rows = straight_segments(position, np.full(600, 0.2), piece, laser, STRAIGHT, RULES)
 
     assert columns(rows, "laser").tolist() == [-1, 2, 0]
     for k, y in enumerate(drawn):
@@ -72,7 +73,7 @@ def test_pieces_in_another_order_give_the_same_tracks(rng):
     piece, laser = np.repeat(np.arange(4), 60), np.full(4, -1)
 
     found, other = (
-        stripe_line_segments(each, np.full(240, 0.1), piece, laser, STRAIGHT, RULES)
+        straight_segments(each, np.full(240, 0.1), piece, laser, STRAIGHT, RULES)
         for each in (position, position.reshape(4, 60, 2)[::-1].reshape(-1, 2).copy())
     )
 
@@ -84,7 +85,7 @@ def test_a_kink_cuts_a_piece_in_two():
     x = np.arange(100, 300)
     y = 200 + np.where(x > 220, 0.3 * (x - 220), 0.0)
 
-    rows = stripe_line_segments(*line(x, y), STRAIGHT, RULES)
+    rows = straight_segments(*line(x, y), STRAIGHT, RULES)
 
     assert np.sort(columns(rows, "slope")) == pytest.approx([0.0, 0.3], abs=0.01)
     assert np.sort(columns(rows, "x_start"))[1] == pytest.approx(220, abs=3)
@@ -96,7 +97,7 @@ def test_a_step_that_raised_all_sigmas_is_cut(rng):
     y = 200 + 4.6 / (1 + np.exp(-(x - 152.0) / 1.5)) + rng.normal(0, 0.1, 150)
     position, sigma, piece, laser = line(x, y)
 
-    rows = stripe_line_segments(position, np.full_like(sigma, 1.2), piece, laser, STRAIGHT, RULES)
+    rows = straight_segments(position, np.full_like(sigma, 1.2), piece, laser, STRAIGHT, RULES)
 
     assert np.sort(columns(rows, "middle_y")) == pytest.approx([200.0, 204.6], abs=0.1)
     assert np.sort(columns(rows, "x_end"))[0] == pytest.approx(150, abs=5)
@@ -106,7 +107,7 @@ def test_a_gap_on_one_line_is_bridged():
     x = np.concatenate([np.arange(100, 160), np.arange(175, 240)])
     piece = np.repeat([0, 1], [60, 65])
 
-    rows = stripe_line_segments(
+    rows = straight_segments(
         np.column_stack([x, np.full(125, 50.0)]).astype(np.float64),
         np.full(125, 0.1),
         piece.astype(np.int64),
@@ -126,7 +127,7 @@ def test_distortion_is_undone():
     coefficients = np.array(BENT[4:])
     bent = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, coefficients)[0].reshape(-1, 2)
 
-    rows = stripe_line_segments(bent, np.full(400, 0.1), np.zeros(400, np.int64), np.zeros(1, np.int64), BENT, RULES)
+    rows = straight_segments(bent, np.full(400, 0.1), np.zeros(400, np.int64), np.zeros(1, np.int64), BENT, RULES)
 
     assert len(rows) == 1
     assert columns(rows, "slope") == pytest.approx(0.0, abs=1e-8)
@@ -136,7 +137,7 @@ def test_distortion_is_undone():
 def test_white_noise_has_a_correlation_near_one(rng):
     x = np.arange(0, 700)
 
-    rows = stripe_line_segments(*line(x, 200 + rng.normal(0, 0.2, 700)), STRAIGHT, RULES)
+    rows = straight_segments(*line(x, 200 + rng.normal(0, 0.2, 700)), STRAIGHT, RULES)
 
     assert 1.0 <= columns(rows, "correlation")[0] < 1.6
 
@@ -144,7 +145,7 @@ def test_white_noise_has_a_correlation_near_one(rng):
 def test_no_centres_give_no_tracks():
     nothing = np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64)
 
-    assert stripe_line_segments(*nothing, STRAIGHT, RULES).shape == (0, 11)
+    assert straight_segments(*nothing, STRAIGHT, RULES).shape == (0, 11)
 
 
 @pytest.mark.parametrize(
@@ -154,6 +155,6 @@ def test_no_centres_give_no_tracks():
 )
 def test_centres_out_of_order_are_rejected(piece, position):
     with pytest.raises(ValueError, match="centers"):
-        stripe_line_segments(
+        straight_segments(
             np.full((2, 2), position), np.ones(2), piece.astype(np.int64), np.zeros(2, np.int64), STRAIGHT, RULES
         )

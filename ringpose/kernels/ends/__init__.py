@@ -133,7 +133,7 @@ def flagged_ends(
 ) -> Ends:
     """The ends of tracks, each of a different laser, with covariances and flags.
 
-    `tracks` and `found` are the results of `stripe_line_segments` and `stripe_ends`. The error along the line is that
+    `tracks` and `found` are the results of `straight_segments` and `stripe_ends`. The error along the line is that
     of the edge; the error across is that of the line: the scatter of the track's centres, divided by the root of the
     number of independent columns, and errors that all its centres share (background, saturation). The scatter is pooled
     over the tracks.

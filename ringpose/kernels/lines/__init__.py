@@ -1,4 +1,4 @@
-"""Line segments through stripe centres (tracks), the hypothesis test for the ring's rim, and arcs through endpoints.
+"""Arguments of the kernels for line segments through stripe centres (tracks), the ring's rim, and arcs.
 
 The sources are tracks.c (segmentation and line fits), rim.c (which segments lie on the rim of one planar ring) and
 arcs.c (two concentric arcs through the segments' endpoints).
@@ -6,11 +6,6 @@ arcs.c (two concentric arcs through the segments' endpoints).
 
 import math
 from typing import NamedTuple
-
-import numpy as np
-
-from ringpose.kernels import _kernels
-from ringpose.types.arrays import Array, Float64, Int64
 
 
 class Lens(NamedTuple):
@@ -53,31 +48,12 @@ TRACK_COLUMNS = (
     "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
     "slope", "scatter", "correlation", "clipped", "beyond_ends",
 )  # fmt: skip
-"""Columns of the result of `stripe_line_segments`; `beyond_ends` counts the centres on the track's line that lie
+"""Columns of the result of `straight_segments`; `beyond_ends` counts the centres on the track's line that lie
 between 2 px and the track's length (at most 100 px) + 40 px beyond its ends."""
 
 LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, BEYOND_ENDS = range(
     len(TRACK_COLUMNS)
 )
-
-
-def stripe_line_segments(
-    position_px: Float64[Array, "center xy=2"],
-    sigma_px: Float64[Array, "center"],
-    piece: Int64[Array, "center"],
-    laser: Int64[Array, "piece"],
-    lens: Lens,
-    params: TrackParams,
-) -> Float64[Array, "track column=11"]:
-    """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
-
-    Pieces are split at their kinks (Ramer-Douglas-Peucker on running medians of seven) and joined across gaps. Each
-    line is fitted twice by least squares, the second time without outliers. Centres must be sorted by piece, then
-    column.
-    """
-    position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
-    found = _kernels.tracks(position, sigma, piece, laser, lens, params)
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
 class UnionParams(NamedTuple):
@@ -170,44 +146,3 @@ class FaceParams(NamedTuple):
     unions: UnionParams
     candidates: CandidateParams
     ring: RingParams
-
-
-class Group(NamedTuple):
-    """The best hypothesis with a given number of lasers: one track for each of them."""
-
-    lasers: tuple[int, ...]
-    tracks: tuple[int, ...]
-    """Indices of the tracks."""
-    score: float
-    """Log likelihood up to a constant; minus infinity if no group is possible."""
-    rival: float
-    """Best score of the same tracks with another assignment to lasers."""
-
-
-class Faces(NamedTuple):
-    """Hypotheses for the rim of the ring."""
-
-    tracks: Float64[Array, "n column=11"]
-    """The given tracks, followed by the merged ones."""
-    groups: tuple[Group, Group, Group]
-    """The best groups of one, two and three tracks."""
-
-
-def ring_faces(
-    tracks: Float64[Array, "track column=11"],
-    unlabelled: int,
-    planes: Float64[Array, "laser xyz=3"],
-    params: FaceParams,
-) -> Faces:
-    """The best groups of one, two and three tracks, each of a different laser, that lie on the rim of one planar ring.
-
-    `unlabelled` is the bit mask of the lasers that tracks without a laser may belong to. `planes` are the light planes
-    as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them. Collinear tracks are tried as one, too.
-    The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers, and a tilt
-    prior of sigma 0.5 rad.
-    """
-    every, (one, two, three) = _kernels.faces(
-        np.ascontiguousarray(tracks), unlabelled, np.ascontiguousarray(planes), *params
-    )
-    groups = Group(*one), Group(*two), Group(*three)
-    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
