@@ -1,8 +1,10 @@
 """What the pages of the console and of recorded data have in common: the scene in three dimensions, text and plots."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
+import cv2
 import numpy as np
 import viser
 import viser.transforms
@@ -11,10 +13,12 @@ from viser import uplot
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import remarks_on
 from ringpose.report.overlay import color_of, pose_texts
+from ringpose.simulate.target.parts import body_part, ring_part
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseLine, RingPose, RingVelocity
 from ringpose.types.rig import Camera, Rig
-from ringpose.types.scene import Truth
+from ringpose.types.scene import Scene, Truth
+from ringpose.types.target import MATERIALS, Box, Part
 
 PLOTS = (
     ("error of the centre (mm)", "center_m", 1e3),
@@ -26,7 +30,17 @@ PLOTS = (
 RING_POINTS = 90
 """Vertices of a circle in the scene."""
 
-RING_COLORS = {"estimate": (31, 95, 191), "truth": (70, 160, 60), "track": (225, 120, 0)}
+RING_COLORS = (31, 95, 191), (70, 160, 60), (225, 120, 0)
+"""Of the estimate, the truth and the track."""
+
+COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
+"""Of the target's materials; others are grey."""
+
+FRUSTUM_PX = 160
+"""Width of the picture in the frustum; without a GPU, that of the panel would take as long as the rest of the scene."""
+
+CHEAP: Any = {"material": "toon3", "cast_shadow": False, "receive_shadow": False}
+"""Of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
 
 PANEL_PX = (400, 600, 900)
 """Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
@@ -82,21 +96,29 @@ class SceneView:
             "/camera", *_field_of_view(rig.camera), scale=0.12, color=(200, 200, 200), thickness=2.0,
             thickness_units="screen",
         )  # fmt: skip
-        self._center = server.scene.add_icosphere("/estimate/center", 1.0, (176, 48, 144), visible=False)
+        both_sides = np.array([[0, 1, 2], [0, 2, 1]])  # side="double" would draw a transparent mesh twice
+        self._planes = [
+            server.scene.add_mesh_simple(
+                f"/light/{name}", np.zeros((3, 3)), both_sides, color=color_of(laser)[::-1], opacity=0.35, **CHEAP
+            )
+            for laser, name in enumerate(rig.lasers.names)
+        ]  # fmt: skip
+        self._center = server.scene.add_icosphere("/estimate/center", 1.0, (176, 48, 144), visible=False, **CHEAP)
+        self._lines: dict[str, viser.LineSegmentsHandle] = {}
 
     def show_image(self, jpeg: bytes) -> None:
-        """Show the image of the measurement camera in its frustum."""
-        self._frustum._format = "jpeg"
-        self._frustum._image_data = jpeg
+        """Show the image of the measurement camera in its frustum, in the size in which it is seen there."""
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_COLOR_4)
+        assert image is not None
+        size = FRUSTUM_PX, round(FRUSTUM_PX * image.shape[0] / image.shape[1])
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        self._frustum.image = small[:, :, ::-1]
 
     def show_rig(self, rig: Rig, mask: int, depth_m: float) -> None:
         """The frustum, and the light planes of the lasers of the mask up to a depth."""
         self._frustum.fov, self._frustum.aspect = _field_of_view(rig.camera)
-        for laser, name in enumerate(rig.lasers.names):
-            self._server.scene.add_mesh_simple(
-                f"/light/{name}", _light_plane(rig, laser, depth_m), np.array([[0, 1, 2]]), color=color_of(laser)[::-1],
-                opacity=0.35, side="double", visible=bool(mask >> laser & 1),
-            )  # fmt: skip
+        for laser, plane in enumerate(self._planes):
+            plane.vertices, plane.visible = _light_plane(rig, laser, depth_m), bool(mask >> laser & 1)
 
     def show_stripes(self, segments: Float64[Array, "laser 2 xyz=3"], mask: int) -> None:
         """Where the light planes of the lasers of the mask meet the ring's face; NaN where they do not."""
@@ -105,9 +127,9 @@ class SceneView:
 
     def show_rings(self, pose: RingPose | None, truth: Truth | None, track: RingPose | None) -> None:
         """The estimated ring with the error ellipsoid of its centre, the true one and that of the track."""
-        for ring, (name, color) in zip((pose, truth, track), RING_COLORS.items(), strict=True):
-            segments = _ring_segments(ring)
-            self._show_lines(f"/{name}/ring", segments, [color] * len(segments), 2.0)
+        segments = [_ring_segments(ring) for ring in (pose, truth, track)]
+        colors = [color for each, color in zip(segments, RING_COLORS, strict=True) for _ in each]
+        self._show_lines("/rings", np.concatenate(segments), colors, 2.0)
         covariance = None if pose is None else pose.covariance_center_m2
         self._center.visible = is_known = covariance is not None and bool(np.isfinite(covariance).all())
         if is_known and pose is not None and covariance is not None:
@@ -121,14 +143,17 @@ class SceneView:
         self, name: str, segments: Float64[Array, "n 2 xyz=3"], colors: Sequence[tuple[int, ...]], thickness_px: float
     ) -> None:
         """Replace the line segments of a name, with a color each; none hides them."""
-        self._server.scene.add_line_segments(
-            name,
-            segments if len(segments) else np.zeros((1, 2, 3)),
-            np.repeat(np.array(colors or [(0, 0, 0)], np.uint8)[:, None], 2, axis=1),
-            thickness=thickness_px,
-            thickness_units="screen",
-            visible=len(segments) > 0,
-        )
+        if name not in self._lines:
+            blank = np.zeros((1, 2, 3))
+            self._lines[name] = self._server.scene.add_line_segments(
+                name, blank, blank.astype(np.uint8), thickness=thickness_px, thickness_units="screen"
+            )
+        lines = self._lines[name]
+        lines.visible = len(segments) > 0
+        if len(segments):
+            linear = 255 * (np.array(colors) / 255) ** 2.2  # viser takes the colors of lines for linear ones
+            lines.colors = np.repeat(linear.astype(np.uint8)[:, None], 2, axis=1)
+            lines.points = segments
 
 
 def _ring_segments(ring: RingPose | Truth | None) -> Float64[Array, "n 2 xyz=3"]:
@@ -235,23 +260,44 @@ def _circle(center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m
     return segments
 
 
-def surface(profile_m: Float64[Array, "point 2"]) -> tuple[Any, Any]:
-    """Vertices and triangles of a surface of revolution."""
-    angle = np.linspace(0.0, 2 * np.pi, RING_POINTS, endpoint=False)
-    radius, height = profile_m.T
+def target_surfaces(scene: Scene) -> dict[tuple[int, int, int], tuple[Float64[Array, "n xyz=3"], Any]]:
+    """Vertices in the target frame, and triangles, of all parts of a color: few meshes are drawn faster than many."""
+    body = () if scene.body is None else (body_part(scene.body),)
+    meshes: dict[tuple[int, int, int], list[tuple[Any, Any]]] = {}
+    for part in (*body, *scene.parts, ring_part(scene.ring)):
+        vertices_m, faces = _box(part.shape) if isinstance(part.shape, Box) else _revolution(part.shape.profile_m)
+        found = meshes.setdefault(_color(part), [])
+        known = sum(len(each) for each, _ in found)
+        found.append((vertices_m @ part.rotation.T + part.translation_m, faces + known))
+    return {
+        color: (np.concatenate([each for each, _ in found]), np.concatenate([each for _, each in found]))
+        for color, found in meshes.items()
+    }
+
+
+def _color(part: Part) -> tuple[int, int, int]:
+    return next((COLORS[name] for name in COLORS if MATERIALS[name] == part.materials[0]), (150, 155, 165))
+
+
+def _box(box: Box) -> tuple[Any, Any]:
+    """Vertices and triangles; each side has vertices of its own, and so a sharp edge."""
+    corners_m = np.array(list(product(*zip(box.low_m, box.high_m, strict=True))))
+    sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    first = 4 * np.arange(6)[:, None]
+    return corners_m[sides.ravel()], np.concatenate([first + np.array(each) for each in ((0, 1, 2), (0, 2, 3))])
+
+
+def _revolution(profile_m: Float64[Array, "point 2"]) -> tuple[Any, Any]:
+    """Vertices and triangles; each segment of the profile has vertices of its own, and so a sharp edge."""
+    angle = np.linspace(0.0, 2 * np.pi, RING_POINTS, endpoint=False)[:, None]
+    radius, height = np.repeat(profile_m, 2, axis=0)[1:-1].T
     vertices = np.stack(
-        [
-            np.outer(np.cos(angle), radius),
-            np.outer(np.sin(angle), radius),
-            np.broadcast_to(height, (len(angle), len(height))),
-        ],
-        axis=-1,
+        [np.cos(angle) * radius, np.sin(angle) * radius, np.broadcast_to(height, (RING_POINTS, len(height)))], -1
     )
-    index = np.arange(vertices.shape[0] * vertices.shape[1]).reshape(vertices.shape[:2])
-    here, onward = index, np.roll(index, -1, axis=0)
-    quads = [(here[:, :-1], here[:, 1:], onward[:, 1:]), (here[:, :-1], onward[:, 1:], onward[:, :-1])]
-    faces = np.concatenate([np.stack([each.ravel() for each in triangle], axis=-1) for triangle in quads])
-    return vertices.reshape(-1, 3), faces
+    here = np.arange(RING_POINTS * len(height)).reshape(RING_POINTS, -1, 2)
+    onward = np.roll(here, -1, axis=0)
+    quads = [(here[..., 0], here[..., 1], onward[..., 1]), (here[..., 0], onward[..., 1], onward[..., 0])]
+    return vertices.reshape(-1, 3), np.concatenate([np.stack(each, axis=-1).reshape(-1, 3) for each in quads])
 
 
 def _light_plane(rig: Rig, laser: int, depth_m: float) -> Float64[Array, "3 3"]:

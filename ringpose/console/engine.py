@@ -43,6 +43,9 @@ QUIET_S = 0.3
 PAUSE = 2.0
 """Pause after a measurement while states change, in durations of that measurement: a third of the time is measured."""
 
+MAX_CAMERAS = 4
+"""Camera records that are kept."""
+
 POLL_S = 0.05
 """Between two checks whether a waiting item can be worked on."""
 
@@ -138,6 +141,7 @@ class Engine:
         is_watched: Callable[[], bool] = lambda: True,
     ) -> None:
         self._scene = scene
+        self._lock = threading.Lock()
         self._cameras: dict[tuple[object, ...], Camera] = {}
         self._tracker, self._tracked = Tracker(None), (-1, 0.0)
         self._ended = threading.Event()
@@ -151,12 +155,15 @@ class Engine:
         def measure(state: ConsoleState) -> None:
             began_s = time.monotonic()
             picture = self.measured(state)
-            self._due_s = time.monotonic() + PAUSE * (time.monotonic() - began_s)
+            with self._lock:
+                self._due_s = time.monotonic() + PAUSE * (time.monotonic() - began_s)
             record(picture)
             pictures[1].put(picture)
 
         def may_measure() -> bool:
-            return is_watched() and time.monotonic() > min(self._changed_s + QUIET_S, self._due_s)
+            with self._lock:
+                due_s = min(self._changed_s + QUIET_S, self._due_s)
+            return is_watched() and time.monotonic() > due_s
 
         def preview(state: ConsoleState) -> None:
             pictures[0].put(self.preview(state))
@@ -178,12 +185,13 @@ class Engine:
 
     def show(self, state: ConsoleState, *, measure_now: bool = False) -> None:
         """Show this state as soon as possible, then measure it, instead of earlier ones that are not begun yet."""
-        now_s = time.monotonic()
-        if now_s > self._changed_s + QUIET_S:  # the first change for a while: its preview comes first
-            self._due_s = max(self._due_s, now_s + QUIET_S)
-        self._changed_s = now_s
-        if measure_now:
-            self._due_s = now_s
+        with self._lock:
+            now_s = time.monotonic()
+            if now_s > self._changed_s + QUIET_S:  # the first change for a while: its preview comes first
+                self._due_s = max(self._due_s, now_s + QUIET_S)
+            self._changed_s = now_s
+            if measure_now:
+                self._due_s = now_s
         for worker in self._workers:
             worker.put(state)
 
@@ -249,10 +257,11 @@ class Engine:
         """The scene of a state, with the camera record of earlier pictures: the renderer keeps the rays of a record."""
         scene, change = state.scene_of(self._scene), state.rig_change
         key = (change.rig, change.focal_scale, change.pitch_scale, scene.rig.camera.image_width)
-        cameras = self._cameras
-        if key not in cameras:
-            self._cameras = cameras = {**dict(list(cameras.items())[-3:]), key: scene.rig.camera}
-        return replace(scene, rig=replace(scene.rig, camera=cameras[key]))
+        with self._lock:
+            camera = self._cameras.setdefault(key, scene.rig.camera)
+            if len(self._cameras) > MAX_CAMERAS:
+                del self._cameras[next(iter(self._cameras))]
+        return replace(scene, rig=replace(scene.rig, camera=camera))
 
 
 def _unseen(state: ConsoleState, rig: Rig, problem: DataError) -> ConsolePicture:

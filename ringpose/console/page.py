@@ -8,32 +8,32 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import numpy as np
 import viser.transforms
 
 from ringpose.console.display import (
+    CHEAP,
     Picture,
     Plots,
     SceneView,
     line_text,
     opened_server,
     plotted,
-    surface,
+    target_surfaces,
     track_text,
 )
 from ringpose.console.engine import ConsolePicture, Engine, Stage
+from ringpose.console.playback import IN_STEP, SPEEDS, STEP_S, Playback
 from ringpose.console.state import ConsoleState, Trajectory, first_state
 from ringpose.errors import DataError, RingposeError
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.simulate.placement import ring_views, target_placement
-from ringpose.simulate.target.parts import body_part, ring_part
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Earth, RingView, Scene
 from ringpose.types.session import parsed_sequence, steps_of, written_sequence
-from ringpose.types.target import MATERIALS, MOTION_PRESETS, Box, Part
+from ringpose.types.target import MOTION_PRESETS
 
 PERIOD_S = 0.07
 """Time between two states while the motion plays."""
@@ -44,16 +44,14 @@ ORBIT_PERIOD_S = 0.4
 END_S = 60.0
 """Of the motion that the controls set; then it starts again."""
 
-SPEEDS, IN_STEP = ("0.25", "0.5", "1", "2", "4"), "each shot measured"
-"""Seconds of the motion in a second; in step, the time advances by `STEP_S` when a measurement is finished."""
+SLIDER_PERIOD_S = 1.0
+"""Time between two moves of the time slider while the motion plays; the label of the picture has the exact time."""
 
-STEP_S = 0.2
+PANEL_FIRST_S = 0.05
+"""Time in which an update of the panel leaves before that of the orbit view, with which the browser would draw it."""
 
 SHOWN_MEASUREMENTS = 300
 """Measurements in the plots."""
-
-COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
-"""Of the target's materials; others are grey."""
 
 EARTH_MARGIN_M = 0.5
 """Between the target and the Earth, which is drawn behind all its parts and as large as it appears from the ring."""
@@ -91,8 +89,9 @@ class ConsolePage:
         self._rows: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
         self._measured = 0
         self._drawn_since = self._sought = -1
+        self._playback = Playback()
         self._measurement: ConsolePicture | None = None
-        self._measured_s = 0.0
+        self._measured_s = self._slider_moved_s = 0.0
         self._server = opened_server(host, port)
         self._engine = Engine(scene, self._show, self._record_shot, lambda: bool(self._server.get_clients()))
         self._orbit = Stage[tuple[ConsolePicture, bytes]]("orbit view", self._draw_orbit_view, self._engine.fail)
@@ -100,6 +99,7 @@ class ConsolePage:
     def __enter__(self) -> "ConsolePage":
         self._view3d = SceneView(self._server, self._scene.rig, self._state.center_m)
         self._add_target()
+        self._add_sky()
         self._add_gui()
         self._orbit.start()
         self._engine.__enter__()
@@ -147,8 +147,6 @@ class ConsolePage:
         self._preset.on_update(lambda _: self._apply_preset())
         self._motion.on_update(lambda _: self._apply_motion())
         self._step.on_click(lambda _: self._advance(STEP_S))
-        self._speed.on_update(lambda _: self._advance_in_step())
-        self._playing.on_update(lambda _: self._advance_in_step())
         for handle in (
             *self._center, *self._angles, self._spin, self._tumble, *self._drift, self._focal, self._pitch, self._size,
             self._auto, self._exposure, *self._on, self._sequence, *self._tilts, *self._shifts, self._ambient,
@@ -350,16 +348,15 @@ class ConsolePage:
         self._recorded.content = f"recorded {picture.shot.name}"
 
     def _play(self) -> None:
-        then_s = time.monotonic()
         while not self._ended.wait(PERIOD_S):
-            now_s = time.monotonic()
-            if self._playing.value and self._speed.value in SPEEDS and self._server.get_clients():
-                self._advance((now_s - then_s) * float(self._speed.value))
-            then_s = now_s
-
-    def _advance_in_step(self) -> None:
-        if self._playing.value and self._speed.value == IN_STEP:
-            self._advance(STEP_S, measure_now=True)
+            is_played = self._playing.value and bool(self._server.get_clients())
+            with self._lock:
+                shown = self._measurement
+                is_measured = shown is not None and shown.state.number == self._state.number
+                speed = self._speed.value
+                step_s = self._playback.step_s(time.monotonic(), speed if is_played else None, is_measured=is_measured)
+                if step_s:
+                    self._advance(step_s, measure_now=speed == IN_STEP)
 
     def _advance(self, step_s: float, *, measure_now: bool = False) -> None:
         """Go on in time; the slider follows with the picture."""
@@ -368,7 +365,9 @@ class ConsolePage:
             self._change(time_s, is_time_only=True, measure_now=measure_now)
 
     def _seek(self, time_s: float) -> None:
+        """Show another time, which may not be typed completely yet."""
         with self._lock:
+            self._playback.hold(time.monotonic())
             self._change(float(time_s), is_time_only=True)
             self._sought = self._state.number
 
@@ -378,18 +377,8 @@ class ConsolePage:
         """The parts of the target, in its frame."""
         server = self._server.scene
         self._target = server.add_frame("/target", show_axes=False)
-        for number, part in enumerate(_parts(self._scene)):
-            name, color, wxyz = f"/target/{number}", _color(part), viser.transforms.SO3.from_matrix(part.rotation).wxyz
-            if isinstance(part.shape, Box):
-                size_m = tuple(float(each) for each in part.shape.high_m - part.shape.low_m)
-                middle_m = part.rotation @ ((part.shape.low_m + part.shape.high_m) / 2) + part.translation_m
-                server.add_box(name, color, (size_m[0], size_m[1], size_m[2]), position=middle_m, wxyz=wxyz)
-            else:
-                vertices, faces = surface(part.shape.profile_m)
-                server.add_mesh_simple(
-                    name, vertices, faces, color=color, side="double", flat_shading=True, wxyz=wxyz,
-                    position=part.translation_m,
-                )  # fmt: skip
+        for number, (color, (vertices, faces)) in enumerate(target_surfaces(self._scene).items()):
+            server.add_mesh_simple(f"/target/{number}", vertices, faces, color=color, side="double", **CHEAP)
 
     def _place_target(self, picture: ConsolePicture) -> None:
         """Move target, light planes, sun and Earth to where they are in this state."""
@@ -408,29 +397,26 @@ class ConsolePage:
         points = predicted_break_points(arcs, rig.lasers.normal, rig.lasers.distance_m)
         self._view3d.show_stripes(points, state.mask)
 
+    def _add_sky(self) -> None:
+        server = self._server.scene
+        self._sun_arrow = server.add_arrows(
+            "/sun", np.zeros((1, 2, 3)), (240, 180, 40), shaft_radius=0.008, head_radius=0.02, head_length=0.05
+        )
+        self._sun_name = server.add_label("/sun/name", "sun")
+        self._earth_ball = server.add_icosphere("/earth", 1.0, (70, 110, 180), subdivisions=4, **CHEAP)
+        server.add_label("/earth/name", "Earth")  # its position is relative to the Earth
+
     def _show_sky(self, state: ConsoleState) -> None:
         """An arrow from the sun, and the Earth in its direction from the ring, outside the target."""
-        server, light = self._server.scene, state.light
+        light = state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
-        arrow = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
-        server.add_arrows(
-            "/sun",
-            arrow,
-            (240, 180, 40),
-            shaft_radius=0.008,
-            head_radius=0.02,
-            head_length=0.05,
-            visible=light.sun_w_m2 > 0,
-        )
-        server.add_label("/sun/name", "sun", position=sun_m, visible=light.sun_w_m2 > 0)
+        self._sun_arrow.points = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
+        self._sun_name.position = sun_m
+        self._sun_arrow.visible = self._sun_name.visible = light.sun_w_m2 > 0
         earth = light.earth or EARTH
-        distance_m, radius_m = drawn_earth_m(self._scene, earth)
-        earth_m = state.center_m + distance_m * earth.direction / np.linalg.norm(earth.direction)
-        server.add_icosphere(
-            "/earth", radius_m, (70, 110, 180), subdivisions=4, position=earth_m, visible=light.earth is not None
-        )
-        # its position is relative to the Earth
-        server.add_label("/earth/name", "Earth", visible=light.earth is not None)
+        distance_m, self._earth_ball.radius = drawn_earth_m(self._scene, earth)
+        self._earth_ball.position = state.center_m + distance_m * earth.direction / np.linalg.norm(earth.direction)
+        self._earth_ball.visible = light.earth is not None
 
     # Pictures
 
@@ -439,36 +425,44 @@ class ConsolePage:
 
         The panel is updated first, and alone: such an update is drawn at once, one of the scene with its next frame.
         """
-        state, shown = picture.state, self._measurement
-        is_newest = state.number == self._state.number
-        stamp = f"state {state.number}, {state.time_s:.2f} s"
-        if picture.line is not None:
-            self._measurement, self._measured_s = picture, time.monotonic()
-        elif shown is not None:
-            if state.number <= shown.state.number:
-                return  # its measurement is shown already
-            stamp += f"; measured {time.monotonic() - self._measured_s:.1f} s ago"
-        with self._server.atomic():
+        with self._lock, self._server.atomic():
+            state, shown = picture.state, self._measurement
+            is_newest = state.number == self._state.number
+            stamp = f"state {state.number}, {state.time_s:.2f} s"
             if picture.line is not None:
+                self._measurement, self._measured_s = picture, time.monotonic()
                 self._show_measurement(picture, jpeg, stamp)
+            elif shown is not None:
+                if state.number <= shown.state.number:
+                    return  # its measurement is shown already
+                stamp += f"; measured {time.monotonic() - self._measured_s:.1f} s ago"
             if picture.line is None or is_newest:
                 self._live.show(jpeg, f"camera: {stamp}")
-                self._orbit.put((picture, jpeg))
-                if state.number >= self._sought:  # else the slider was moved since
-                    self._time.value = state.time_s
-        if picture.line is not None:
-            self._advance_in_step()
+                if state.number > self._sought:  # else more may have been typed since
+                    self._show_time(state.time_s)
+        self._server.flush()
+        if picture.line is None or is_newest:
+            self._orbit.put((picture, jpeg))
+
+    def _show_time(self, time_s: float) -> None:
+        """Let the slider follow; while the motion plays not too often, as that replaces a digit that is being typed."""
+        now_s = time.monotonic()
+        if not self._playing.value or now_s > self._slider_moved_s + SLIDER_PERIOD_S:
+            self._time.value, self._slider_moved_s = time_s, now_s
 
     def _draw_orbit_view(self, shown: tuple[ConsolePicture, bytes]) -> None:
         """Update the scene in three dimensions, at most once in a period."""
         picture, jpeg = shown
+        self._ended.wait(PANEL_FIRST_S)
+        with self._lock:
+            measured = self._measurement
         with self._server.atomic():
             self._place_target(picture)
             self._view3d.show_image(jpeg)
-            if (measured := self._measurement) is not None and measured.line is not None:
+            if measured is not None and measured.line is not None:
                 track = measured.track
                 self._view3d.show_rings(measured.line.pose, None, None if track is None else track.pose)
-        self._ended.wait(ORBIT_PERIOD_S)
+        self._ended.wait(ORBIT_PERIOD_S - PANEL_FIRST_S)
 
     def _show_measurement(self, picture: ConsolePicture, jpeg: bytes, stamp: str) -> None:
         line, errors, track = picture.line, picture.errors or {}, picture.track
@@ -488,27 +482,11 @@ class ConsolePage:
 def drawn_earth_m(scene: Scene, earth: Earth) -> tuple[float, float]:
     """Distance from the ring, and radius, of a sphere that looks like the Earth from there and contains no part."""
     center_m = np.array([0.0, 0.0, scene.ring.height_m])
-    reach_m = 0.0
-    for part in _parts(scene):
-        if isinstance(part.shape, Box):
-            corners_m = np.array(list(product(*zip(part.shape.low_m, part.shape.high_m, strict=True))))
-        else:
-            corners_m = surface(part.shape.profile_m)[0]
-        away_m = corners_m @ part.rotation.T + part.translation_m - center_m
-        reach_m = max(reach_m, float(np.linalg.norm(away_m, axis=1).max()))
+    vertices_m = np.concatenate([vertices_m for vertices_m, _ in target_surfaces(scene).values()])
+    reach_m = float(np.linalg.norm(vertices_m - center_m, axis=1).max())
     sine = float(np.sin(earth.angular_radius_rad))
     distance_m = (reach_m + EARTH_MARGIN_M) / (1 - sine)
     return distance_m, distance_m * sine
-
-
-def _parts(scene: Scene) -> tuple[Part, ...]:
-    body = () if scene.body is None else (body_part(scene.body),)
-    return (*body, *scene.parts, ring_part(scene.ring))
-
-
-def _color(part: Part) -> tuple[int, int, int]:
-    named = (COLORS.get(name, (150, 155, 165)) for name, each in MATERIALS.items() if each == part.materials[0])
-    return next(named, (150, 155, 165))
 
 
 def _angles_deg(direction: Any) -> tuple[float, float]:

@@ -68,6 +68,7 @@ def _status_picture(lines: Sequence[PoseLine]) -> Picture:
         axes.vlines(here, 0, 1, color=color, linewidth=max(1.0, min(6.0, 600 / max(len(lines), 1))), label=status)
     axes.set_yticks([])
     axes.set_xlabel(label)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=label == NUMBER))
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     return Picture(png=png_of(figure), caption="Status of each shot.")
 

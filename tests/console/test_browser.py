@@ -182,6 +182,20 @@ def test_while_the_motion_plays_every_picture_has_the_stamp_of_its_state(page):
     assert stamps[-1][1] > stamps[0][1]
 
 
+def test_a_time_that_is_set_while_the_motion_plays_is_shown_and_in_step_each_state_is_measured(page):
+    page.get_by_role("checkbox", name="play").click()
+    number_field(page, "time (s)").fill("31.5")
+    page.wait_for_selector(r"text=/camera: state \d+, 31\.50 s/", timeout=WAIT_MS)
+
+    page.get_by_label("speed").click()
+    page.get_by_role("option", name="each shot measured").click()
+    number = state_number(page)
+    for _ in range(2):
+        wait_for_newer_state(page, number)
+        number = state_number(page)
+    page.get_by_role("checkbox", name="play").click()
+
+
 def choose_file(page, button, file):
     with page.expect_file_chooser() as chooser:
         page.get_by_role("button", name=button).click()

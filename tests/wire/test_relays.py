@@ -62,7 +62,7 @@ def test_requests_equal_published_lines(codec, command, line):
     [
         (LCUS, Read(2), b"CH1: ON \r\nCH2: OFF\r\n", 0b01),
         (LCUS, Read(2), b"CH1:OFF \r\nCH2:ON \r\n", 0b10),
-        (LCUS, Read(4), b"\x01\x00\x01\x00", 0b101),
+        (LCUS, Read(4), bytes.fromhex("01000100"), 0b101),
         (MODBUS, Read(8), bytes.fromhex("01 01 01 05 91 8B"), 0b101),
         (MODBUS, Switch(0, True), bytes.fromhex("01 05 00 00 FF 00 8C 3A"), 0),
         (NUMATO, Read(3), b"relay readall\n\r05\n\r>", 0b101),
@@ -119,7 +119,7 @@ def test_commands_in_pieces_of_any_size_are_decoded(codec):
 
 
 @pytest.mark.parametrize("codec", [LCUS, MODBUS])
-@pytest.mark.parametrize("noise", [b"\x00", b"\xa0\x01\x01", b"\x01\x05\x00", b"\xfe\x01"])
+@pytest.mark.parametrize("noise", [bytes.fromhex(each) for each in ("00", "a00101", "010500", "fe01")])
 def test_a_command_after_noise_is_decoded(codec, noise):
     found, _ = codec.commands(noise + codec.request(Switch(1, True)) + codec.request(Switch(0, False)))
 

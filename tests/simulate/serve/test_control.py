@@ -201,7 +201,7 @@ def test_the_heartbeat_timeout_has_a_minimum(controlled):
 
 def test_reading_an_invalid_address_is_rejected(control):
     assert asked(control, Command.READ_MEMORY, words(0xFFFFFF00, 8)).status == Status.INVALID_ADDRESS
-    assert asked(control, Command.READ_REGISTER, b"\xff\xff\xff\xfc").status == Status.INVALID_ADDRESS
+    assert asked(control, Command.READ_REGISTER, bytes.fromhex("fffffffc")).status == Status.INVALID_ADDRESS
 
 
 @given(

@@ -199,18 +199,18 @@ def check_three_clients(numbers, missed, frames):
 
 
 def test_a_client_that_stops_reading_is_skipped_and_others_lose_nothing(serve, monkeypatch):
-    monkeypatch.setattr(image_clients, "MAX_QUEUED", 20)  # a busy machine may stop the other clients for 1 s
+    monkeypatch.setattr(image_clients, "MAX_QUEUED", 30)  # a busy machine may stop the other clients for 2 s
 
     def until_the_others_have_most(numbers):
         while min(map(len, numbers[:2])) < 60:
             time.sleep(0.01)
 
-    check_three_clients(*three_clients(serve(rate_hz=20.0), 75, until_the_others_have_most), 75)
+    check_three_clients(*three_clients(serve(rate_hz=15.0), 75, until_the_others_have_most), 75)
 
 
 @pytest.mark.slow
-def test_a_thousand_frames_reach_two_clients_while_a_third_stops_for_ten_seconds(serve):
-    """At the rate of previews that a server sustains at least, a queue lasts for 0.8 s."""
+def test_a_thousand_frames_reach_two_clients_while_a_third_stops_for_ten_seconds(serve, monkeypatch):
+    monkeypatch.setattr(image_clients, "MAX_QUEUED", 60)  # a busy machine may stop the other clients for 3 s
 
     def ten_seconds(numbers):
         time.sleep(10.0)
@@ -411,7 +411,7 @@ def test_truncated_input_closes_the_connection_with_one_message(serve):
     assert len(messages) == 1
 
 
-@pytest.mark.parametrize("begun", [b"", b"RPI1\x00", b"GET / HTTP/1.1\r\n"])
+@pytest.mark.parametrize("begun", [b"", b"RPI1" + bytes(1), b"GET / HTTP/1.1\r\n"])
 def test_input_that_stalls_closes_the_connection_with_one_message(serve, monkeypatch, begun):
     monkeypatch.setattr(images, "HANDSHAKE_S", 0.1)
     monkeypatch.setattr(image_clients, "MESSAGE_S", 0.1)
