@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
-"""A robot's controller that reads the poses of `ringpose pose`, with the standard library only.
+"""A robot's controller that reads the records of `ringpose pose` or `track`, with the standard library only.
 
     ringpose pose --camera URI --lasers URI --rig rig.yaml | python3 examples/controller.py
+    ringpose pose --track --camera URI --lasers URI --rig rig.yaml | python3 examples/controller.py
     ringpose pose shots --rig rig.yaml | python3 examples/controller.py --replay
 
 A thread reads the lines, so that the control loop never waits for a pose. A shot leads to a motion only if it is new
 (its stamp against the clock and against the shots before), in the frame that the robot expects, without a flag that
 concerns the grasp point or the normal, and if the covariance of both is small enough; any other shot leads to a hold.
-Lines that are not whole pose records, and shots that arrive after a newer one, are reported on stderr and ignored.
-Silence for longer than `--patience`, and the end of the stream, lead to a hold, too.
+A track must be `valid`, that is, neither predicted nor lost. Lines that are not whole records, and shots that arrive
+after a newer one, are reported on stderr and ignored. Silence for longer than `--patience`, and the end of the stream,
+lead to a hold, too.
 """
 
 import argparse
@@ -19,7 +21,8 @@ import sys
 import threading
 import time
 
-HEALTH_KEYS = {"ringpose/pose/1": "laser_health", "ringpose/pose/2": "rig_health"}  # by version
+TRACK = "ringpose/track/1"
+HEALTH_KEYS = {"ringpose/pose/1": "laser_health", "ringpose/pose/2": "rig_health", TRACK: None}  # by schema
 MAX_DISTANCE_M = 5.0  # largest plausible distance; a larger number is in millimetres
 MAX_ROUNDING = 1e-3  # tolerance of the length of a unit vector
 HOLD_FLAGS = {  # other flags concern other numbers; relabelled: assignment_ambiguous in version 1
@@ -78,7 +81,7 @@ def rig_health(record):
 
 
 def record_in(line):
-    """The pose record on a line; raises ValueError if its keys or types are wrong."""
+    """The pose or track record on a line; raises ValueError if its keys or types are wrong."""
     try:
         record = json.loads(line)
     except RecursionError:
@@ -88,7 +91,9 @@ def record_in(line):
     check(record["schema"] in list(HEALTH_KEYS), f"schema is {record['schema']!r:.40}, not {schemas}")
     check_keys(record, ["shot", "stamp_s", "frame", "status", "reason", "flags", "pose"], "the record")
     check(is_number(record["stamp_s"]), f"stamp_s is {record['stamp_s']!r:.20}, not a number")
-    check(isinstance(record["shot"], str), "shot is not a text")
+    is_track = record["schema"] == TRACK
+    check(isinstance(record["shot"], str) or (is_track and record["shot"] is None), "shot is not a text")
+    check(not is_track or isinstance(record.get("validity"), str), "validity is not a text")
     flags, health = record["flags"], rig_health(record)
     check(isinstance(flags, list) and all(isinstance(flag, str) for flag in flags), "flags is not a list of texts")
     check(isinstance(health, dict), "the rig's health is not a JSON object")
@@ -126,6 +131,8 @@ def obstacle(record, limits, now_s):
         return f"the shot is {age_s:.3g} s old"
     if record["frame"] != limits.frame:
         return f"the pose is in the frame {record['frame']!r:.20}, not {limits.frame}"
+    if record["schema"] == TRACK and record["validity"] != "valid":
+        return f"the track is {record['validity']:.20}"
     if pose is None or record["status"] not in ("ok", "degraded"):
         return record["reason"] or f"status is {record['status']!r:.20}"
     if pose["grasp_m"] is None or pose["normal"] is None or HOLD_FLAGS.intersection(record["flags"]):
@@ -133,10 +140,13 @@ def obstacle(record, limits, now_s):
     if any(figure is not None and figure > limits.health for figure in rig_health(record).values()):
         return "a light plane or the camera has moved"
     known = standard_deviations(pose["covariance"])
-    if known is None:
-        return "the covariance is not known"
-    if not (known[0] <= limits.grasp_m and known[1] <= limits.tilt_rad):
-        return f"not accurate enough: {1000 * known[0]:.2f} mm, {math.degrees(known[1]):.2f} degrees"
+    if known is None or not (known[0] <= limits.grasp_m and known[1] <= limits.tilt_rad):
+        figures = (
+            "its covariance is unknown"
+            if known is None
+            else f"{1000 * known[0]:.2f} mm, {math.degrees(known[1]):.2f} degrees"
+        )
+        return f"not accurate enough: {figures}"
     return None
 
 

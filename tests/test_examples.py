@@ -112,6 +112,7 @@ def line_of(record: object) -> str:
         {"status": "degraded", "flags": ["center_weak", "new_flag"], "new_key": {}},
         {"schema": "ringpose/pose/1"},
         {"flags": ["radius_unverified", "rig_unchecked"]},
+        {"schema": "ringpose/track/1", "shot": None, "validity": "valid"},
     ],
 )
 def test_the_controller_moves_to_an_accurate_grasp_point(more):
@@ -153,6 +154,7 @@ HELD = {
     "no covariance": (lambda: with_covariance(None), "covariance"),
     "null variance": (lambda: with_covariance({"full": [[None] * 7] * 7, "grasp": [[1e-8] * 3] * 3}), "covariance"),
     "negative variance": (lambda: with_covariance({"full": [[1e-8] * 7] * 7, "grasp": [[-1.0] * 3] * 3}), "covariance"),
+    "predicted": (lambda: pose_record(schema="ringpose/track/1", shot=None, validity="predicted"), "predicted"),
     "short covariance": (lambda: with_covariance({"full": [], "grasp": [[1e-8] * 3] * 3}), "covariance"),
 }
 

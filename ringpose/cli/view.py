@@ -62,6 +62,7 @@ def view(
     from ringpose.files.inputs import inputs as named
     from ringpose.files.inputs import path_of_input
     from ringpose.files.records.poses import pose_line_of
+    from ringpose.files.records.tracks import pose_line_of_track
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
     from ringpose.report.replay import replay_page
@@ -74,7 +75,7 @@ def view(
     truths = {} if truth is None else {each.shot: each for each in read_truths(truth)}
     batch = Batch()
     lines = _lines_by_shot(poses or [], batch, pose_line_of, "pose")
-    tracked = _lines_by_shot(tracks or [], batch, _track_line_of, "track")
+    tracked = _lines_by_shot(tracks or [], batch, pose_line_of_track, "track")
     shots = []
     for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.guarded():
@@ -120,38 +121,6 @@ def _lines_by_shot(
                 if line.shot:  # a track also has lines of instants without a shot
                     lines[line.shot] = line
     return lines
-
-
-def _track_line_of(record: "Mapping[str, Any]", location: str) -> "PoseLine":
-    """What a track line has in common with a pose line; its reason is its validity and what became of the shot.
-
-    A track in another frame than the camera's is not drawn.
-    """
-    from ringpose.files.records.poses import SCHEMA as POSE_SCHEMA
-    from ringpose.files.records.poses import pose_line_of
-    from ringpose.files.records.tracks import SCHEMA
-    from ringpose.files.schema import Fields
-
-    fields = Fields(location, record)
-    if fields.text("schema") != SCHEMA:
-        raise fields.problem(
-            "schema", f"is {record['schema']!r}, must be {SCHEMA!r}", "give the output of ringpose track"
-        )
-    in_camera = fields.text("frame") == "camera"
-    return pose_line_of(
-        {
-            "schema": POSE_SCHEMA,
-            "shot": fields.text("shot") if fields.has("shot") else "",
-            "stamp_s": fields.number("stamp_s"),
-            "pose_stamp_s": fields.number("stamp_s"),
-            "frame": "camera",
-            "flags": [],
-            "reason": f"{fields.text('validity')}, {fields.text('fusion_status')}",
-            "pose": record.get("pose") if in_camera else None,
-            "velocity": record.get("velocity") if in_camera else None,
-        },
-        location,
-    )
 
 
 def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Truth | None") -> "ReplayShot":

@@ -11,6 +11,8 @@ import pytest
 from known_poses import CENTER_M, NORMAL, on_ring, pose_of, truth_of, write_lines, write_truths
 
 from ringpose.cli.main import main
+from ringpose.files.records import line_of
+from ringpose.files.records.poses import pose_record
 from ringpose.types.pose import PoseLine, RingPose
 
 
@@ -63,6 +65,35 @@ def test_errors_and_failures_are_reported_by_group(poses, capsys, monkeypatch, n
     assert rmse == pytest.approx({"center_x_m": 0.0, "center_y_m": 0.0} | dict.fromkeys(others, off_m), abs=1e-12)
     counted = [(each["group"], each["shots"], each["outcomes"]["missed"]) for each in report["groups"]]
     assert counted == [({"distance_m": 0.5}, 2, 0), ({"distance_m": 1.0}, 1, 1), ({}, 3, 1)]
+
+
+def track_values(**changes) -> dict:
+    """A track record whose pose is 3 mm off, with the keys that are compared."""
+    line = PoseLine(shot="a", stamp_s=0.0, pose=pose_off_by(0.003))
+    return pose_record(line) | {
+        "schema": "ringpose/track/1", "validity": "valid", "fusion_status": "fused", "status": "ok", **changes,
+    }  # fmt: skip
+
+
+def test_track_records_are_scored_by_their_shots_and_stamps(capsys):
+    moving = truth_of(shot="a", stamp_s=10.0, velocity_m_s=np.array([0.0, 0.0, 0.1]), normal=pose_off_by(0.003).normal)
+    write_truths("truth.jsonl", [moving])
+    records = [track_values(stamp_s=10.03), track_values(stamp_s=10.5, shot=None, fusion_status="none_yet")]
+    Path("track.jsonl").write_text("".join(line_of(each) for each in records))
+
+    status, report = report_of(capsys, "track.jsonl")
+
+    assert status == 0
+    expected_m = np.linalg.norm(-0.003 * NORMAL - np.array([0.0, 0.0, 0.003]))
+    assert report["groups"][-1]["shots"] == 1
+    assert report["groups"][-1]["errors"]["center_m"]["rmse"] == pytest.approx(expected_m, abs=1e-12)
+
+
+def test_a_track_in_the_base_frame_is_not_compared_with_a_truth_in_the_cameras(poses, capsys):
+    Path("track.jsonl").write_text(line_of(track_values(frame="base")))
+
+    assert main(["bench", "track.jsonl", "--truth", "truth.jsonl"]) == 65
+    assert "base frame" in capsys.readouterr().err
 
 
 def test_the_table_goes_to_standard_output(poses, capsys):

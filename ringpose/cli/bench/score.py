@@ -205,12 +205,16 @@ def scores_of_lines(
 
 
 def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[PoseEstimate]":
-    """The pose records of the inputs; those that cannot be compared are reported on stderr."""
+    """The pose or track records of the inputs; those that cannot be compared are reported on stderr.
+
+    Track records of instants between measurements have no shot, and are not compared.
+    """
     from ringpose.bench.score import estimate_of
     from ringpose.errors import DataError
     from ringpose.estimate.pose_errors import truth_at
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
+    from ringpose.files.records import tracks
     from ringpose.files.records.poses import pose_line_of, recorded_status
 
     by_shot = {truth.shot: truth for truth in truths}
@@ -218,8 +222,13 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
     for item in batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,))):
         with batch.guarded():
             if not isinstance(item, Record):
-                raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
-            line = pose_line_of(item.values, item.location)
+                raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose or track")
+            tracked = item.values.get("schema") == tracks.SCHEMA
+            line = (tracks.pose_line_of_track if tracked else pose_line_of)(item.values, item.location)
+            if tracked and item.values.get("frame") != "camera":
+                raise DataError(item.location, "is in the base frame", "track without --robot-poses")
+            if tracked and not line.shot:
+                continue
             estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
             if estimate.shot in by_shot:
                 truth_at(

@@ -1,9 +1,13 @@
 """The track line: one JSON record (`ringpose-records(5)`, `track.schema.json`)."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from math import nan
 from typing import Any
 
-from ringpose.files.records.poses import pose_record
+from ringpose.files.records.poses import SCHEMA as POSE_SCHEMA
+from ringpose.files.records.poses import pose_line_of, pose_record
+from ringpose.files.schema import Fields
 from ringpose.types.pose import PoseFlag, PoseLine
 from ringpose.types.track import Attempt, MotionModel, TrackLine
 
@@ -65,3 +69,33 @@ def _attempt_values(attempt: Attempt) -> dict[str, Any]:
         "test_ratio": attempt.test_ratio,
         "reason": attempt.reason or None,
     }
+
+
+def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:
+    """What a track record has in common with a pose record; its reason is its validity and what became of the shot.
+
+    The shot is the newest that was measured, empty for an instant between measurements. A track in the frame of the
+    robot's base has no pose here.
+    """
+    fields = Fields(location, record)
+    if fields.text("schema") != SCHEMA:
+        raise fields.problem(
+            "schema", f"is {record['schema']!r}, must be {SCHEMA!r}", "give the output of ringpose track"
+        )
+    in_camera = fields.text("frame") == "camera"
+    line = pose_line_of(
+        {
+            "schema": POSE_SCHEMA,
+            "shot": "the track",
+            "stamp_s": fields.number("stamp_s"),
+            "pose_stamp_s": fields.number("stamp_s"),
+            "frame": "camera",
+            "flags": record.get("flags", []),
+            "reason": f"{fields.text('validity')}, {fields.text('fusion_status')}",
+            "pose": record.get("pose") if in_camera else None,
+            "velocity": record.get("velocity") if in_camera else None,
+            "rig": record.get("rig"),
+        },
+        location,
+    )
+    return replace(line, shot=fields.text("shot") if fields.has("shot") else "")
