@@ -13,6 +13,7 @@ import numpy as np
 from ringpose.bench.assumptions import StatedAssumptions, assumptions_of
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import (
+    MAX_PROPAGATION_S,
     circle_error,
     distance_to_circle_m,
     mahalanobis_squared,
@@ -193,6 +194,26 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
         latency_s=line.latency_s,
         rig=line.rig,
     )
+
+
+def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -> list[PoseEstimate]:
+    """Estimates of a track under the names of the truths that are nearest in time; of several at one truth the nearest.
+
+    One that is more than `MAX_PROPAGATION_S` from all truths keeps its name.
+    """
+    dated = [truth for truth in truths if truth.stamp_s is not None]
+    stamps_s = np.array([truth.stamp_s for truth in dated])
+    kept: dict[str, tuple[float, PoseEstimate]] = {}
+    for estimate in estimates:
+        apart_s, shot = 0.0, estimate.shot
+        if len(dated):
+            away_s = np.abs(stamps_s - estimate.stamp_s)
+            nearest = int(np.argmin(away_s))
+            if away_s[nearest] <= MAX_PROPAGATION_S:
+                apart_s, shot = float(away_s[nearest]), dated[nearest].shot
+        if shot not in kept or apart_s < kept[shot][0]:
+            kept[shot] = (apart_s, replace(estimate, shot=shot))
+    return [estimate for _, estimate in kept.values()]
 
 
 def scores(estimates: Iterable[PoseEstimate], truths: Sequence[Truth], camera: Camera | None) -> list[Score]:

@@ -89,6 +89,25 @@ def test_track_records_are_scored_by_their_shots_and_stamps(capsys):
     assert report["groups"][-1]["errors"]["center_m"]["rmse"] == pytest.approx(expected_m, abs=1e-12)
 
 
+def test_a_live_track_is_compared_with_the_truths_nearest_in_time(capsys):
+    stamps_s = {"a": 10.0, "b": 10.1}
+    write_truths("truth.jsonl", [truth_of(shot=shot, stamp_s=stamp_s) for shot, stamp_s in stamps_s.items()])
+    records = [track_values(stamp_s=stamp_s, shot=str(stamp_s)) for stamp_s in (10.02, 10.04, 10.07, 10.12)]
+    Path("track.jsonl").write_text("".join(line_of(each) for each in records))
+
+    status, report = report_of(capsys, "track.jsonl")
+
+    assert (status, report["matching"]["matched"]) == (0, 2)
+    assert report["groups"][-1]["errors"]["center_m"]["rmse"] == pytest.approx(0.003, abs=1e-12)
+
+
+def test_a_track_of_another_clock_has_no_truth(poses, capsys):
+    Path("track.jsonl").write_text(line_of(track_values(stamp_s=99.0, shot="live")))
+
+    assert main(["bench", "track.jsonl", "--truth", "truth.jsonl"]) == 65
+    assert "no truth" in capsys.readouterr().err
+
+
 def test_a_track_in_the_base_frame_is_not_compared_with_a_truth_in_the_cameras(poses, capsys):
     Path("track.jsonl").write_text(line_of(track_values(frame="base")))
 

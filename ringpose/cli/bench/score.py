@@ -207,9 +207,10 @@ def scores_of_lines(
 def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[PoseEstimate]":
     """The pose or track records of the inputs; those that cannot be compared are reported on stderr.
 
-    Track records of instants between measurements have no shot, and are not compared.
+    Track records of instants between measurements have no shot, and are not compared. Those of shots that the truth
+    does not name, as a live camera's, are compared with the truth that is nearest in time.
     """
-    from ringpose.bench.score import estimate_of
+    from ringpose.bench.score import estimate_of, named_by_stamp
     from ringpose.errors import DataError
     from ringpose.estimate.pose_errors import truth_at
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
@@ -218,7 +219,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
     from ringpose.files.records.poses import pose_line_of, recorded_status
 
     by_shot = {truth.shot: truth for truth in truths}
-    estimates = []
+    estimates, unnamed = [], []
     for item in batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,))):
         with batch.guarded():
             if not isinstance(item, Record):
@@ -230,12 +231,13 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
             if tracked and not line.shot:
                 continue
             estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
-            if estimate.shot in by_shot:
-                truth_at(
-                    by_shot[estimate.shot], estimate.stamp_s, estimate.shot_stamp_s
-                )  # rejects time stamps of another clock
+            if tracked and estimate.shot not in by_shot:
+                unnamed.append(estimate)
+                continue
+            if estimate.shot in by_shot:  # rejects time stamps of another clock
+                truth_at(by_shot[estimate.shot], estimate.stamp_s, estimate.shot_stamp_s)
             estimates.append(estimate)
-    return estimates
+    return estimates + named_by_stamp(unnamed, truths)
 
 
 def _truths(file: Path) -> "list[Truth]":
