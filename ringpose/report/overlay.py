@@ -311,7 +311,7 @@ def pose_texts(pose: RingPose) -> list[str]:
     tilts = None if pose.covariance is None else pose.covariance[:2, :2]
     texts = [
         f"grasp {_millimetres(pose.grasp_m, pose.covariance_grasp_m2)}",
-        f"center {_millimetres(pose.center_m, pose.covariance_center_m2)}",
+        f"centre {_millimetres(pose.center_m, pose.covariance_center_m2)}",
     ]
     if np.isfinite(pose.normal).all():
         sigma = "" if tilts is None or not np.isfinite(tilts).all() else f" +-{np.degrees(_sigma(tilts)):.3f}"
