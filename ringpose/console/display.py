@@ -174,11 +174,7 @@ class Plots:
         self._plots = [
             server.gui.add_uplot(
                 blank,
-                (
-                    uplot.Series(label=x_label),
-                    uplot.Series(label="error", stroke="#1f5fbf", width=2),
-                    uplot.Series(label="sigma", stroke="#c0392b", width=2),
-                ),
+                (uplot.Series(label=x_label), _points("error", "#1f5fbf"), _points("sigma", "#c0392b")),
                 title=title,
                 scales={"x": uplot.Scale(time=False)},
                 aspect=2.0,
@@ -193,6 +189,11 @@ class Plots:
         table, places = np.array(rows), np.array(x, dtype=np.float64)
         for number, plot in enumerate(self._plots):
             plot.data = (places, table[:, 2 * number], table[:, 2 * number + 1])
+
+
+def _points(label: str, color: str) -> uplot.Series:
+    """A series without lines: they would join the measurements on either side of a missing one."""
+    return uplot.Series(label=label, stroke=color, width=0, points={"show": True, "size": 4, "fill": color})
 
 
 def plotted(pose: RingPose | None, errors: Mapping[str, float]) -> tuple[float, ...]:
