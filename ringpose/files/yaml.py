@@ -16,6 +16,9 @@ from ringpose.files.schema import Fields
 MAX_VALUES = 1_000_000
 """Maximum number of values in one document."""
 
+MAX_DEPTH = 100
+"""Maximum number of lists and mappings inside each other; the composer is recursive."""
+
 _TAG = "tag:yaml.org,2002:"
 _RESOLVERS = [
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
@@ -43,12 +46,18 @@ class _Loader(Composer, yaml.CSafeLoader):
         Composer.__init__(self)
         self._values = 0
         self._values_within: dict[int, int] = {}
+        self._depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """The next node. The values of an alias count as often as it occurs, which bounds nested aliases."""
         event: Any = self.peek_event()
         before = self._values
+        if self._depth > MAX_DEPTH:
+            found = f"more than {MAX_DEPTH} lists and mappings inside each other"
+            raise yaml.composer.ComposerError(None, None, found, event.start_mark)
+        self._depth += 1
         node = super().compose_node(parent, index)
+        self._depth -= 1
         is_alias = isinstance(event, yaml.AliasEvent)
         self._values += self._values_within.get(id(node), 0) if is_alias else 1
         if self._values > MAX_VALUES:
@@ -100,7 +109,7 @@ def parsed(text: bytes, file: str) -> Any:
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise DataError(file + line, f"is not valid YAML: {error.problem or error.context}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
         raise DataError(file, f"is not valid YAML: {str(error).splitlines()[0]}") from None
 
 
