@@ -65,10 +65,11 @@ if TYPE_CHECKING:
     from ringpose.capture.source import TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
+    from ringpose.detect.difference_images import LaserImage
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.pipeline import Tracker
     from ringpose.types.assumptions import AssumptionOptions
-    from ringpose.types.detection import Detection
+    from ringpose.types.detection import Detection, Stripes
     from ringpose.types.image import Shot
     from ringpose.types.pose import KnownRadii, PoseLine, Ring
     from ringpose.types.rig import Rig
@@ -164,9 +165,12 @@ def pose(
     elif camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
     else:
+        from ringpose.capture.latest_frame import EarlyStripes
         from ringpose.capture.source import CaptureRequest
         from ringpose.cli.live_input import live_lines
 
+        early = EarlyStripes()
+        stream.searched = early.stripes_of
         request = CaptureRequest(
             camera=camera,
             lasers=lasers,
@@ -179,6 +183,7 @@ def pose(
             rig=rig_of_shots,
             count=count,
             duration_s=duration,
+            on_frame=early.add,
         )
         lines = live_lines(request, rig_of_shots, batch, stream.measured)
     with ExitStack() as stack:
@@ -246,6 +251,8 @@ class _Stream:
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
+        self.searched: Callable[[LaserImage], Stripes | None] = lambda _: None
+        """The stripes of a frame that were found before its shot was complete."""
         self.motion_until: Callable[[float], CameraMotion] | None = None
         """The motion of the camera up to a stamp, for robot poses that arrive meanwhile."""
         tolerance_m = getattr(known, "tolerance_m", None)  # of a ring of the catalogue
@@ -286,8 +293,8 @@ class _Stream:
         rig = self.monitor.rig
         assumptions = self._assumed.about_shot(rig.stability, still=shot.still)
         if self.shots is not None:
-            return self.shots.detected(shot, rig, assumptions)
-        return detect(shot, rig, assumptions=assumptions, camera=self._camera)
+            return self.shots.detected(shot, rig, assumptions, self.searched)
+        return detect(shot, rig, assumptions=assumptions, camera=self._camera, searched=self.searched)
 
 
 def _recorded_lines(

@@ -81,7 +81,7 @@ def _laser_image(shot: Shot, number: int, lasers: tuple[int, ...], also_on: int,
         nearest = min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number]))
         dark, dark_stamp_s = shot.images[nearest], shot.mid_exposure_s(nearest)
     elif earlier is not None and also_on == earlier.lasers:
-        dark, dark_stamp_s = earlier.image, earlier.stamp_s + earlier.exposure_s / 2
+        dark, dark_stamp_s = earlier.image, earlier.mid_exposure_s
     return LaserImage(
         lit=shot.images[number],
         dark=dark,
