@@ -164,8 +164,7 @@ def _gauss_newton(
         arcs, rates = moved_ring(residuals, factor * step, factor * nuisance_step[:count])
         residuals = ring_residuals(arcs, observations, prior, rates)
         nuisance = nuisance_columns(residuals, fixed)
-        near = steps.sigmas < NEAR_SIGMAS or steps.distance_sigmas < tolerance_sigmas
-        if robust is None and fixed is not None and near:
+        if robust is None and fixed is not None and steps.sigmas < NEAR_SIGMAS:
             robust, weights = weights, _inlier_weights(predicted, residuals)
             if not np.array_equal(weights, robust):
                 continue
