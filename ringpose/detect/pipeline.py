@@ -314,9 +314,11 @@ def edges_lit(points: BreakPoints, shot: Shot) -> bool:
     left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
     right, bottom = (position.max(axis=0).astype(np.int64) + BAND_PX).tolist()
     for image in shot.images[shot.lasers == 0]:
-        levels = cv2.pyrDown(image[top:bottom, left:right]).ravel()
-        lowest, highest = len(levels) // 20, len(levels) - 1 - len(levels) // 20
-        low, high = np.partition(levels, (lowest, highest))[[lowest, highest]].tolist()
+        levels = cv2.pyrDown(image[top:bottom, left:right])
+        values = np.iinfo(levels.dtype).max + 1
+        counts = cv2.calcHist([levels], [0], None, [values], [0, values]).ravel()  # a tenth of the time of sorting
+        tail = levels.size // 20
+        low, high = np.searchsorted(counts.cumsum(dtype=np.float64), [tail, levels.size - 1 - tail], side="right")
         if high - low > LIT_SHARE * shot.saturation_dn:
             return True
     return False
