@@ -60,7 +60,7 @@ def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tu
         moving_frame(scene, view, mask, exposure_s, begin_s, stamp_s, (_SHOTS, scene.seed, number, frame))
         for frame, (mask, begin_s, stamp_s) in enumerate(zip(scene.sequence, begins_s, stamps_s, strict=True))
     ]
-    return _shot_of(scene, view.name, frames, still=False), moving_truth(scene, view, frames, begins_s)
+    return _shot_of(scene, view.name, frames, still=False), moving_truth(scene, view, exposure_s, begins_s, stamps_s)
 
 
 def shot_begins_s(scene: Scene, exposure_s: float) -> Float64[Array, "frame"]:
@@ -82,13 +82,20 @@ def moving_frame(
     return render_view(scene, illuminated, seed).frame(mask, exposure_s, stamp_s)
 
 
-def moving_truth(scene: Scene, view: RingView, exposures: Sequence[Frame], begins_s: Float64[Array, "frame"]) -> Truth:
+def moving_truth(
+    scene: Scene,
+    view: RingView,
+    exposure_s: float,
+    begins_s: Float64[Array, "frame"],
+    stamps_s: Float64[Array, "frame"],
+) -> Truth:
     """Ground truth of a moving target at the first frame with a laser on, and at each frame, all mid exposure.
 
-    The break points of the shot are those of each laser in the first of its frames with the fewest lasers on.
+    The frames begin at `begins_s` after the shot, with these stamps. The break points of the shot are those of each
+    laser in the first of its frames with the fewest lasers on.
     """
-    masks, lasers = scene.sequence, range(len(scene.rig.lasers.names))
-    middles_s = begins_s + exposures[0].exposure_s / 2
+    masks, lasers = scene.sequence, np.arange(len(scene.rig.lasers.names))
+    middles_s = begins_s + exposure_s / 2
     poses = [illuminated_ring(scene, view, (mask,), time_s) for mask, time_s in zip(masks, middles_s, strict=True)]
     points_px = [true_break_points_px(pose, scene.ring, scene.rig.camera) for pose in poses]
     first = next((frame for frame, mask in enumerate(masks) if mask), 0)
@@ -99,23 +106,21 @@ def moving_truth(scene: Scene, view: RingView, exposures: Sequence[Frame], begin
         return truth
     face_m = np.array([0.0, 0.0, scene.ring.height_m])
     velocity_m_s, rate_rad_s = velocities(view.path, view.begin_s + float(middles_s[first]), face_m)
-    frames = []
-    for exposure, pose, point_px in zip(exposures, poses, points_px, strict=True):
-        on = np.array([bool(exposure.lasers >> laser & 1) for laser in lasers])
-        frames.append(
-            TruthFrame(
-                stamp_s=exposure.stamp_s + exposure.exposure_s / 2,
-                center_m=pose.placement.points_camera(face_m),
-                normal=pose.placement.rotation[:, 2],
-                break_points_px=np.where(on[:, None, None], point_px, np.nan) if on.any() else None,
-            )
+    frames = tuple(
+        TruthFrame(
+            stamp_s=float(stamp_s) + exposure_s / 2,
+            center_m=pose.placement.points_camera(face_m),
+            normal=pose.placement.rotation[:, 2],
+            break_points_px=np.where((mask >> lasers & 1)[:, None, None], point_px, np.nan) if mask else None,
         )
+        for mask, stamp_s, pose, point_px in zip(masks, stamps_s, poses, points_px, strict=True)
+    )
     return replace(
         truth,
         stamp_s=frames[first].stamp_s,
         velocity_m_s=velocity_m_s,
         angular_velocity_rad_s=rate_rad_s,
-        frames=tuple(frames),
+        frames=frames,
     )
 
 

@@ -24,7 +24,8 @@ from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
 from ringpose.simulate.pipeline import render_ring_view
 from ringpose.simulate.placement import ring_views
-from ringpose.simulate.serve import image_clients, images, scene_shots
+from ringpose.simulate.serve import image_camera, image_clients, images
+from ringpose.simulate.serve.image_camera import RenderedShot
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
 from ringpose.types.target import FreeMotion
 
@@ -38,7 +39,7 @@ def scene(tmp_path_factory):
 
 @pytest.fixture
 def serve(scene, monkeypatch):
-    monkeypatch.setattr(scene_shots, "render_ring_view", quick_view)
+    monkeypatch.setattr(image_camera, "render_ring_view", quick_view)
     servers = []
 
     def started(served=scene, report=None, on_truth=None, **setup):
@@ -143,8 +144,8 @@ def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve):
 
 def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, monkeypatch):
     server = serve(rate_hz=100.0)
-    exposed = scene_shots.SceneShots.shot
-    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
+    exposed, slow_s = RenderedShot.frame, 0.05 * images.WORKERS
+    monkeypatch.setattr(RenderedShot, "frame", lambda *words: (time.sleep(slow_s), exposed(*words))[1])
     with ImageClient(server.port) as client:
         headers = [header for header, _ in client.frames(8)]
 
@@ -154,8 +155,8 @@ def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, m
 
 def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
     rendered = []
-    exposed = scene_shots.SceneShots.shot
-    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
+    exposed = RenderedShot.frame
+    monkeypatch.setattr(RenderedShot, "frame", lambda *words: (rendered.append(1), exposed(*words))[1])
     with ImageClient(serve(rate_hz=100.0).port) as client:
         time.sleep(0.1)
         assert not rendered
@@ -478,13 +479,13 @@ def check_fuzzed(server, count):
 
 
 def test_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
-    monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)  # views that are kept would hide a leak
+    monkeypatch.setattr(image_camera, "KEPT_BYTES", 1)  # views that are kept would hide a leak
     check_fuzzed(serve(rate_hz=100.0), 150)
 
 
 @pytest.mark.slow
 def test_ten_thousand_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
-    monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)
+    monkeypatch.setattr(image_camera, "KEPT_BYTES", 1)
     check_fuzzed(serve(rate_hz=100.0), 10_000)
 
 
