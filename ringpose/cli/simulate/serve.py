@@ -95,7 +95,7 @@ def serve(
     from ringpose.files import records
     from ringpose.files.scenes.scene import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
-    from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+    from ringpose.simulate.serve.virtual_device import Setup, virtual_device
 
     if (scene is None) == (scene_option is None):
         raise UsageError("SCENE", "is missing" if scene is None else "is given twice", "name one scene file")
@@ -123,7 +123,7 @@ def serve(
         warm_up_s=warm_up,
         faults=parsed_faults(fault or (), len(read.rig.lasers.names)),
     )
-    with _noted(log, force) as noted, _failures_of_threads() as failures, VirtualDevice(read, setup, noted) as served:
+    with _noted(log, force) as noted, _failures_of_threads() as failures, virtual_device(read, setup, noted) as served:
         records.write(served.uris)
         raise failures.get()
 
