@@ -11,7 +11,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_SHARE, rig_errors
 from ringpose.geometry.rays import project
-from ringpose.geometry.ring import LIFT, STEP, RingArcs, predicted_break_points, rotation_by
+from ringpose.geometry.ring import LIFT, STEP, Rates, RingArcs, predicted_break_points, rotation_by
 from ringpose.geometry.rotations import cross, tilt_basis, tilted
 from ringpose.simulate.appearance import Appearance
 from ringpose.simulate.break_points import form_displacement, in_gap, inside_image
@@ -73,18 +73,11 @@ def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
     )
 
 
-class RingMotion(NamedTuple):
-    """Velocity of the ring's centre and angular velocity, camera frame."""
-
-    velocity_m_s: Float64[Array, "xyz=3"]
-    rate_rad_s: Float64[Array, "xyz=3"]
-
-
-def drawn_motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> RingMotion:
+def drawn_motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> Rates:
     """Velocity and rates; the spin about the normal, which does not change the ring, is 0."""
     if prior is None:
-        return RingMotion(np.zeros(3), np.zeros(3))
-    return RingMotion(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
+        return Rates(np.zeros(3), np.zeros(3))
+    return Rates(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
 
 
 class RingCourse(NamedTuple):
@@ -94,7 +87,7 @@ class RingCourse(NamedTuple):
     view: RingView
     arcs: RingArcs
     axes: Float64[Array, "3 3"]
-    drawn: RingMotion
+    drawn: Rates
     """Constant velocities of a view without a path."""
     start_s: float
     """When the arcs hold: of a view with a path at the beginning of the shot (0), else at the time of its pose."""
@@ -111,12 +104,12 @@ class RingCourse(NamedTuple):
         turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
         return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
 
-    def motion(self, time_s: float) -> RingMotion:
+    def motion(self, time_s: float) -> Rates:
         """Velocity of the ring's centre, and rates, at a time."""
         if self.view.path is None:
             return self.drawn
         face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
-        return RingMotion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
+        return Rates(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
 
 
 class StripeEnds(NamedTuple):
