@@ -103,6 +103,9 @@ class VisibleEdges(NamedTuple):
     sigma_px: Float64[Array, "place"]
 
 
+NO_EDGES = VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
+
+
 @lru_cache(maxsize=16)
 def expected_appearance(scene: Scene, view: RingView) -> Appearance:
     """Exposure of a view, and the standard deviations of stripes, break points and edges in its images."""
@@ -111,7 +114,7 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
     exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)
     centers: list[CenterErrors | None] = [None] * len(lasers.names)
     end_sigma_px = np.full((len(centers), 2), np.nan)
-    edges = _no_edges()
+    edges = NO_EDGES
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
     reached = _illuminated(illuminated, point_m) & (view.target == "ring")
     lit = np.flatnonzero(reached & (frames.number >= 0))
@@ -120,7 +123,11 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
         rows_per_m, edge_per_row = _image_scales(arcs, lasers.normal[lit], point_m[lit], scene.rig.camera)
         range_m = np.linalg.norm(middle_m - lasers.projector_m[lit], axis=1)
         sigma_px = half_thickness_m(scene.lasers, range_m) * rows_per_m
-        peak_e, background_e = _peak_electrons(scene, illuminated, middle_m, lit, exposure_s)
+        rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
+        peak_e = rate * face_stripe_radiance(illuminated, scene.ring, middle_m, lit)
+        background_e = np.zeros(len(lit))
+        if illuminated.has_ambient_light:
+            background_e = rate * radiance_along(illuminated, middle_m)[0].astype(np.float64)
         for number, laser in enumerate(lit):
             noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
             stripe = Stripe(
@@ -168,9 +175,11 @@ def _image_scales(
 
     The latter is along the stripe, by a row across it.
     """
-    along = unit_vectors(-_cross(arcs.normal, light_normal))
-    across = _cross(arcs.normal, along)
-    tangent = unit_vectors(_cross(arcs.normal, (point_m - arcs.center).reshape(-1, 3)).reshape(point_m.shape))
+    along = np.cross(light_normal, arcs.normal)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.cross(arcs.normal, along)
+    tangent = np.cross(arcs.normal, point_m - arcs.center)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     middle_m = point_m.mean(axis=1, keepdims=True)
     places = np.concatenate([middle_m, middle_m, point_m], axis=1)
     steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
@@ -179,21 +188,6 @@ def _image_scales(
     columns, rows = moved_px[:, 1:, 0], moved_px[:, 1:, 1] - slope * moved_px[:, 1:, 0]
     off_plane = np.abs((light_normal * across).sum(axis=1))
     return np.abs(rows[:, 0]) / off_plane, columns[:, 1:] / rows[:, 1:]
-
-
-def _peak_electrons(
-    scene: Scene,
-    illuminated: IlluminatedTarget,
-    point_m: Float64[Array, "stripe xyz=3"],
-    lasers: Int64[Array, "stripe"],
-    exposure_s: float,
-) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
-    """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
-    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
-    laser_e = rate * face_stripe_radiance(illuminated, scene.ring, point_m, lasers)
-    if not illuminated.has_ambient_light:
-        return laser_e, np.zeros(len(lasers))
-    return laser_e, rate * radiance_along(illuminated, point_m)[0].astype(np.float64)
 
 
 # Visible edges
@@ -229,10 +223,6 @@ NEIGHBOURS = 5
 """Number of neighbouring places by whose scatter the standard deviation of each is judged."""
 
 
-def _no_edges() -> VisibleEdges:
-    return VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
-
-
 def visible_edges(
     scene: Scene,
     illuminated: IlluminatedTarget,
@@ -259,7 +249,7 @@ def visible_edges(
         near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
         shown &= near_px > BESIDE_STRIPE_PX
     if np.count_nonzero(shown) < MIN_PLACES:
-        return _no_edges()._replace(frame=number)
+        return NO_EDGES._replace(frame=number)
     along_m, edge, place_m = along_m[shown], edge[shown], place_m[shown]
     off_face = np.array(EDGE_SIGN)[edge, None] * outward[shown]
 
@@ -281,7 +271,7 @@ def visible_edges(
     seen = (height_e * sensor.overall_system_gain_dn_per_e > MIN_STEP_DN) & (sigma_px < MAX_EDGE_SIGMA_PX)
     seen &= height_e > MIN_STEP_SIGMAS * pixel_e / 2.0
     if np.count_nonzero(seen) < MIN_PLACES:
-        return _no_edges()._replace(frame=number)
+        return NO_EDGES._replace(frame=number)
     return VisibleEdges(number, along_m[seen], edge[seen], sigma_px[seen])
 
 
@@ -292,26 +282,12 @@ def edge_normals_px(
 
     `off_face` are the unit vectors in the ring's plane that point off the face.
     """
-    steps = _STEP_M * np.stack([_cross(arcs.normal, off_face), off_face])
+    steps = _STEP_M * np.stack([np.cross(arcs.normal, off_face), off_face])
     moved_px = (project(place_m + steps, camera) - project(place_m - steps, camera)) / (2 * _STEP_M)
     (x, y), off = moved_px[0].T, moved_px[1].T
     across = np.stack([-y, x]) / np.sqrt(x * x + y * y)
     px_per_m = (across * off).sum(axis=0)
     return np.ascontiguousarray((across * np.sign(px_per_m)).T), np.abs(px_per_m)
-
-
-def _cross(first: Float64[Array, "*#n xyz=3"], second: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xyz=3"]:
-    """Cross products; `np.cross` takes five times as long for a few vectors."""
-    ax, ay, az = np.atleast_2d(first).T
-    bx, by, bz = second.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
-
-
-def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
-    """Vectors of length 1; NaN for those of length 0."""
-    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
-    return unit
 
 
 def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:
