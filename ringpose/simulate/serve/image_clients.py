@@ -114,7 +114,7 @@ class Viewer:
             await drained(self.writer)
 
 
-async def received(reader: asyncio.StreamReader, begun: bytes = b"") -> wire.Fields:
+async def received(reader: asyncio.StreamReader, begun: bytes = b"") -> wire.Header:
     """The header of the message that begins with these bytes."""
     try:
         async with asyncio.timeout(MESSAGE_S):
