@@ -28,7 +28,7 @@ from ringpose.simulate.pipeline import ring_truth
 from ringpose.simulate.placement import READOUT_S, ring_views
 from ringpose.simulate.stripe_ends import (
     CommonErrors,
-    RingCourse,
+    ShotMotion,
     StripeEnds,
     drawn_common_errors,
     drawn_motion,
@@ -152,7 +152,7 @@ def draw_detection(
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
     motion, start_s = drawn_motion(view.normal, deviations.motion, unit[:5]), first_s if view.path is None else 0.0
-    course = RingCourse(scene, view, appearance.arcs, appearance.axes, motion, start_s)
+    shot_motion = ShotMotion(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
@@ -160,10 +160,10 @@ def draw_detection(
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
         when_s = np.where(np.isfinite(shown_s), shown_s, first_s)
-        stripes = stripe_ends(scene.ring, appearance, common, course, when_s, outliers.behind_m)
+        stripes = stripe_ends(scene.ring, appearance, common, shot_motion, when_s, outliers.behind_m)
         position_px = stripes.true_px
         if outliers.behind_m.any():
-            position_px = stripe_ends(scene.ring, appearance, common, course, when_s, np.zeros(lasers)).true_px
+            position_px = stripe_ends(scene.ring, appearance, common, shot_motion, when_s, np.zeros(lasers)).true_px
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
@@ -171,7 +171,7 @@ def draw_detection(
             stamp = np.where(seen, stamp_s + shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _drawn_edges(scene, appearance, common, course, middle_s, stamp_s, unit, moving=moving)
+            edges = _drawn_edges(scene, appearance, common, shot_motion, middle_s, stamp_s, unit, moving=moving)
     detection = Detection(
         shot=view.name,
         stamp_s=stamp_s + first_s,
@@ -182,7 +182,7 @@ def draw_detection(
     )
     return DrawnShot(
         detection=detection,
-        truth=_truth(scene, view, position_px, first_s, stamp_s, course, outliers, moving=moving),
+        truth=_truth(scene, view, position_px, first_s, stamp_s, shot_motion, outliers, moving=moving),
         common=common,
     )
 
@@ -268,7 +268,7 @@ def _drawn_edges(
     scene: Scene,
     appearance: Appearance,
     common: CommonErrors,
-    course: RingCourse,
+    shot_motion: ShotMotion,
     middle_s: Float64[Array, "frame"],
     stamp_s: float,
     unit: Float64[Array, "place"],
@@ -287,7 +287,7 @@ def _drawn_edges(
         numbers = sorted({dark[0], dark[-1]})
     visible, camera, found = appearance.edges, common.rig.camera, []
     for time_s in middle_s[numbers].tolist():
-        arcs, axes = course.at(time_s)
+        arcs, axes = shot_motion.at(time_s)
         place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
         own_m = (place_m - arcs.center) @ axes
         if common.form.any():
@@ -331,7 +331,7 @@ def _truth(
     position_px: Float64[Array, "laser edge=2 xy=2"],
     time_s: float,
     stamp_s: float,
-    course: RingCourse,
+    shot_motion: ShotMotion,
     outliers: _Outliers,
     *,
     moving: bool,
@@ -346,7 +346,7 @@ def _truth(
     }
     center_m, normal = view.center_m, view.normal
     if view.path is not None:
-        arcs, _ = course.at(time_s)
+        arcs, _ = shot_motion.at(time_s)
         center_m, normal = arcs.center, arcs.normal
     truth = ring_truth(scene, view, center_m, normal, position_px)
     if truth.expect == "no_target":
@@ -354,7 +354,7 @@ def _truth(
     truth = replace(truth, groups={**truth.groups, **{key: value for key, value in wrong.items() if value}})
     if not moving:
         return truth
-    motion = course.motion(time_s)
+    motion = shot_motion.motion(time_s)
     return replace(
         truth,
         stamp_s=stamp_s + time_s,

@@ -80,7 +80,7 @@ def drawn_motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: F
     return Rates(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
 
 
-class RingCourse(NamedTuple):
+class ShotMotion(NamedTuple):
     """Motion of the ring during a shot, relative to the pose at which its arcs are given."""
 
     scene: Scene
@@ -138,7 +138,7 @@ def stripe_ends(
     ring: RingShape,
     appearance: Appearance,
     common: CommonErrors,
-    course: RingCourse,
+    shot_motion: ShotMotion,
     time_s: Float64[Array, "laser"],
     behind_m: Float64[Array, "laser"],
 ) -> StripeEnds:
@@ -147,7 +147,7 @@ def stripe_ends(
     point_m = np.full((len(time_s), 2, 3), np.nan)
     own_m = point_m.copy()  # the same in the ring's axes
     for laser in np.flatnonzero(appearance.lit):
-        moved, axes = course.at(float(time_s[laser]))
+        moved, axes = shot_motion.at(float(time_s[laser]))
         if behind_m[laser]:
             moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
         normal = lasers.normal[[laser]]
