@@ -1,6 +1,7 @@
-"""How images of a view show the ring: exposure, and the errors of stripes, break points and visible edges.
+"""What images of a view would show of the ring: the exposure, and the standard deviations of its features.
 
-It is computed once per view, because small motions, rig errors and outliers do not change it.
+The features are the stripes, the break points and the visible edges. They are computed once per view, because small
+motions, rig errors and outliers hardly change their standard deviations.
 """
 
 from functools import lru_cache
@@ -29,7 +30,7 @@ from ringpose.types.scene import RingView, Scene
 
 
 def view_arcs(scene: Scene, view: RingView) -> RingArcs:
-    """The ring of a view, described about the point that is nearest to the middle of the image."""
+    """The ring of a view as `RingArcs` whose origin is the point of the ring nearest to the middle of the image."""
     camera = scene.rig.camera
     axis = rays(np.array([camera.image_width - 1, camera.image_height - 1]) / 2, camera)
     cosine = float(axis @ view.normal)
@@ -46,11 +47,11 @@ class LaserFrames(NamedTuple):
     """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
 
     number: Int64[Array, "laser"]
-    """Index of the frame; -1 for a laser that is off in all of them."""
+    """Index of that frame in the shot; -1 for a laser that is off in all frames."""
     together: Int64[Array, "laser"]
-    """Number of lasers whose stripes it may show."""
+    """Number of lasers whose stripes the detector may find in that frame."""
     subtracted: Bool[Array, "laser"]
-    """Whether another frame without these lasers is subtracted."""
+    """Whether the detector subtracts another frame, without these lasers, from it."""
 
     def labelled(self, seen: Bool[Array, "laser"]) -> bool:
         """Whether each frame shows the stripe of one laser only, so that no stripe has to be assigned."""
@@ -58,7 +59,7 @@ class LaserFrames(NamedTuple):
 
 
 def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
-    """The frames of a sequence of laser masks: those with the fewest lasers on take precedence."""
+    """The frame of each laser in a sequence of laser masks: of those with it on, the one with the fewest lasers."""
     number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
     subtracted, covered = np.zeros(lasers, dtype=bool), 0
     for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
@@ -71,7 +72,7 @@ def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
 
 
 class Appearance(NamedTuple):
-    """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
+    """The exposure of a view, and the standard deviations of what the detector measures in its images."""
 
     exposure_s: float
     arcs: RingArcs
@@ -80,19 +81,19 @@ class Appearance(NamedTuple):
     lit: Bool[Array, "laser"]
     """Which light planes reach the whole face on the side that is in view."""
     centers: tuple[CenterErrors | None, ...]
-    """Of the stripes' centres; None for a laser whose stripe the image does not show."""
+    """Errors of the centres of each laser's stripe; None for a laser whose stripe the detector would not find."""
     end_sigma_px: Float64[Array, "laser edge=2"]
     """Standard deviation of the break points along the stripe."""
     edges: "VisibleEdges"
 
     @property
     def seen(self) -> Bool[Array, "laser"]:
-        """Which stripes an image shows, if they are in view."""
+        """Which lasers' stripes the detector would find, if they are in view."""
         return np.array([center is not None for center in self.centers], dtype=np.bool_)
 
 
 class VisibleEdges(NamedTuple):
-    """Places on the ring's edges that ambient light shows."""
+    """Points of the ring's inner and outer edge at which ambient light makes a step of brightness."""
 
     frame: int
     """Index of the frame in which the detector searches for them."""
@@ -108,7 +109,7 @@ NO_EDGES = VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0)
 
 @lru_cache(maxsize=16)
 def expected_appearance(scene: Scene, view: RingView) -> Appearance:
-    """Exposure of a view, and the standard deviations of stripes, break points and edges in its images."""
+    """The appearance of a view: its exposure, and the errors of stripes, break points and edges in its images."""
     illuminated, lasers = illuminated_ring(scene, view, scene.sequence), scene.rig.lasers
     frames = laser_frames(scene.sequence, len(lasers.names))
     exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)
@@ -171,9 +172,10 @@ def _image_scales(
     point_m: Float64[Array, "stripe edge=2 xyz=3"],
     camera: Camera,
 ) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe edge=2"]]:
-    """Rows per metre of distance from the light plane, and columns by which an edge is displaced per row.
+    """Scale of each stripe in the image, and the inclination of the ring's edges to it.
 
-    The latter is along the stripe, by a row across it.
+    The scale is in rows per metre of distance from the light plane; the inclination in columns along the stripe by
+    which an edge is displaced per row across it.
     """
     along = np.cross(light_normal, arcs.normal)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
@@ -230,10 +232,10 @@ def visible_edges(
     point_m: Float64[Array, "stripe edge=2 xyz=3"],
     exposure_s: float,
 ) -> VisibleEdges:
-    """Places on both edges whose step of brightness is seen, with the errors by noise and by what lies beside them.
+    """Points of both edges whose step of brightness the detector would find, with their standard deviations.
 
-    That is found by rays beyond the edge: another surface, a shadow, crinkles of the foil. Light that is not uniform
-    there displaces a step; the detector judges this error by the scatter of neighbouring places.
+    A step is displaced by noise, and by light beyond the edge that is not uniform: another surface, a shadow, crinkles
+    of the foil. That light is sampled by rays; the detector judges this error by the scatter of neighbouring points.
     """
     camera, sensor = scene.rig.camera, scene.sensor
     number = min(range(len(scene.sequence)), key=lambda each: (scene.sequence[each].bit_count(), each))
@@ -278,9 +280,10 @@ def visible_edges(
 def edge_normals_px(
     place_m: Float64[Array, "n xyz=3"], off_face: Float64[Array, "n xyz=3"], arcs: RingArcs, camera: Camera
 ) -> tuple[Float64[Array, "n xy=2"], Float64[Array, "n"]]:
-    """Unit normals in the image of the edges at places on them, off the face, and pixels along them per metre.
+    """Unit normals of the ring's edges in the image, and the image scale along them in pixels per metre.
 
-    `off_face` are the unit vectors in the ring's plane that point off the face.
+    For points on the edges in the camera frame; `off_face` are unit vectors in the ring's plane that point away from
+    the face, as the normals in the image do.
     """
     steps = _STEP_M * np.stack([np.cross(arcs.normal, off_face), off_face])
     moved_px = (project(place_m + steps, camera) - project(place_m - steps, camera)) / (2 * _STEP_M)

@@ -63,7 +63,7 @@ def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tu
 
 
 def shot_begins_s(sequence: tuple[int, ...], exposure_s: float) -> Float64[Array, "frame"]:
-    """Begin of each exposure of a shot since that of the first."""
+    """Begin of each exposure of a shot, in seconds since that of the first."""
     return np.arange(len(sequence)) * (exposure_s + READOUT_S)
 
 
@@ -167,9 +167,10 @@ def render_board_view(
 def illuminated_ring(
     scene: Scene, view: RingView, masks: tuple[int, ...] = (255,), time_s: float = 0.0, exposure_s: float = 0.0
 ) -> IlluminatedTarget:
-    """The target with its light, at a time since the beginning of the shot; `masks` are those of the frames.
+    """The target of a view with its light, `time_s` after the beginning of the shot.
 
-    If an exposure is given, its middle is at that time.
+    `masks` are the laser masks of the frames to be rendered. If an exposure is given, its middle is at `time_s`, and a
+    moving target has placements during it.
     """
     placement = target_placement(scene, view, time_s)
     _check_camera(scene, view, placement)
@@ -209,9 +210,9 @@ def view_truth(
     illuminated: IlluminatedTarget,
     break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None,
 ) -> Truth:
-    """Ground truth of a view; a view without a visible break point has no target.
+    """Ground truth of a view, `no_target` if no break point is visible.
 
-    Break points that are not given are those of this placement.
+    Break points that are not given are computed for the placement of `illuminated`.
     """
     if break_points_px is None and view.target == "ring":
         break_points_px = true_break_points_px(illuminated, scene.ring, scene.rig.camera)

@@ -20,7 +20,7 @@ _SLICES = 8
 
 
 class MovingViews:
-    """The views in order; the next one is rendered in the background and shown when it is ready."""
+    """The views in turn; the next one is rendered in the background and shown when it is due and ready."""
 
     def __init__(
         self, names: Sequence[str], render: Callable[[int], RenderedView], move: AdvancePolicy, after_s: float
