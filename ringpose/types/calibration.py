@@ -190,10 +190,15 @@ class CameraCalibration:
         return tuple(view for view in self.views if not view.rejected)
 
     @property
+    def covariance(self) -> ParameterCovariance:
+        """The covariance of the intrinsic parameters, which a calibrated camera has."""
+        assert self.camera.covariance is not None
+        return self.camera.covariance
+
+    @property
     def standard_deviations(self) -> dict[str, float]:
         """Standard deviations of the intrinsic parameters, by name; zero for one that was held fixed."""
-        covariance = self.camera.covariance
-        return {} if covariance is None else covariance.standard_deviations
+        return self.covariance.standard_deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -215,13 +220,6 @@ class Coverage:
     def share(self) -> float:
         """Share of the cells that contain corners."""
         return float((self.corners > 0).mean())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageMap:
-    """Pixels on a regular grid over the image, at which cameras are compared."""
-
-    points_px: Float64[Array, "map_row map_column xy=2"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -273,7 +271,6 @@ class CameraAssessment:
     """The quantities by which a camera calibration is assessed."""
 
     coverage: Coverage
-    image_map: ImageMap
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with
     corners."""

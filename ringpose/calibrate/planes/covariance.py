@@ -12,7 +12,7 @@ stripes' depths tilt the ring and move its centre by a multiple of them.
 import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
-from ringpose.calibrate.camera.parameters import inverse_of_scaled, parameter_names
+from ringpose.calibrate.camera.parameters import covariance_of_free, parameter_names
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
     JointState,
@@ -61,7 +61,7 @@ def planes_covariance(
     """
     planes = laser_parameters(names)
     count = len(planes)
-    own = inverse_of_scaled(information[:count, :count])
+    own = covariance_of_free(information[:count, :count])
     if given.covariance is None:
         return ParameterCovariance(parameters=planes, data=excess * own)
     if free_camera:
@@ -69,7 +69,7 @@ def planes_covariance(
         free = np.append(np.ones(count, dtype=bool), free_parameters(given))
         prior = np.zeros_like(information)
         prior[count:, count:] = prior_information(given)
-        data = inverse_of_scaled(np.where(np.outer(free, free), information / excess + prior, 0.0))
+        data = covariance_of_free(np.where(np.outer(free, free), information / excess + prior, 0.0))
         camera_first = np.roll(np.arange(len(data)), len(data) - count)
         data = data[np.ix_(camera_first, camera_first)]
     else:

@@ -25,7 +25,7 @@ from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residua
 from ringpose.calibrate.boards.pose import moved_pose
 from ringpose.calibrate.camera.parameters import (
     camera_with,
-    inverse_of_scaled,
+    covariance_of_free,
     parameter_names,
     parameters_of,
 )
@@ -167,7 +167,7 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
     information = np.zeros((len(names), len(names)))
     if camera.covariance is not None:
         columns = [names.index(name) for name in camera.covariance.parameters]
-        information[np.ix_(columns, columns)] = inverse_of_scaled(camera.covariance.data)
+        information[np.ix_(columns, columns)] = covariance_of_free(camera.covariance.data)
     return information
 
 
