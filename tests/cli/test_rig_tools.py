@@ -31,6 +31,18 @@ def test_a_rig_with_a_moved_plane_does_not_hold(plane_folder, capsys):
     assert abs(float(beside[1])) == pytest.approx(1.0, abs=0.02)
 
 
+def test_a_rig_with_a_stripe_too_steep_for_rings_is_checked_too(plane_folder, capsys):
+    rig = yaml.safe_load((plane_folder / "camera.yaml").read_text())
+    rig["lasers"][0]["normal"] = [0.8, 0.6, 0.0]
+    (plane_folder / "camera.yaml").write_text(yaml.safe_dump(rig))
+    write_switched_shot()
+
+    status = calibrated("--check", "camera.yaml", "switched.npz")
+
+    assert status == 3
+    assert re.search(r"left: .* mm beside its plane .*: does not hold", capsys.readouterr().err)
+
+
 def test_swapped_lasers_are_named(plane_folder, capsys):
     rig = yaml.safe_load((plane_folder / "camera.yaml").read_text())
     (plane_folder / "camera.yaml").write_text(yaml.safe_dump(rig | {"lasers": rig["lasers"][::-1]}))
