@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -238,16 +237,3 @@ def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
     left, middle, right = (planes[name] for name in THREE)
     inner = max(float(angle_between(left, middle)), float(angle_between(middle, right)))
     return max(inner - float(angle_between(left, right)), 0.0)
-
-
-def order_with_angles(
-    calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
-) -> tuple[str, ...] | None:
-    """An order of the lasers in which neighbours have the expected angles; None if none or the given one has."""
-    normals = calibration.planes.normal
-    angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
-    for way in permutations(range(len(normals))):
-        found = np.array([angles[pair] for pair in pairwise(way)])
-        if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
-            return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
-    return None

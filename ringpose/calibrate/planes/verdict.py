@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.calibrate.acceptance import PLANES_LIMITS, check
 from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m, worst_depth_sd_m
-from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
+from ringpose.calibrate.planes.quality import middle_outside_rad, plane_angles
 from ringpose.types.calibration import Check, LaserCalibration, PlanesCalibration, Verdict
 from ringpose.types.rig import ParameterCovariance
 
@@ -36,7 +36,8 @@ def planes_verdict(
         findings += _laser_checks(laser)
     if calibration.covariance is not None:
         findings += _depth_checks(calibration, calibration.covariance, near_m, far_m)
-    findings += _angle_checks(calibration, expected_angles_rad)
+    if expected_angles_rad:
+        findings += _angle_checks(calibration, expected_angles_rad)
     if calibration.covariance is not None:
         findings += _center_checks(calibration, calibration.covariance, working_distance_m or far_m)
     outside_rad = middle_outside_rad(calibration)
@@ -122,22 +123,15 @@ def _depth_checks(
 
 
 def _angle_checks(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Check]:
-    """Checks of the angles of neighbouring lasers, if their expected values are given."""
-    if not expected_rad:
-        return []
-    other = order_with_angles(calibration, expected_rad, PLANES_LIMITS["angle_error_rad"][0])
-    advice = "see with --overlay whether each stripe belongs to its laser, and how the lasers are mounted"
-    if other is not None:
-        advice = f"the angles fit the order {', '.join(other)}: see whether lasers are exchanged in all shots"
+    """Checks of the angles of neighbouring lasers."""
+    advice = (
+        "see with --overlay whether each stripe belongs to its laser, or lasers are exchanged in all shots; "
+        "check how the lasers are mounted"
+    )
+    angles = zip(plane_angles(calibration), expected_rad, strict=False)
     return [
-        check(
-            PLANES_LIMITS,
-            "angle_error_rad",
-            abs(angle.angle_rad - expected),
-            advice,
-            f"{angle.first} to {angle.second}",
-        )
-        for angle, expected in zip(plane_angles(calibration), expected_rad, strict=False)
+        check(PLANES_LIMITS, "angle_error_rad", abs(one.angle_rad - expected), advice, f"{one.first} to {one.second}")
+        for one, expected in angles
     ]
 
 

@@ -144,9 +144,3 @@ def test_a_middle_plane_that_is_not_between_the_others_is_reported(way, good):
 
     assert "middle_outside_rad" in {finding.name for finding in verdict.findings if finding.grade != Grade.GOOD}
     assert any(advice.startswith("middle is not between left and right") for advice in verdict.advice)
-
-
-def test_an_order_of_the_lasers_that_fits_the_expected_angles_is_named(good):
-    verdict = planes_verdict(renamed(good, (1, 0, 2)), expected_angles_rad=[0.18, 0.17])
-
-    assert any(advice.startswith("the angles fit the order middle, left, right") for advice in verdict.advice)
