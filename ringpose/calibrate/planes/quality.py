@@ -98,7 +98,7 @@ def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
     """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
     if calibration.covariance is None:
         return None
-    found = worst_depth_sd_m(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
+    found = worst_depth_sd_m(calibrated_rig(calibration), DEPTHS_M)
     rows = zip(calibration.planes.names, found.tolist(), strict=True)
     return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
 
@@ -107,8 +107,8 @@ def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
     """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
     if calibration.covariance is None:
         return None
-    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
-    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
+    rig = calibrated_rig(calibration)
+    sd = [ring_center_sd_m(rig, distance_m).tolist() for distance_m in DEPTHS_M]
     return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
 
 
