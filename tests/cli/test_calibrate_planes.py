@@ -22,15 +22,6 @@ def switched_shots(plane_folder):
         np.savez(file, images=np.stack(frames), lasers=masks, stamp_s=np.arange(4) / 10, exposure_s=np.full(4, 0.01))
 
 
-def test_the_stripes_of_one_view_do_not_determine_the_planes(plane_folder, capsys):
-    status = calibrate("planes/pln_B_01.npz", *ORDER)
-
-    assert status == 65
-    stderr = capsys.readouterr().err
-    assert "its one view lie on one line" in stderr
-    assert "add a view of the board 50 mm or more nearer or farther than 0.5" in stderr
-
-
 @pytest.fixture(scope="module")
 def poor_shots(carried_data, tmp_path_factory):
     """A calibration to which shots with one defect each are added."""
