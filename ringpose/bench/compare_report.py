@@ -9,7 +9,7 @@ from ringpose.bench.assumptions import assumption_lines, assumptions_record, cou
 from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
 from ringpose.bench.score import Judgement
 from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
-from ringpose.bench.table import COLUMNS, NEES, aligned
+from ringpose.bench.table import COLUMNS, NEES, aligned, group_cells
 
 SCHEMA = "bench_compare/1"
 
@@ -108,13 +108,11 @@ def _named(title: str, findings: Sequence[str]) -> list[str]:
 def _cells(row: Row, by: Sequence[str]) -> list[str]:
     heading, factor = UNITS[row.quantity]
     low_high = ABSENT if row.interval is None else " .. ".join(f"{end * factor:+.3g}" for end in row.interval)
-    group = [str(row.group.get(name, ABSENT)) if row.group else "all" for name in by]
     verdict = str(row.verdict)
     if row.verdict is Verdict.WORSE and not row.beyond_tolerance:
         verdict = "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
     return [
-        row.method or ABSENT,
-        *group,
+        *group_cells(row.method, row.group, by),
         heading,
         str(row.shots),
         f"{row.a * factor:.3g}",
