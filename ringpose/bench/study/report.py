@@ -180,7 +180,7 @@ def _times(study: Study, summary: StudySummary) -> Table:
         each = summary.all(method)
         stages = ["simulate_s", "detect_s", "pose_s"] if study.level == "images" else ["simulate_s", "pose_s"]
         for name in stages if method == summary.methods[0] else ["pose_s"]:
-            values = np.array(each.values.get(name, [np.nan]))
+            values = np.array(each.values[name] if each.count(name) else [np.nan])
             middle, high = (number(1e3 * float(value)) for value in np.quantile(values, [0.5, 0.99]))
             stage = {"simulate_s": "simulation", "detect_s": "detection", "pose_s": f"pose, {method}"}[name]
             rows.append([stage, middle, high])
@@ -203,7 +203,7 @@ def _errors(study: Study, summary: StudySummary) -> Picture:
         bounds = [summary.methods[0], *(method for method in summary.methods if method == "ml-known")]
         for method, style in zip(bounds, ("k--", "k:"), strict=False):
             keys, found = wide_columns(summary, method)
-            values = np.array([factor * each.bound(name) for each in found])
+            values = np.array([factor * each.rms(f"bound_{name}") for each in found])
             if _numeric(keys):
                 axis.plot(_positions(keys, 0, 1), values, style, linewidth=1.2)
             else:
