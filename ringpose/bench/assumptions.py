@@ -64,8 +64,15 @@ def counted(assumptions: Iterable[StatedAssumptions | None]) -> list[tuple[State
     return list(Counter(each for each in assumptions if each is not None).items())
 
 
-def assumptions_record(assumptions: StatedAssumptions) -> dict[str, Any]:
+def counted_records(assumptions: Iterable[StatedAssumptions | None]) -> list[dict[str, Any]]:
+    """The different assumptions as plain values, each with the number of shots."""
+    return [{**(assumptions_record(each) or {}), "shots": shots} for each, shots in counted(assumptions)]
+
+
+def assumptions_record(assumptions: StatedAssumptions | None) -> dict[str, Any] | None:
     """The assumptions with the keys of `priors` in a pose record."""
+    if assumptions is None:
+        return None
     motion = assumptions.motion
     return {
         "motion": "still" if motion is None else asdict(motion),
