@@ -33,9 +33,8 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.track.common_errors import common_errors
-from ringpose.track.explanations import TrackOptions
+from ringpose.track.explanations import Gripper, TrackOptions
 from ringpose.track.filters import continued, predicted
-from ringpose.track.lines import Gripper, LineOptions
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import MotionPrior, RigStability
@@ -415,7 +414,7 @@ def capture(rng, runs: int) -> Iterator[Figure]:
     for motion in motions(rng, 30 * wanted, **drawn):
         tracker = track_of(stream(motion, rng.integers(2, 5) / SHOTS_HZ, Shots(), rng, SHOTS_HZ))
         gripper = _gripper(tracker.line_at(0.0), rng)
-        tracker._lines = LineOptions(gripper=gripper)
+        tracker.options = TrackOptions(gripper=gripper)
         found = tracker.line_at(0.0)
         ring, reported = motion.at(found.stamp_s - START_S), found.capture_probability
         tilt = float(angle_between(found.pose.normal, ring.normal))

@@ -17,7 +17,7 @@ from ringpose.types.options import STDIN
 if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.lines import Gripper
+    from ringpose.track.explanations import Gripper
     from ringpose.track.pipeline import Tracker
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.rig import Rig
@@ -93,7 +93,7 @@ class TrackSettings(NamedTuple):
     @property
     def gripper(self) -> "Gripper | None":
         """The gripper's limits; both or none must be given."""
-        from ringpose.track.lines import Gripper
+        from ringpose.track.explanations import Gripper
 
         radial_m, tilt_deg = self.gripper_radial_m, self.gripper_tilt_deg
         if radial_m is None and tilt_deg is None:
@@ -106,7 +106,6 @@ class TrackSettings(NamedTuple):
     def tracker(self, rig: "Rig | None", assumed: "AssumptionOptions", camera: "CameraMotion | None") -> "Tracker":
         """The tracker; a track begins with the motion that is assumed within a shot."""
         from ringpose.track.explanations import TrackOptions
-        from ringpose.track.lines import LineOptions
         from ringpose.track.pipeline import Tracker
         from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
 
@@ -125,7 +124,7 @@ class TrackSettings(NamedTuple):
             MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
             MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
         )
-        return Tracker(rig, replace(options, motion=motion), LineOptions(gripper=self.gripper), camera)
+        return Tracker(rig, replace(options, motion=motion, gripper=self.gripper), camera)
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
