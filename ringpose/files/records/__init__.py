@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from typing import IO, Any
@@ -84,7 +85,7 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """The value in types of JSON and YAML, without arrays, tuples and paths; non-finite numbers become None."""
+    """The value in types of JSON and YAML; non-finite numbers become None, data classes mappings of their fields."""
     if isinstance(value, np.ndarray | np.generic):
         finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
         if finite.all():
@@ -100,4 +101,6 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, Enum):
         return plain(value.value)
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     return str(value) if isinstance(value, Path) else value
