@@ -403,7 +403,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         arcs=arcs,
         rates=rates,
         rate_sds=sds,
-        rate_deviations=_in_sds(rates_along(arcs, rates), sds) if len(sds) else sds,
+        rate_deviations=np.divide(rates_along(arcs, rates), sds, out=np.zeros(5), where=sds > 0) if len(sds) else sds,
         system=rows[:, : 1 + PARAMETERS],
         residual=rows[:, 0],
         jacobian=rows[:, 1 : 1 + PARAMETERS],
@@ -420,12 +420,6 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         distance_scale=scale,
         ordinates=ordinates,
     )
-
-
-def _in_sds(rates: Float64[Array, "rate"], sds: Float64[Array, "rate"]) -> Float64[Array, "rate"]:
-    """The rates in their standard deviations; 0 for one that is assumed to be 0 exactly."""
-    deviations: Float64[Array, "rate"] = np.divide(rates, sds, out=np.zeros_like(rates), where=sds > 0)
-    return deviations
 
 
 def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:

@@ -356,11 +356,8 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
 
 def polar_angles(arcs: RingArcs, rays: Float64[Array, "n xyz=3"]) -> Float64[Array, "n"]:
     """Angles about the ring's centre of the rays' points on its plane, in radians from the arcs' origin."""
-    inward, along, normal = arcs.axes
-    points_m = rays * (float(arcs.origin @ normal) / (rays @ normal))[:, None] - arcs.origin
-    angles: Float64[Array, "n"] = np.arctan2(
-        arcs.curvature * (points_m @ along), 1.0 - arcs.curvature * (points_m @ inward)
-    )
+    _, _, (x, y, _) = _on_plane(arcs, rays)
+    angles: Float64[Array, "n"] = np.arctan2(arcs.curvature * y, 1.0 - arcs.curvature * x)
     return angles
 
 
