@@ -364,10 +364,8 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     rates = rates if len(sds) else STILL
     stripes, every_edge = predicted_view(arcs, view, rates if len(sds) else None)
     ends, samples, visible = view.ends, len(view.rays), len(view.visible_rays)
-    points, edges = (
-        EdgeDistances(*(each[part] for each in every_edge))
-        for part in (slice(samples - ends), slice(samples - ends, None))
-    )
+    points = EdgeDistances(*(each[: samples - ends] for each in every_edge))
+    edges = EdgeDistances(*(each[samples - ends :] for each in every_edge))
     stripe_rows = samples + observations.isolated
     data_rows = stripe_rows + visible
     of_prior = _prior_rows(arcs, prior)
