@@ -189,7 +189,7 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
-        degrees_of_freedom=max(observations.stripe_numbers + prior_rows - PARAMETERS, 0),
+        numbers=observations.stripe_numbers + prior_rows,
         distance_sigmas=steps.distance_sigmas,
         edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
     )
