@@ -241,8 +241,9 @@ class _Stream:
         camera: "CameraMotion | None",
     ) -> None:
         from ringpose.pose.drift import DriftMonitor
+        from ringpose.pose.form_monitor import FormMonitor
 
-        self.monitor = DriftMonitor(rig, rig.stability.scaled(assumed.rig_stability))
+        self.monitor, self.form = DriftMonitor(rig, rig.stability.scaled(assumed.rig_stability)), FormMonitor()
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
@@ -359,6 +360,9 @@ def _write(
         with_health, warning = stream.monitor.update(line)
         if warning is not None:
             messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
+        with_health, warning = stream.form.update(with_health)
+        if warning is not None:
+            messages.echo(f"{line.shot}: {warning}")
         write(with_health)
         if verbose:
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")
