@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import degrees
@@ -89,7 +90,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         assumed=_assumed(fields) if "assume" in fields.values else None,
         calibrate=fields.boolean("calibrate") if fields.has("calibrate") else False,
         run=_run(fields, methods),
-        limits=_limits(fields),
+        limits=_limits(fields, cases),
     )
     _check(fields, study)
     files = (path, scene_file, scene_file.parent / read_yaml(scene_file).text("rig"))
@@ -121,11 +122,18 @@ def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
     )
 
 
-def _limits(fields: Fields) -> dict[str, float]:
+def _limits(fields: Fields, cases: Iterable[str]) -> dict[str, float | Mapping[str, float]]:
+    """The limits; one that is a mapping has a value for each of the cases that it names."""
     if not fields.has("limits"):
         return {}
-    limits = fields.fields("limits", tuple(LIMITS))
-    return {str(name): limits.number(str(name), least=0) for name in limits.values}
+    limits, found = fields.fields("limits", tuple(LIMITS)), dict[str, float | Mapping[str, float]]()
+    for name in map(str, limits.values):
+        if isinstance(limits.raw(name), dict):
+            by_case = limits.fields(name, tuple(cases))
+            found[name] = {str(case): by_case.number(str(case), least=0) for case in by_case.values}
+        else:
+            found[name] = limits.number(name, least=0)
+    return found
 
 
 def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
