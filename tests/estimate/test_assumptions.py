@@ -18,7 +18,15 @@ from ringpose.geometry.ring import motion_derivatives, ring_arcs
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.pipeline import pose_line, pose_result
 from ringpose.simulate.features import drawn_features
-from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, MotionPrior, RigStability, motion_prior
+from ringpose.types.assumptions import (
+    NOISE_ONLY,
+    TYPICAL_STABILITY,
+    USUAL,
+    Assumptions,
+    MotionPrior,
+    RigStability,
+    motion_prior,
+)
 from ringpose.types.pose import NoPose, PoseFlag
 from ringpose.types.scene import Approach
 from ringpose.types.target import RingForm
@@ -317,6 +325,21 @@ def test_edges_of_a_round_ring_are_not_flagged():
         expected.append(best.estimate.expected_chi2)
         assert best.estimate.expected_chi2 > 1.2 * best.estimate.degrees_of_freedom
     assert sum(chi2) == pytest.approx(sum(expected), rel=0.45)
+
+
+def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():
+    """0.2 mm at 0.5 m; with a perfect ring they contradict the stripes."""
+    shot, rig = with_form(0.5, "normal", 0)
+    edges = shot.detection.ring_edges
+    beside = replace(edges, position_px=edges.position_px + 0.7 * edges.normal)
+    detection = replace(shot.detection, ring_edges=beside)
+
+    line, strict = (pose_line(detection, rig, options=each) for each in (USUAL, NOISE_ONLY))
+
+    assert line.status == "ok"
+    error_m = line.pose.center_m - shot.truth.center_m
+    assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 11.3
+    assert "edge_rejected" in strict.flag_names
 
 
 # Stability of the rig
