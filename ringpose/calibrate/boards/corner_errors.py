@@ -43,8 +43,8 @@ _MIN_VARIATION = 1e-9
 
 _POSE_PARAMETERS = 6
 
-
 _SAMPLES = 33
+"""Points along a marker's side or a circle at which distortion is evaluated."""
 
 
 def whiten(rows: Float64[Array, "coordinate *column"], view: BoardView) -> Float64[Array, "coordinate *column"]:
@@ -253,19 +253,14 @@ def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
 def _circle_offsets(
     points_m: Float64[Array, "corner xyz=3"], axes_m: Float64[Array, "xyz=3 axis=2"], camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
-    """Centroid of each projected circle minus the projection of its centre."""
+    """Centroid of each projected circle (of a polygon, by the shoelace formula) minus the projection of its centre."""
     angle = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
     rims_m = points_m[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes_m.T
-    return _centroids(project(rims_m, camera)) - project(points_m, camera)
-
-
-def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, "corner xy=2"]:
-    """Centroids of polygons (shoelace formula)."""
-    middle = outlines.mean(axis=1, keepdims=True)
-    here = outlines - middle
+    centers_px = project(points_m, camera)
+    here = project(rims_m, camera) - centers_px[:, None]
     after = np.roll(here, -1, axis=1)
     twice = here[..., 0] * after[..., 1] - here[..., 1] * after[..., 0]
-    return middle[:, 0] + np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
+    return np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
 
 
 def _corrected_corners(
