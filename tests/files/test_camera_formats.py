@@ -201,8 +201,8 @@ def test_an_intrinsic_matrix_is_transposed():
     [
         ("alpha_c", 0.1, "skew"),
         ("nx", None, "has no nx"),
-        ("fc", [657.3], "1 numbers in fc"),
-        ("nx", "width", "nx that is not a list of numbers"),
+        ("fc", [657.3], "fc: has 1 numbers, must have 2"),
+        ("nx", "width", "nx: is the text 'width', must be a number"),
         ("kc", np.zeros(6), "6 distortion coefficients"),
     ],
 )
