@@ -31,7 +31,7 @@ def camera_report(
         for (name, sd), value in deviations
     ]
     sigmas_m = zip(assessment.distances_m, projection_sigma_m(calibration, assessment), strict=True)
-    held_out = {view.name: f"{view.rms_px:.3f}" for view in assessment.validation.left_out}
+    held_out = {view.name: f"{view.rms_px:.3f}" for view in assessment.left_out}
     views = [
         [
             view.name,
@@ -157,8 +157,8 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
     left, right = figure.subplots(1, 2)
     _map(figure, left, assessment.sigma_px, calibration.camera)
     left.set_title("projection uncertainty (px, one sigma)")
-    if np.isfinite(assessment.validation.split_half_px).all():
-        _map(figure, right, assessment.validation.split_half_px, calibration.camera)
+    if np.isfinite(assessment.split_half_px).all():
+        _map(figure, right, assessment.split_half_px, calibration.camera)
     else:
         right.text(0.5, 0.5, "too few views", ha="center", transform=right.transAxes)
     right.set_title("half of the views against the rest (px)")
@@ -180,7 +180,7 @@ def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -
     colors = ["#d62728" if view.rejected else "#1f77b4" for view in views]
     rms.bar(place, [view.pose.residual_rms_px for view in views], color=colors, label="in the calibration")
     number = {view.name: index for index, view in enumerate(views)}
-    held = assessment.validation.left_out
+    held = assessment.left_out
     rms.plot([number[view.name] for view in held], [view.rms_px for view in held], "k_", label="left out")
     usual_px = float(np.median([view.pose.residual_rms_px for view in calibration.used]))
     limit_px = max(VIEW_FACTOR * usual_px, FLOOR_PX)

@@ -17,10 +17,11 @@ from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_s
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
-    cross_validation,
     known_lens,
+    leave_one_out,
     model_comparison,
     projection_sigma_px,
+    split_half_px,
     used_views,
 )
 from ringpose.geometry.rotations import angle_between, rotation_vector
@@ -68,15 +69,16 @@ def camera_assessment(
     """
     used = used_views(calibration, boards)
     whole = camera_solution(used, calibration.camera, model)
-    validation = cross_validation(used, whole, model)
+    left_out, jackknife_px = leave_one_out(used, whole, model)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
     known = known_lens(calibration.camera, corners_px)
     sigma_px = np.where(known, projection_sigma_px(calibration.camera, calibration.covariance.data), np.nan)
-    disagreement = float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
+    disagreement = float(np.median(jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
     return CameraAssessment(
         coverage=coverage(calibration, boards),
         sigma_px=sigma_px,
-        validation=validation,
+        left_out=left_out,
+        split_half_px=split_half_px(used, whole, model),
         disagreement=disagreement,
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, whole, model) if compare else None,

@@ -32,7 +32,7 @@ def camera_quality(
     without_board: Sequence[tuple[str, str]] = (),
 ) -> Mapping[str, Any]:
     """The keys `standard_deviations` and `quality` of camera.yaml."""
-    covered, validation, comparison = assessment.coverage, assessment.validation, assessment.comparison
+    covered, comparison = assessment.coverage, assessment.comparison
     quality: dict[str, Any] = {
         "verdict": verdict_values(verdict),
         "rms_px": calibration.rms_px,
@@ -55,8 +55,8 @@ def camera_quality(
             "sigma_m": projection_sigma_m(calibration, assessment),
         },
         "cross_validation": {
-            "split_half_px": float(np.median(validation.split_half_px)),
-            "left_out": [asdict(view) for view in validation.left_out],
+            "split_half_px": float(np.median(assessment.split_half_px)),
+            "left_out": [asdict(view) for view in assessment.left_out],
             "disagreement": assessment.disagreement,
         },
     }
@@ -219,8 +219,8 @@ def _validation_findings(assessment: CameraAssessment) -> list[Check]:
     A value is NaN, without advice, if there are too few views to determine it: another check reports that.
     """
     unknown = LeftOutView(name="", shift_px=np.nan, rms_px=np.nan)
-    view = max(assessment.validation.left_out, key=lambda view: view.shift_px, default=unknown)
-    halves_px = float(np.median(assessment.validation.split_half_px))
+    view = max(assessment.left_out, key=lambda view: view.shift_px, default=unknown)
+    halves_px = float(np.median(assessment.split_half_px))
     disagree = (
         "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
         "that all images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner"
