@@ -118,7 +118,7 @@ def endpoint_correlation(left_out: float) -> float:
 
 
 def endpoint_for_correlation(correlation: float) -> float:
-    """The inverse: position x of a side's end, with the parabola fitted from -1 to 1.
+    """The inverse of `endpoint_correlation`: position x of a side's end, with the parabola fitted from -1 to 1.
 
     With u = x^2, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
     """
@@ -236,7 +236,10 @@ def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: 
 
 
 def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
-    """The view with marker corners or circle centres corrected for the bias; chessboard corners have none."""
+    """The view without the systematic errors that distortion causes in marker corners and circle centres.
+
+    Chessboard corners have none: their views are returned unchanged.
+    """
     if not view.circle_radius_m and not view.end_correlation:
         return view
     pose = board_pose(view, camera)

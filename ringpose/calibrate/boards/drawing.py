@@ -74,7 +74,7 @@ class BoardDrawing:
 
 
 def board_drawing(board: Board) -> BoardDrawing:
-    """The board in the middle of the smallest page that holds it with its rulers, upright or lying."""
+    """The board in the middle of the smallest page that holds it with its rulers, in portrait or landscape."""
     width_m, height_m = outline_m(board)
     needed_m = (width_m + 2 * RIM_M + RULER_M, height_m + 2 * RIM_M + RULER_M + TEXT_M)
     page, page_m = _page(needed_m)
@@ -106,7 +106,7 @@ def board_drawing(board: Board) -> BoardDrawing:
 def _page(needed_m: tuple[float, float]) -> tuple[str, tuple[float, float]]:
     """Name and size of the smallest page that holds an area of this width and height."""
     for name, (short, long) in PAGES_M.items():
-        for page_m, way in (((short, long), "upright"), ((long, short), "lying")):
+        for page_m, way in (((short, long), "portrait"), ((long, short), "landscape")):
             if needed_m[0] <= page_m[0] and needed_m[1] <= page_m[1]:
                 return f"{name} {way}", page_m
     return "of its own size", needed_m

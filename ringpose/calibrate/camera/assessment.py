@@ -112,10 +112,10 @@ def _widening(disagreement: float, views: int) -> float:
 def bow_finding(
     used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
 ) -> Check:
-    """Check of the board's flatness: significance of the bow from one Gauss-Newton step with camera and poses free.
+    """Check of the board's flatness: by how many standard deviations the corners show a bow, the same in all views.
 
-    The bow is a surface of second order, with three coefficients. `widening` is the factor by which the views' errors
-    exceed their residuals.
+    The bow is a surface of second order, with three coefficients, estimated by one Gauss-Newton step together with
+    camera and poses. `widening` is the factor by which the views' errors exceed what their residuals show.
     """
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
     rows = [
