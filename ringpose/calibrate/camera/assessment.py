@@ -164,6 +164,9 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
     used = [(view, board) for view, board in pairs if not view.rejected]
     points_px = np.concatenate([view.points_px[~view.left_out] for view, _ in used])
     middles = [view.pose.rotation @ board.points_board_m.mean(axis=0) + view.pose.translation_m for view, board in used]
+    normals = np.array([view.pose.rotation[:2, 2] for view, _ in used])
+    variance = np.linalg.eigvalsh(np.cov(normals.T)) if len(used) > 1 else np.zeros(2)
+    across, along = np.sqrt(np.maximum(variance, 0.0)).tolist()
     rows = max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
     # Each ninth of the image is divided into nine cells again: the share of these that contain corners.
     seen = (_counts(points_px, camera, 9, 9) > 0).reshape(3, 3, 3, 3).mean(axis=(1, 3))
@@ -172,7 +175,7 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
         corners=_counts(points_px, camera, rows, CELL_COLUMNS),
         bare_regions=tuple(_REGIONS[row][column] for row, column in bare),
         tilt_rad=tuple(board_tilt_rad(view.pose) for view, _ in used),
-        tilt_spread_rad=_tilt_spread([view.pose for view, _ in used]),
+        tilt_spread_rad=(along, across),
         distance_m=tuple(float(np.linalg.norm(middle)) for middle in middles),
     )
 
@@ -189,15 +192,6 @@ def _counts(
 def board_tilt_rad(pose: BoardPose) -> float:
     """Angle between board and image plane; at zero, perspective does not determine the focal length."""
     return float(angle_between(pose.rotation[:, 2], np.array([0.0, 0.0, 1.0])))
-
-
-def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:
-    """Standard deviation of the normals' x and y over the views, along and across their largest variation."""
-    normals = np.array([pose.rotation[:2, 2] for pose in poses])
-    if len(normals) < 2:
-        return 0.0, 0.0
-    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(normals.T)), 0.0)).tolist()
-    return along, across
 
 
 def different_poses(poses: Sequence[BoardPose]) -> int:

@@ -113,19 +113,15 @@ def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment,
     distortion = ", ".join(f"{name} {values[name]:.5f} ± {deviations[name]:.5f}" for name in list(values)[4:])
     lines.append(f"{pinhole} px ({camera.image_width} x {camera.image_height})")
     lines.append(f"{camera.distortion_model}: {distortion}")
-    lines.append(_projection_line(calibration, assessment))
-    if assessment.comparison is not None:
-        lines += _comparison_lines(assessment.comparison)
-    return lines + verdict_lines(verdict)
-
-
-def _projection_line(calibration: CameraCalibration, assessment: CameraAssessment) -> str:
     sigma_px, share = assessment.known_sigma_px, assessment.unknown_share
     unknown = f", not known in {100 * share:.0f} % of the image" if share else ""
     sigmas_m = zip(projection_sigma_m(calibration, assessment), assessment.distances_m, strict=True)
     millimetres = ", ".join(f"{1e3 * sigma_m:.3f} mm at {distance_m:g} m" for sigma_m, distance_m in sigmas_m)
     pixels = f"{np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst)"
-    return f"projection ± {pixels}{unknown}: {millimetres}"
+    lines.append(f"projection ± {pixels}{unknown}: {millimetres}")
+    if assessment.comparison is not None:
+        lines += _comparison_lines(assessment.comparison)
+    return lines + verdict_lines(verdict)
 
 
 def _comparison_lines(comparison: ModelComparison) -> list[str]:
