@@ -85,7 +85,7 @@ def test_lasers_at_unexpected_angles_are_reported(good):
 def test_an_angle_is_that_between_the_normals_with_the_deviation_of_drawn_planes(good, rng):
     (angle, other) = plane_angles(good)
     wanted = [np.arccos(NORMALS[i] @ NORMALS[i + 1]) for i in range(2)]
-    assert [angle.angle_rad, other.angle_rad] == pytest.approx(wanted, abs=1e-4)
+    assert [angle["angle_rad"], other["angle_rad"]] == pytest.approx(wanted, abs=1e-4)
     covariance = good.covariance
     places = [covariance.parameters.index(f"{name}.tilt_{i}") for name in ("left", "middle") for i in (1, 2)]
     drawn = rng.multivariate_normal(np.zeros(4), covariance.data[np.ix_(places, places)], 2000)
@@ -93,7 +93,7 @@ def test_an_angle_is_that_between_the_normals_with_the_deviation_of_drawn_planes
     normals = good.planes.normal
     angles = [np.arccos(tilted(normals[0], each[:2]) @ tilted(normals[1], each[2:])) for each in drawn]
 
-    assert np.std(angles) == pytest.approx(angle.sd_rad, rel=0.1)
+    assert np.std(angles) == pytest.approx(angle["sd_rad"], rel=0.1)
 
 
 def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
