@@ -12,7 +12,7 @@ from ringpose.cli import messages
 from ringpose.cli.app import app
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.assumptions import MaxRate, MaxSpeed, assumption_options
-from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, number_option
 from ringpose.cli.options.track import (
     Format,
     GripperRadial,
@@ -42,12 +42,7 @@ Inputs = Annotated[
         help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
     ),
 ]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        "--rate", metavar="HZ", min=0.01, max=1000, callback=finite, help="Lines a second, by this computer's clock."
-    ),
-]
+Rate = Annotated[float | None, number_option("--rate", "HZ", "Lines a second, by this computer's clock.", 0.01, 1000)]
 Brief = Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")]
 
 

@@ -10,7 +10,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile, file_option
 from ringpose.cli.progress import with_progress
 from ringpose.errors import DataError, NoInputError, UsageError
 
@@ -21,20 +21,10 @@ if TYPE_CHECKING:
     from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
-Poses = Annotated[
-    list[Path] | None,
-    typer.Option("--poses", readable=False, metavar="FILE", help="The output of ringpose pose for these shots."),
-]
-Tracks = Annotated[
-    list[Path] | None,
-    typer.Option("--tracks", readable=False, metavar="FILE", help="The output of ringpose track for these poses."),
-]
-TruthFile = Annotated[
-    Path | None, typer.Option("--truth", readable=False, metavar="FILE", help="Show the truth and the errors, too.")
-]
-HtmlFile = Annotated[
-    Path | None, typer.Option("--html", readable=False, metavar="FILE", help="Write the replay as one HTML page.")
-]
+Poses = Annotated[list[Path] | None, file_option("--poses", meaning="The output of ringpose pose for these shots.")]
+Tracks = Annotated[list[Path] | None, file_option("--tracks", meaning="The output of ringpose track for these poses.")]
+TruthFile = Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")]
+HtmlFile = Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")]
 Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
 
 

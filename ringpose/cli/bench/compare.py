@@ -8,7 +8,7 @@ import typer
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
-from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
+from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, number_option
 from ringpose.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -23,10 +23,7 @@ ResultA = Annotated[
 ]
 ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
 Tolerance = Annotated[
-    float,
-    typer.Option(
-        "--tolerance", metavar="SHARE", min=0, callback=finite, help="Differences up to this do not count as failure."
-    ),
+    float, number_option("--tolerance", "SHARE", "Differences up to this do not count as failure.", 0)
 ]
 TwoMethods = Annotated[
     str | None,

@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import STDOUT, CsvFile, Force, Quiet, Report, check_report, finite, numbers
+from ringpose.cli.options.common import (
+    STDOUT,
+    CsvFile,
+    Force,
+    Quiet,
+    Report,
+    check_report,
+    file_option,
+    number_option,
+    numbers,
+)
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, UsageError
@@ -21,13 +31,7 @@ RigToDesign = Annotated[
     Path, typer.Argument(metavar="RIG", help="The rig (rig.yaml), with the places of its projectors.")
 ]
 SceneFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--scene",
-        readable=False,
-        metavar="FILE",
-        help="Take ring, laser light, lens, sensor and light from this scene.",
-    ),
+    Path | None, file_option("--scene", meaning="Take ring, laser light, lens, sensor and light from this scene.")
 ]
 Vary = Annotated[
     list[str] | None,
@@ -49,14 +53,9 @@ Offsets = Annotated[
         help="Horizontal offsets from the image centre, in image widths, separated by commas.",
     ),
 ]
-Pitch = Annotated[
-    float, typer.Option("--pitch", metavar="DEG", min=-60, max=60, callback=finite, help="Pitch of the ring.")
-]
-Yaw = Annotated[float, typer.Option("--yaw", metavar="DEG", min=-60, max=60, callback=finite, help="Yaw of the ring.")]
-Stability = Annotated[
-    float,
-    typer.Option("--rig-stability", metavar="FACTOR", min=0, callback=finite, help="Scales the rig's usual stability."),
-]
+Pitch = Annotated[float, number_option("--pitch", "DEG", "Pitch of the ring.", -60, 60)]
+Yaw = Annotated[float, number_option("--yaw", "DEG", "Yaw of the ring.", -60, 60)]
+Stability = Annotated[float, number_option("--rig-stability", "FACTOR", "Scales the rig's usual stability.", 0)]
 Minimize = Annotated[Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")]
 MinCoverage = Annotated[
     float,
@@ -64,10 +63,7 @@ MinCoverage = Annotated[
         "--min-coverage", metavar="SHARE", min=0, max=1, help="Smallest share of the places with all stripes in view."
     ),
 ]
-BestRig = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", readable=False, metavar="FILE", help="Write the best rig (rig.yaml)."),
-]
+BestRig = Annotated[Path | None, file_option("--output", "-o", meaning="Write the best rig (rig.yaml).")]
 
 QUANTITY = {
     Minimized.CENTER: "center_m",

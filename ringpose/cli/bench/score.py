@@ -5,13 +5,22 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from math import inf, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli.options.common import (
+    STDOUT,
+    CsvFile,
+    Force,
+    JsonFile,
+    OptionalRigFile,
+    PoseFrame,
+    Quiet,
+    number_option,
+)
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Method
@@ -43,15 +52,10 @@ Methods = Annotated[
     list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
 ]
 
-
-def _limit(option: str, unit: str, what: str) -> Any:
-    return typer.Option(option, metavar=unit, min=0, callback=finite, help=f"Limit on the RMSE of {what}.")
-
-
-MaxCenter = Annotated[float | None, _limit("--max-center-mm", "MM", "the centre")]
-MaxNormal = Annotated[float | None, _limit("--max-normal-deg", "DEG", "the normal")]
-MaxRadius = Annotated[float | None, _limit("--max-radius-mm", "MM", "the radii")]
-MaxGrasp = Annotated[float | None, _limit("--max-grasp-mm", "MM", "the grasp point")]
+MaxCenter = Annotated[float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)]
+MaxNormal = Annotated[float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)]
+MaxRadius = Annotated[float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)]
+MaxGrasp = Annotated[float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)]
 MaxMissed = Annotated[
     int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
 ]

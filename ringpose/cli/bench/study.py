@@ -13,7 +13,7 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import Cron, report_missed
-from ringpose.cli.options.common import Force, Quiet, Report, check_report
+from ringpose.cli.options.common import Force, Quiet, Report, check_report, file_option
 from ringpose.cli.progress import with_total
 from ringpose.errors import UsageError
 
@@ -31,8 +31,7 @@ StudyName = Annotated[
     ),
 ]
 Output = Annotated[
-    Path,
-    typer.Option("--output", "-o", readable=False, metavar="DIR", help="Folder of the results; resumed if it exists."),
+    Path, file_option("--output", "-o", meaning="Folder of the results; resumed if it exists.", metavar="DIR")
 ]
 ShotCount = Annotated[
     int | None,
@@ -49,8 +48,7 @@ Scheduler = Annotated[
     str | None, typer.Option("--scheduler", metavar="URI", help="Compute on this dask cluster (tcp://...).")
 ]
 SchedulerFile = Annotated[
-    Path | None,
-    typer.Option("--scheduler-file", readable=False, metavar="FILE", help="Compute on the dask cluster of this file."),
+    Path | None, file_option("--scheduler-file", meaning="Compute on the dask cluster of this file.")
 ]
 Keep = Annotated[
     str | None, typer.Option("--keep", metavar="worst:N", help="Write the N shots with the largest centre errors.")

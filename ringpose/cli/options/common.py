@@ -3,7 +3,7 @@
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,6 +26,18 @@ def finite(value: float | None) -> float | None:
     if value is not None and not isfinite(value):
         raise typer.BadParameter(f"{value} is not a finite number")
     return value
+
+
+def number_option(
+    name: str, unit: str, meaning: str, least: int | float | None = None, most: int | float | None = None
+) -> Any:
+    """An option that takes a finite number within bounds."""
+    return typer.Option(name, metavar=unit, min=least, max=most, callback=finite, help=meaning)
+
+
+def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
+    """An option that takes a file, which is checked when it is read, with exit statuses of its own."""
+    return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
 
 
 def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:

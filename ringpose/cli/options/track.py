@@ -12,7 +12,7 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import finite
+from ringpose.cli.options.common import number_option
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN
 
@@ -33,44 +33,20 @@ class Format(StrEnum):
 
 PredictFor = Annotated[
     float | None,
-    typer.Option(
-        "--predict-for",
-        metavar="S",
-        min=0,
-        callback=finite,
-        help="Longest prediction; after it, two shots that agree start the track anew; default: 2.",
+    number_option(
+        "--predict-for", "S", "Longest prediction; after it, two shots that agree start the track anew; default: 2.", 0
     ),
 ]
 LostAfter = Annotated[
-    float | None,
-    typer.Option(
-        "--lost-after",
-        metavar="S",
-        min=0,
-        callback=finite,
-        help="Time without a shot that ends a track; default: 3.",
-    ),
+    float | None, number_option("--lost-after", "S", "Time without a shot that ends a track; default: 3.", 0)
 ]
 GripperRadial = Annotated[
     float | None,
-    typer.Option(
-        "--gripper-radial-m",
-        metavar="M",
-        min=0,
-        callback=finite,
-        help="How far the middle of the ring's band may be from the grasp point.",
-    ),
+    number_option("--gripper-radial-m", "M", "How far the middle of the ring's band may be from the grasp point.", 0),
 ]
 GripperTilt = Annotated[
     float | None,
-    typer.Option(
-        "--gripper-tilt-deg",
-        metavar="DEG",
-        min=0,
-        max=90,
-        callback=finite,
-        help="How far the ring's normal may be from the reported one.",
-    ),
+    number_option("--gripper-tilt-deg", "DEG", "How far the ring's normal may be from the reported one.", 0, 90),
 ]
 RobotPosesFile = Annotated[
     str | None,
