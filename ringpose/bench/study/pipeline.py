@@ -160,10 +160,11 @@ def write_worst(study: Study, folder: ResultFolder, count: int) -> None:
     rig = study.rig or study.scene.rig
     kept = SimulationFolder(folder.folder / "worst", rig, force=True, inputs=[], content=content)
     for _, shot in _worst(study, folder, count):
-        if isinstance(shot.source, Shot):
-            kept.add(shot.source, shot.truth)
+        source = shot.run[-1]
+        if isinstance(source, Shot):
+            kept.add(source, shot.truth)
         else:
-            kept.add_detection(shot.source, shot.truth)
+            kept.add_detection(source, shot.truth)
 
 
 def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
@@ -179,8 +180,9 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     worst = set(worst_shots(folder.rows(), method, OVERLAYS))
     rows = {row["shot"]: row for row in folder.rows() if row["method"] == method and row["shot"] in worst}
     for index, shot in _worst(study, folder, OVERLAYS):
-        assert isinstance(shot.source, Shot)
-        picture = overlay(picture_of(shot.source), detect(shot.source, shot.scene.rig))
+        source = shot.run[-1]
+        assert isinstance(source, Shot)
+        picture = overlay(picture_of(source), detect(source, shot.scene.rig))
         png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
         error, reason = rows[index]["center_m"], rows[index]["reason"]
         found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"
