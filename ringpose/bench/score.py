@@ -101,7 +101,7 @@ class PoseEstimate:
 
 
 class Outcome(StrEnum):
-    """The outcome of a shot."""
+    """What a method gives for a shot, compared with what the truth expects."""
 
     OK = "ok"
     DEGRADED = "degraded"
@@ -197,9 +197,10 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
 
 
 def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -> list[PoseEstimate]:
-    """Estimates of a track under the names of the truths that are nearest in time; of several at one truth the nearest.
+    """Estimates of a track, each renamed to the shot of the truth that is nearest in time.
 
-    One that is more than `MAX_PROPAGATION_S` from all truths keeps its name.
+    Of several estimates at one truth the nearest is kept. An estimate that is more than `MAX_PROPAGATION_S` from all
+    truths keeps its name.
     """
     dated = [truth for truth in truths if truth.stamp_s is not None]
     stamps_s = np.array([truth.stamp_s for truth in dated])
@@ -246,7 +247,10 @@ def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matc
 
 
 def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Camera | None) -> Score:
-    """Score of an estimate (None for a shot without a record); without the camera the arc is not checked."""
+    """Score of an estimate (None for a shot without a record).
+
+    Without the camera it is not checked whether the grasp point lies on the arc that the stripes span.
+    """
     has_target = truth.expect != "no_target"
     scored = partial(Score, shot=truth.shot, method=method, has_target=has_target, groups=truth.groups)
     if estimate is None:

@@ -89,7 +89,7 @@ class _Records:
         self._reported: set[str] = set()
 
     def added(self, item: "Input", at_rate: bool = False) -> "Attempt | None":
-        """What became of a record; None if it is not a record of this track, which is reported."""
+        """How a record was used; None if it does not belong to this track, which is reported."""
         from ringpose.files.records.poses import pose_line_of
 
         attempt = None

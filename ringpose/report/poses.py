@@ -35,7 +35,7 @@ def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str)
 
 
 def badness(line: PoseLine) -> tuple[int, float]:
-    """Sort key of the worst shots: the worst has the largest."""
+    """Sort key, the worst shot last: without a pose, degraded, then by the standard deviation of the grasp point."""
     if line.pose is None:
         return 2, np.inf
     covariance = line.pose.covariance_grasp_m2

@@ -70,7 +70,7 @@ class TrackOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Explanations after the measurements so far; none before the first."""
+    """Explanations of the measurements so far, which differ in the side of the ring's centre; none before the first."""
 
     banks: tuple[Bank, ...] = ()
     sides: tuple[int, ...] = ()
@@ -114,7 +114,7 @@ class Fusion(NamedTuple):
 
 
 def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | None) -> Track:
-    """The track that begins with a measurement, with both sides unless it excludes one."""
+    """The track that begins with a measurement: an explanation for each side on which the ring's centre may lie."""
     banks = tuple(started(observed, side, motion, radius) for side in (1, -1))
     return _pruned(Track(banks=banks, sides=(1, -1)))
 

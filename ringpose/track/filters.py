@@ -134,7 +134,7 @@ class Bank:
 
 
 def mixed(bank: Bank) -> tuple[Float64[Array, "error=14"], Float64[Array, "error=14 error=14"]]:
-    """Mean coordinates and covariance over the models with their probabilities.
+    """Mean and covariance of the states of all filters, weighted by the probabilities of their motion models.
 
     While the evidence does not decide between models, the covariance includes their disagreement.
     """
@@ -146,7 +146,7 @@ def mixed(bank: Bank) -> tuple[Float64[Array, "error=14"], Float64[Array, "error
 
 
 class Innovation(NamedTuple):
-    """What a measurement differs by from its prediction."""
+    """The difference between a measurement and its prediction by each filter of a bank (innovation)."""
 
     remaining: Float64[Array, "filter row"]
     jacobian: Float64[Array, "filter row error=14"]
@@ -276,7 +276,7 @@ def _ahead(
 
 
 def predicted(bank: Bank, stamp_s: float) -> Bank:
-    """The bank at another time, described about its best filter's state."""
+    """The bank predicted to another time, in the chart of its best filter's state."""
     return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None, None).bank
 
 

@@ -79,7 +79,7 @@ class Observation:
 
     @property
     def chart(self) -> RingStates:
-        """The arcs as the chart of states."""
+        """The linearisation point as a chart, about which states are described."""
         return _chart(self.arcs)
 
     def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
@@ -105,7 +105,7 @@ def observation(
     inflation: float,
     camera: CameraState | None = None,
 ) -> Observation:
-    """The rows of a record, in units of its errors times the root of `inflation`.
+    """The measurement of a record as linear equations; `inflation` is a factor on its variances.
 
     In the frame of the camera, which counts as inertial, or in the base frame if its motion is given.
     """

@@ -60,7 +60,10 @@ def metadata(read: StudyFile, command: str) -> dict[str, Any]:
 
 
 def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
-    """The study with the rig that measures: if it asks for that, calibrated first, and kept in the folder."""
+    """The study with the rig by which its shots are measured.
+
+    If the study asks for that, the rig is calibrated from simulated board views first, and kept in the folder.
+    """
     from ringpose.files.rigs import read_rig, write_rig
 
     if not study.calibrate:
@@ -115,7 +118,7 @@ def missing(study: Study, folder: ResultFolder) -> list[int]:
 def computed(
     study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:
-    """The shots in any order, by a cluster if a scheduler is given, else by processes (0: one per core)."""
+    """Compute shots, in any order: by a cluster if a scheduler is given, else by processes (0: one a core)."""
     work, processes = partial(study_rows, study), jobs or executors.cores()
     if not indices:
         return iter(())
@@ -153,7 +156,7 @@ def _main_method(study: Study) -> str:
 
 
 def write_worst(study: Study, folder: ResultFolder, count: int) -> None:
-    """The shots with the largest errors with their truth: a data set for `ringpose bench`."""
+    """Write the shots with the largest errors, with their truth, as a data set for `ringpose bench`."""
     from ringpose.files.images.simulations import SimulationFolder
 
     content = "shots" if study.level == "images" else "detections"
@@ -168,7 +171,7 @@ def write_worst(study: Study, folder: ResultFolder, count: int) -> None:
 
 
 def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
-    """The images with the largest errors, with what was detected in them; none of features."""
+    """Pictures of the shots with the largest errors, with what was detected; none if features are drawn, not images."""
     import cv2
 
     from ringpose.detect.pipeline import detect

@@ -158,7 +158,7 @@ def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
 
 
 def factor_name(name: str) -> str:
-    """A factor's name beside values that have a unit of their own."""
+    """The name of a factor without its unit, as a heading of values that state their unit."""
     return name.removesuffix("_m").removesuffix("_rad").replace("_", " ")
 
 

@@ -89,7 +89,7 @@ def study_rows(study: Study, index: int) -> list[Row]:
 
 
 def failed_rows(study: Study, index: int, reason: str) -> list[Row]:
-    """The rows of a shot without any result."""
+    """The rows of a shot that could not be computed, with the reason."""
     empty: Row = dict.fromkeys(columns(study))
     common = {"shot": index, **setting_of(study, index), "outcome": ERROR, "status": "none", "reason": reason}
     return [{**empty, **common, "method": method.value} for method in study.methods]
@@ -124,7 +124,7 @@ def _drawn(factor: Factor, rng: np.random.Generator) -> Value:
 
 
 def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyShot:
-    """The shot of an index, rendered or drawn."""
+    """Simulate a shot of a study: its images are rendered, or its features drawn."""
     start_s = perf_counter()
     scene = scene_of(study, index, setting)
     stated: Mapping[str, Any] = {name: setting[name] for name in _DEVIATIONS if name in setting}

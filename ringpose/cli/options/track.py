@@ -59,7 +59,7 @@ Newest = Annotated[bool, typer.Option("--newest", help="Skip lines that a slow r
 
 
 class TrackSettings(NamedTuple):
-    """The options of a track as given; None where they are not."""
+    """The options of a track; None for those that are not given."""
 
     predict_for_s: float | None = None
     lost_after_s: float | None = None
