@@ -109,12 +109,6 @@ def _board_views(scene: Scene, boards: BoardSet, jobs: int) -> Iterator[tuple[Sh
             yield shot, view
 
 
-def missing(study: Study, folder: ResultFolder) -> list[int]:
-    """Shots that are not finished, in order."""
-    done = folder.finished(study.shots)
-    return [index for index in range(study.shots) if index not in done]
-
-
 def computed(
     study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:

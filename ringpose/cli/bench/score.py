@@ -1,7 +1,7 @@
 """`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from math import inf, radians
 from pathlib import Path
@@ -27,7 +27,6 @@ from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
-    from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
@@ -177,9 +176,9 @@ def scores_of_lines(
     if since_s > -inf:
         estimates = [estimate for estimate in estimates if estimate.shot_stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
-        truths = [truth for truth in truths if truth.shot in recent or (truth.stamp_s or -inf) >= since_s]
-        kept = {truth.shot for truth in truths}
-        sets = [([truth for truth in of_set if truth.shot in kept], camera) for of_set, camera in sets]
+        recent |= {truth.shot for truth in truths if (truth.stamp_s or -inf) >= since_s}
+        sets = [([truth for truth in of_set if truth.shot in recent], camera) for of_set, camera in sets]
+        truths = [truth for of_set, _ in sets for truth in of_set]
     matched = matching(estimates, truths)
     no_truth = f"have a pose line but no truth in {', '.join(map(str, truth_files))}"
     for shots, what, remedy in (
@@ -244,8 +243,11 @@ def _scores_of_folders(
 
     Of a folder that grows, shots written before `since_s`, or not yet, are left out.
     """
-    from ringpose.bench.score import scores
+    from ringpose.bench.score import estimate_of, scores
+    from ringpose.detect.pipeline import detect
+    from ringpose.files.images.shots import read_shot
     from ringpose.files.rigs import read_rig
+    from ringpose.pose.pipeline import pose_line
 
     found = []
     for folder in map(Path, folders):
@@ -257,25 +259,16 @@ def _scores_of_folders(
             if since_s > -inf:
                 shots = {path.stem: path.stat().st_mtime for path in (folder / "shots").glob("*.npz")}
                 truths = [truth for truth in truths if shots.get(truth.shot, -inf) >= since_s]
-            estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
+            estimates = []
+            for truth in with_progress(truths, "shots", quiet):
+                with batch.guarded():
+                    shot = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
+                    detection = detect(shot, of_shots)
+                    for method in methods:
+                        line = pose_line(detection, of_shots, method, PoseFrame.CAMERA)
+                        estimates.append(replace(estimate_of(line, truth.shot), method=method.value))
             found += scores(estimates, truths, of_shots.camera)
     return found
-
-
-def _estimates(
-    shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: Batch, quiet: bool
-) -> "Iterator[PoseEstimate]":
-    from ringpose.bench.score import estimate_of
-    from ringpose.detect.pipeline import detect
-    from ringpose.files.images.shots import read_shot
-    from ringpose.pose.pipeline import pose_line
-
-    for truth in with_progress(truths, "shots", quiet):
-        with batch.guarded():
-            detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
-            for method in methods:
-                line = pose_line(detection, rig, method, PoseFrame.CAMERA)
-                yield replace(estimate_of(line, truth.shot), method=method.value)
 
 
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:

@@ -90,7 +90,8 @@ def study(
     batch = Batch()
     with opened(output, metadata, force=force, wait=wait) as folder:
         prepared = pipeline.prepared(read.study, folder, jobs)
-        missing = pipeline.missing(prepared, folder)
+        finished = folder.finished(prepared.shots)
+        missing = [index for index in range(prepared.shots) if index not in finished]
         done = pipeline.computed(prepared, missing, jobs, scheduler, scheduler_file)
         pipeline.write_finished(prepared, folder, _reported(done, len(missing), prepared.shots, quiet or cron))
         folder.write_tables(columns(prepared), metadata)
