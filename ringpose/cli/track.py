@@ -11,7 +11,7 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.app import app
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.assumptions import MaxRate, MaxSpeed, assumption_options
+from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, number_option
 from ringpose.cli.options.track import (
     Format,
@@ -70,7 +70,7 @@ def track(
     from ringpose.files.rigs import read_rig
 
     settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
-    assumed, motion = assumption_options(False, max_speed, max_rate, None, 1.0), camera_motion(robot_poses, rig, inputs)
+    assumed, motion = Assumed(max_speed=max_speed, max_rate=max_rate).options, camera_motion(robot_poses, rig, inputs)
     tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
