@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
-Poses = Annotated[list[Path] | None, file_option("--poses", meaning="The output of ringpose pose for these shots.")]
-Tracks = Annotated[list[Path] | None, file_option("--tracks", meaning="The output of ringpose track for these poses.")]
-TruthFile = Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")]
-HtmlFile = Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")]
-Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
-
 
 @app.command()
 def view(
     inputs: Inputs,
     rig: RigFile,
-    poses: Poses = None,
-    tracks: Tracks = None,
-    truth: TruthFile = None,
-    html: HtmlFile = None,
-    port: Port = 8080,
+    poses: Annotated[
+        list[Path] | None, file_option("--poses", meaning="The output of ringpose pose for these shots.")
+    ] = None,
+    tracks: Annotated[
+        list[Path] | None, file_option("--tracks", meaning="The output of ringpose track for these poses.")
+    ] = None,
+    truth: Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")] = None,
+    html: Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")] = None,
+    port: Annotated[
+        int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")
+    ] = 8080,
     channel: ImageChannel = None,
     force: Force = False,
     quiet: Quiet = False,

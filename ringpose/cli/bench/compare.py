@@ -15,32 +15,30 @@ if TYPE_CHECKING:
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
 
-ResultA = Annotated[
-    str,
-    typer.Argument(
-        metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
-    ),
-]
-ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
-Tolerance = Annotated[
-    float, number_option("--tolerance", "SHARE", "Differences up to this do not count as failure.", 0)
-]
-TwoMethods = Annotated[
-    str | None,
-    typer.Option("--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."),
-]
-OtherRig = Annotated[bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")]
-
 
 def compare(
-    a: ResultA,
-    b: ResultB,
+    a: Annotated[
+        str,
+        typer.Argument(
+            metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
+        ),
+    ],
+    b: Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")],
     truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
-    methods: TwoMethods = None,
-    tolerance: Tolerance = 0.02,
-    allow_other_rig: OtherRig = False,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, number_option("--tolerance", "SHARE", "Differences up to this do not count as failure.", 0)
+    ] = 0.02,
+    allow_other_rig: Annotated[
+        bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")
+    ] = False,
     json: JsonFile = None,
     force: Force = False,
 ) -> None:

@@ -31,10 +31,6 @@ if TYPE_CHECKING:
 
 DEFAULT_GROUPS = ("distance_m", "light")
 
-PosesOrFolders = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
-]
 TruthFiles = Annotated[
     list[Path] | None,
     typer.Option("--truth", metavar="FILE", help="Ground truth (truth.jsonl); may be given again."),
@@ -47,40 +43,46 @@ By = Annotated[
         help="Groups of the truth with a line each, separated by commas; default: distance_m,light.",
     ),
 ]
-Methods = Annotated[
-    list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
-]
 
-MaxCenter = Annotated[float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)]
-MaxNormal = Annotated[float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)]
-MaxRadius = Annotated[float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)]
-MaxGrasp = Annotated[float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)]
-MaxMissed = Annotated[
-    int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
-]
-MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")]
 
-Since = Annotated[
-    str | None, typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d).")
-]
 Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit is missed.")]
 
 
 def bench(
-    inputs: PosesOrFolders,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
+    ],
     truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
-    method: Methods = None,
+    method: Annotated[
+        list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
+    ] = None,
     json: JsonFile = None,
     csv: CsvFile = None,
-    max_center_mm: MaxCenter = None,
-    max_normal_deg: MaxNormal = None,
-    max_radius_mm: MaxRadius = None,
-    max_grasp_mm: MaxGrasp = None,
-    max_missed: MaxMissed = None,
-    max_wrong: MaxWrong = None,
-    since: Since = None,
+    max_center_mm: Annotated[
+        float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)
+    ] = None,
+    max_normal_deg: Annotated[
+        float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)
+    ] = None,
+    max_radius_mm: Annotated[
+        float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)
+    ] = None,
+    max_grasp_mm: Annotated[
+        float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)
+    ] = None,
+    max_missed: Annotated[
+        int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
+    ] = None,
+    max_wrong: Annotated[
+        int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d)."),
+    ] = None,
     cron: Cron = False,
     force: Force = False,
     quiet: Quiet = False,
