@@ -15,7 +15,6 @@ from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
 from ringpose.bench.study.table import worst_shots
 from ringpose.files.studies.results import ResultFolder
-from ringpose.files.studies.specification import StudyFile
 from ringpose.report.page import Picture
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.board import BoardView
@@ -38,13 +37,12 @@ MARGIN_PX = 150
 """... from so many pixels beside the stripes on the ring's face on."""
 
 
-def metadata(read: StudyFile, command: str) -> dict[str, Any]:
+def metadata(study: Study, command: str) -> dict[str, Any]:
     """What identifies the results, and where they come from."""
-    study = read.study
     return {
         "ringpose": "study_results/1",
         "title": study.title,
-        "study_sha256": read.sha256,
+        "study_sha256": study.sha256,
         **executors.software(),
         "seed": study.seed,
         "count": study.count,
@@ -53,7 +51,7 @@ def metadata(read: StudyFile, command: str) -> dict[str, Any]:
         "factors": [factor.name for factor in study.factors],
         "methods": [method.value for method in study.methods],
         "rig_sha256": study.scene.rig.sha256,
-        "files": [str(file) for file in read.files],
+        "files": [str(file) for file in study.files],
         "command": command,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
     }

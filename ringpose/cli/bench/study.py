@@ -84,7 +84,7 @@ def study(
     metadata = pipeline.metadata(read, shlex.join(["ringpose", *sys.argv[1:]]))
     batch = Batch()
     with opened(output, metadata, force=force, wait=wait) as folder:
-        prepared = pipeline.prepared(read.study, folder, jobs)
+        prepared = pipeline.prepared(read, folder, jobs)
         finished = folder.finished(prepared.shots)
         missing = [index for index in range(prepared.shots) if index not in finished]
         done = pipeline.computed(prepared, missing, jobs, scheduler, scheduler_file)
