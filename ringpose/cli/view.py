@@ -120,7 +120,7 @@ def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Trut
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)
         errors = score(truth, estimate, estimate.method, rig.camera).errors
-        truth = truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
+        truth = truth_at(truth, estimate.stamp_s, line.stamp_s)
     shown = {name: value for name, value in errors.items() if name in SHOWN_ERRORS}
     return ReplayShot(
         name=shot.name, stamp_s=shot.measured_at_s, jpeg=replay_picture(picture), line=line, truth=truth, errors=shown

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from known_poses import FOCAL_PX, PRINCIPAL_PX, estimate_of, on_ring, truth_of
 
-from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
+from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, score
+from ringpose.bench.score import estimate_of as bench_estimate_of
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
-from ringpose.types.pose import PoseFlag, RingVelocity
+from ringpose.types.pose import PoseFlag, PoseLine, RingVelocity
 from ringpose.types.rig import Camera
 from ringpose.types.scene import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
-NO_POSE = PoseEstimate(shot="a", method="paper", pose=None)
+NO_POSE = bench_estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=None), "x")
 SMALL = np.eye(3) * 1e-6
 """A standard deviation of 1 mm."""
 
@@ -151,7 +152,7 @@ def test_nees_are_those_of_the_covariances():
     off_m = truth_of().center_m + np.array([0, 0.0049, 0])
     covariance = np.diag([1e-4, 4e-4, 1, 1, 1, 1, 1])
     estimate = estimate_of(center_m=off_m, covariance=covariance, covariance_center_m2=SMALL)
-    truth = truth_of(normal=tilted(estimate.pose.normal, np.array([0.01, 0.04])))
+    truth = truth_of(normal=tilted(estimate.line.pose.normal, np.array([0.01, 0.04])))
 
     errors = score(truth, estimate, "paper", None).errors
 

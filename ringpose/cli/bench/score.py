@@ -176,7 +176,7 @@ def scores_of_lines(
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
     estimates = _estimates_in(inputs, truths, batch)
     if since_s > -inf:
-        estimates = [estimate for estimate in estimates if estimate.shot_stamp_s >= since_s]
+        estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
         recent |= {truth.shot for truth in truths if (truth.stamp_s or -inf) >= since_s}
         sets = [([truth for truth in of_set if truth.shot in recent], camera) for of_set, camera in sets]
@@ -224,7 +224,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "li
                 unnamed.append(estimate)
                 continue
             if estimate.shot in by_shot:  # rejects time stamps of another clock
-                truth_at(by_shot[estimate.shot], estimate.stamp_s, estimate.shot_stamp_s)
+                truth_at(by_shot[estimate.shot], estimate.stamp_s, line.stamp_s)
             estimates.append(estimate)
     return estimates + named_by_stamp(unnamed, truths)
 
