@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.detect.line_segments import eight_bit
+from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.rays import project
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.transform import pose_in_frame
@@ -292,7 +293,9 @@ def pose_texts(pose: RingPose) -> list[str]:
         f"centre {_millimetres(pose.center_m, pose.covariance_center_m2)}",
     ]
     if np.isfinite(pose.normal).all():
-        sigma = "" if tilts is None or not np.isfinite(tilts).all() else f" +-{np.degrees(_sigma(tilts)):.3f}"
+        sigma = (
+            "" if tilts is None or not np.isfinite(tilts).all() else f" +-{np.degrees(standard_deviation(tilts)):.3f}"
+        )
         texts.append(f"pitch {np.degrees(pose.pitch_rad):.2f} yaw {np.degrees(pose.yaw_rad):.2f}{sigma} deg")
     radii = [
         f"{1e3 * each:.2f}" if np.isfinite(each) else "unknown" for each in (pose.radius_inner_m, pose.radius_outer_m)
@@ -303,13 +306,8 @@ def pose_texts(pose: RingPose) -> list[str]:
 def _millimetres(point_m: Float64[Array, "3"], covariance_m2: Float64[Array, "3 3"] | None) -> str:
     if not np.isfinite(point_m).all():
         return "not determined"
-    sigma = "" if covariance_m2 is None else f" +-{1e3 * _sigma(covariance_m2):.2f}"
+    sigma = "" if covariance_m2 is None else f" +-{1e3 * standard_deviation(covariance_m2):.2f}"
     return f"{', '.join(f'{value:.2f}' for value in 1e3 * point_m)}{sigma} mm"
-
-
-def _sigma(covariance: Float64[Array, "n n"]) -> float:
-    """The largest standard deviation in any direction."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
 def _wrapped(picture: UInt8[Array, "row column 3"], text: str) -> list[str]:
