@@ -88,6 +88,8 @@ class Bank:
     """Root of the prior covariance by which they are defined."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
+    side: int
+    """1: the ring's centre is on the side that the first record gave; -1: on the other one."""
 
     @property
     def states(self) -> RingStates:
@@ -160,7 +162,7 @@ class Innovation(NamedTuple):
 
 
 def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
-    """The bank after its first measurement; `side` -1: the ring's centre is on the other side than in the record."""
+    """The bank after its first measurement, of an explanation with the ring's centre on a side (`Bank.side`)."""
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
     chart, count = observed.chart, len(MODELS.precession)
@@ -191,6 +193,7 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
         common_root=observed.common_root,
         log_evidence=np.zeros(count),
         measurements=0,
+        side=side,
     )
     return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
 
