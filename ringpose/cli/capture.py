@@ -15,7 +15,7 @@ from ringpose.errors import NO_POSE, UsageError
 if TYPE_CHECKING:
     from ringpose.capture.source import CaptureRequest, Source
     from ringpose.cli.batch import Batch
-    from ringpose.files.images.sessions import Existing, SessionWriter
+    from ringpose.files.images.sessions import SessionWriter
 
 
 def _list_devices(is_requested: bool) -> bool:
@@ -82,7 +82,9 @@ def capture(
     from ringpose.files.rigs import read_rig
 
     request = shots.request(camera, None if rig is None else read_rig(rig), rate_hz=rate, channel=channel)
-    existing, batch = _existing(force, append), Batch()
+    if force and append:
+        raise UsageError("", "--force and --append contradict each other", "give one of them")
+    batch = Batch()
     if test:
         _check_devices(request, batch)
     source = source_of(request, batch)
@@ -91,7 +93,14 @@ def capture(
         raise UsageError("--output", "a session is a folder, not a stream", "name a folder")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
-    _take(source, SessionWriter(folder, source.capture, existing), batch, still, verbose, quiet)
+    _take(
+        source,
+        SessionWriter(folder, source.capture, "append" if append else "replace" if force else "refuse"),
+        batch,
+        still,
+        verbose,
+        quiet,
+    )
     batch.finish()
 
 
@@ -115,14 +124,6 @@ def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
     overall = summary(checks)
     records.write({key: value for key, value in asdict(overall).items() if value})
     raise typer.Exit(NO_POSE if overall.verdict == "fault" else 0)
-
-
-def _existing(force: bool, append: bool) -> "Existing":
-    if force and append:
-        raise UsageError("", "--force and --append contradict each other", "give one of them")
-    if append:
-        return "append"
-    return "replace" if force else "refuse"
 
 
 def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool, verbose: bool, quiet: bool) -> None:
