@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_camera import FakeCamera
 from small_rig import SERVED_RIG, SMALL_RIG
 
-from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.cameras.simulated import SimulatedLasers
 from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
 from ringpose.capture.pipeline import Procedure, captured_shots
@@ -22,8 +22,10 @@ ROWS = (30.0, 60.0, 90.0)
 STEPS = parsed_sequence("off,1,2,3,off")
 
 
-class Scene(CameraDriver):
+class Scene(FakeCamera):
     """A camera before three horizontal stripes; grey values are rates times the exposure, with noise."""
+
+    image_width, image_height = 200, 120
 
     def __init__(self, stripe_dn_s: tuple[float, ...], ambient_dn_s: float = 0.0, first_s: float = 0.01) -> None:
         y = np.arange(120.0)[:, None]
@@ -35,15 +37,6 @@ class Scene(CameraDriver):
         self._armed_s = self._first_s = first_s
         self._rng = np.random.default_rng(5)
         self._stamp_s = 0.0
-
-    def open(self) -> None:
-        """Nothing to open."""
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-    def describe(self) -> CameraDescription:
-        return CameraDescription(name="scene", image_width=200, image_height=120, saturation_dn=FULL_DN)
 
     def bounds(self, feature: str) -> tuple[float, float]:
         return 10.0, 50_000.0

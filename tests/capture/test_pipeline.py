@@ -5,8 +5,8 @@ from itertools import count
 
 import numpy as np
 import pytest
+from fake_camera import FakeCamera
 
-from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived, UsageError
@@ -21,10 +21,7 @@ class RecordingLasers(LaserDriver):
 
     def __init__(self, stuck: int = 0, reports: bool = True, dark: int = 0) -> None:
         self.calls: list[str] = []
-        self.on_mask = 0
-        self.stuck = stuck
-        self.reports = reports
-        self.dark = dark
+        self.on_mask, self.stuck, self.reports, self.dark = 0, stuck, reports, dark
 
     def open(self) -> None:
         self.calls.append("open")
@@ -40,30 +37,18 @@ class RecordingLasers(LaserDriver):
         self.calls.append("close")
 
 
-class RecordingCamera(CameraDriver):
+class RecordingCamera(FakeCamera):
     """A fake camera whose grey values encode the frame number and the mask of the lasers."""
+
+    saturation_dn = 200
 
     def __init__(
         self, lasers: RecordingLasers, fails_at: int | None = None, error: BaseException | None = None
     ) -> None:
-        self.lasers = lasers
-        self.fails_at = fails_at
-        self.error = error
+        self.lasers, self.fails_at, self.error = lasers, fails_at, error
         self.taken = 0
         self.exposure_s: float | None = None
         self.closed = 0
-
-    def open(self) -> None:
-        pass
-
-    def describe(self) -> CameraDescription:
-        return CameraDescription(name="recording", image_width=3, image_height=2, saturation_dn=200)
-
-    def bounds(self, feature: str) -> tuple[float, float] | None:
-        return None
-
-    def set(self, feature: str, value: float | str) -> None:
-        raise DeviceError("camera", "has no settings")
 
     def arm(self, exposure_s: float | None) -> None:
         self.exposure_s = exposure_s

@@ -1,10 +1,10 @@
 """A virtual camera, and the Aravis driver for it."""
 
 import pytest
+from fake_camera import camera_of
 from served_scene import small_scene
 
 from ringpose.capture.cameras.aravis import AravisCamera
-from ringpose.capture.uri import DeviceUri
 from ringpose.simulate.serve.faults import parsed_faults
 from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
 from ringpose.types.options import AdvancePolicy
@@ -31,10 +31,6 @@ def camera(loopback_address):
     """Creates a driver with an address and parameters."""
 
     def driver(address: str = loopback_address, **parameters: str) -> AravisCamera:
-        return AravisCamera(
-            DeviceUri(
-                text=f"aravis:{address}", option="--camera", scheme="aravis", address=address, parameters=parameters
-            )
-        )
+        return camera_of(f"aravis:{address}", **parameters)
 
     return driver
