@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_camera import FakeCamera
-from small_rig import SERVED_RIG, SMALL_RIG
+from small_rig import SERVED_RIG, write_scene
 
 from ringpose.capture.cameras.simulated import SimulatedLasers
 from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
@@ -133,24 +133,10 @@ def test_an_exposure_is_seconds_or_auto(words, tmp_path, monkeypatch, capsys):
     assert "--exposure" in capsys.readouterr().err
 
 
-SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [1.6, 1.6, 1.0]}
-exposure_s: 0.05
-sequence: off,all
-trajectory:
-- generate: {count: 1, distances_m: [0.5], tilt_rad: 0.05}
-"""
-
-
 @pytest.fixture
 def scene_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
-    (tmp_path / "scene.yaml").write_text(SCENE)
-    return tmp_path / "scene.yaml"
+    return write_scene(tmp_path, "exposure_s: 0.05", "sequence: off,all", count=1)
 
 
 @pytest.mark.parametrize("rig", [[], ["--rig", "rig.yaml"]])

@@ -5,31 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import SERVED_RIG
+from small_rig import SERVED_RIG, write_scene
 
 from ringpose.cli.main import main
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in
 from ringpose.files.records.truths import read_truths
 
-SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [2.2, 2.2, 1.0]}
-sensor: {pixel_m: 3.6e-5}
-stripe_dn: 150
-sequence: off,1,2,3
-trajectory:
-- generate: {distances_m: [0.5], count: 3}
-"""
-
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    (tmp_path / "rig.yaml").write_text(SERVED_RIG)
-    (tmp_path / "scene.yaml").write_text(SCENE)
-    return tmp_path / "scene.yaml"
+    lines = ("sensor: {pixel_m: 3.6e-5}", "stripe_dn: 150", "sequence: off,1,2,3")
+    return write_scene(tmp_path, *lines, rig=SERVED_RIG)
 
 
 def features(scene: Path, *options: str) -> int:
