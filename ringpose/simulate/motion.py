@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.geometry.rotations import rotation_vector
+from ringpose.geometry.rotations import rotation_of, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import RingView
 from ringpose.types.target import FreeMotion, TargetPath, TimedPoses
@@ -64,18 +64,6 @@ class FreeAttitude:
         ]
         turn = [w * p + y * r - z * q, w * q + z * p - x * r, w * r + x * q - y * p, -x * p - y * q - z * r]
         return np.array([*change, *(0.5 * each for each in turn)])
-
-
-def rotation_of(orientation_xyzw: Float64[Array, "4"]) -> Float64[Array, "3 3"]:
-    """Rotation matrix of a quaternion of any length."""
-    x, y, z, w = orientation_xyzw / np.linalg.norm(orientation_xyzw)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 class PosePath:
