@@ -78,6 +78,8 @@ class Procedure:
     """Whether every commanded laser must be seen in the images of a shot."""
     report: Callable[[str], None] = lambda _: None
     """Receives a message when the camera is lost."""
+    on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
+    """Receives each frame as soon as it has arrived, unless several exposures are merged, and its saturation value."""
 
     @property
     def exposures_s(self) -> tuple[float, ...]:
@@ -200,6 +202,8 @@ class _Sequencer:
         """One frame for each step; all lasers are off at the end."""
         frames, read_masks, switched_mask = [], [], -1
         controlled = None if self._control is None else self._control.exposures
+        is_bracketed = controlled is not None or any(step.exposure for step in self._procedure.steps)
+        saturation_dn = self._camera.describe().saturation_dn
         for step in self._steps:
             mask = step.mask(self._lasers.count)
             self._lasers.set_mask(mask)
@@ -209,10 +213,10 @@ class _Sequencer:
             for exposure_s in (step.exposure_s,) if controlled is None else controlled:
                 frames.append(self._frame(mask, exposure_s))
                 read_masks.append(self._lasers.read_mask())
+                if not is_bracketed:
+                    self._procedure.on_frame(frames[-1], saturation_dn)
         self._lasers.set_mask(0)
-        meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": settle_s}
-        shot = _shot(name, frames, read_masks, meta)
-        is_bracketed = controlled is not None or any(step.exposure for step in self._procedure.steps)
+        shot = _shot(name, frames, read_masks, {"saturation_dn": saturation_dn, "settle_s": settle_s})
         return merged_brackets(shot) if is_bracketed else shot
 
     def _exposure_control(self) -> ExposureControl:

@@ -48,9 +48,10 @@ if TYPE_CHECKING:
     from ringpose.capture.source import TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
+    from ringpose.detect.difference_images import LaserImage
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.pipeline import Tracker
-    from ringpose.types.detection import Detection
+    from ringpose.types.detection import Detection, Stripes
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
@@ -123,9 +124,14 @@ def pose(
     if camera is None:
         lines = nullcontext(recorded_lines(inputs or [], single, jobs, batch, lambda: stream.rig, stream.measured))
     else:
+        from ringpose.capture.latest_frame import EarlyStripes
         from ringpose.cli.live_input import live_lines
 
-        request = shots.request(camera, loaded_rig, choose=None if shots.sequence else stream.sequence)
+        early = EarlyStripes()
+        stream.searched = early.stripes_of
+        request = shots.request(
+            camera, loaded_rig, choose=None if shots.sequence else stream.sequence, on_frame=early.add
+        )
         lines = live_lines(request, loaded_rig, batch, stream.measured)
     with ExitStack() as stack:
         if overlay is not None or report is not None:
@@ -188,6 +194,8 @@ class _Stream:
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
+        self.searched: Callable[[LaserImage], Stripes | None] = lambda _: None
+        """The stripes of a frame that were found before its shot was complete."""
         self.motion_until: Callable[[float], CameraMotion] | None = None
         """The motion of the camera up to a stamp, for robot poses that arrive meanwhile."""
         if tracker is not None:
@@ -223,8 +231,8 @@ class _Stream:
 
         assumptions = single.options.about_shot(single.rig.stability, still=shot.still)
         if self.shots is not None:
-            return self.shots.detected(shot, single.rig, assumptions)
-        return detect(shot, single.rig, assumptions=assumptions, camera=single.camera)
+            return self.shots.detected(shot, single.rig, assumptions, self.searched)
+        return detect(shot, single.rig, assumptions=assumptions, camera=single.camera, searched=self.searched)
 
     def _line(self, single: SingleShot, source: "Shot | Detection", detection: "Detection") -> "PoseLine":
         if self.pictures is not None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.geometry.rotations import rotation_of, rotation_vector
+from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import RingView
 from ringpose.types.target import FreeMotion, TargetPath, TimedPoses
@@ -50,8 +50,10 @@ class FreeAttitude:
         """
         if not -2 * DIFFERENCE_S <= time_s <= self._duration_s + 2 * DIFFERENCE_S:
             raise DataError("the scene's motion", f"was computed for {self._duration_s:.3f} s, not for {time_s:.3f} s")
+        from scipy.spatial.transform import Rotation
+
         state: Float64[Array, "7"] = self._solution(time_s)
-        return rotation_of(state[3:]), state[:3]
+        return np.asarray(Rotation.from_quat(state[3:]).as_matrix()), state[:3]
 
     def _derivative(self, _time_s: float, state: Float64[Array, "7"]) -> Float64[Array, "7"]:
         rate, (x, y, z, w) = state[:3], state[3:]

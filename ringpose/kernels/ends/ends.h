@@ -176,7 +176,6 @@ double variance_over_places(const Columns *columns, const EdgeFit *fit, const Ed
 enum { CDF_STEPS = 800 };
 extern double NORMAL_CDF[CDF_STEPS + 1];
 
-
 static inline double normal_cdf(double t) {
     if (!(t > -4)) return 0;
     if (t >= 4) return 1;
