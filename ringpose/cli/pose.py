@@ -28,12 +28,8 @@ from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.options.known_ring import RingOptions, known_ring
 from ringpose.cli.options.track import (
     Format,
-    GripperRadial,
-    GripperTilt,
-    LostAfter,
     Newest,
     OutputFormat,
-    PredictFor,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
@@ -83,10 +79,7 @@ def pose(
     camera: LiveCamera = None,
     shots: ShotOptions,
     track: Track = False,
-    predict_for: PredictFor = None,
-    lost_after: LostAfter = None,
-    gripper_radial_m: GripperRadial = None,
-    gripper_tilt_deg: GripperTilt = None,
+    settings: TrackSettings,
     robot_poses: RobotPosesFile = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
@@ -105,7 +98,6 @@ def pose(
     _check_source(inputs, camera, shots)
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
         raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
-    settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
     _check_method(method, assumed, robot_poses)
     _check_track(track, method, frame, settings)
     options, known = assumed.options, known_ring(ring, method, assumed.ring_tolerance)

@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import app
+from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, finite
 from ringpose.cli.options.track import (
     Format,
-    GripperRadial,
-    GripperTilt,
-    LostAfter,
     Newest,
     OutputFormat,
-    PredictFor,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
@@ -52,17 +48,16 @@ Brief = Annotated[bool, typer.Option("--brief", help="Write lines without attemp
 
 
 @app.command()
+@with_option_groups
 def track(
+    *,
     inputs: Inputs,
     rig: OptionalRigFile = None,
     rate: Rate = None,
-    predict_for: PredictFor = None,
-    lost_after: LostAfter = None,
+    settings: TrackSettings,
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
     robot_poses: RobotPosesFile = None,
-    gripper_radial_m: GripperRadial = None,
-    gripper_tilt_deg: GripperTilt = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
     brief: Brief = False,
@@ -74,7 +69,6 @@ def track(
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
 
-    settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
     assumed, motion = Assumed(max_speed=max_speed, max_rate=max_rate).options, camera_motion(robot_poses, rig, inputs)
     tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
     batch = Batch()
