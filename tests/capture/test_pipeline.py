@@ -71,27 +71,17 @@ def shots_of(lasers: RecordingLasers, sequence: str, camera: RecordingCamera | N
     )
 
 
-def test_every_frame_is_triggered_while_its_lasers_are_on():
-    lasers = RecordingLasers()
+def test_every_frame_is_triggered_while_its_lasers_are_on_and_recorded_with_them():
+    lasers = RecordingLasers(dark=0b100)
 
     shot = next(shots_of(lasers, "off,1,2,3,off"))
 
-    assert shot.images[:, 0, 0].tolist() == [0, 11, 22, 34, 40]
+    assert shot.images[:, 0, 0].tolist() == [0, 11, 22, 30, 40]
     assert shot.lasers.tolist() == [0, 1, 2, 4, 0]
+    assert shot.read_lasers is not None
+    assert shot.read_lasers.tolist() == [0, 1, 2, 0, 0]
     assert shot.stamp_s.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
-
-
-@pytest.mark.parametrize(("sequence", "early"), [("off,1,2", [(0, 200), (1, 200), (2, 200)]), ("1@1ms,1@2ms", [])])
-def test_frames_are_handed_on_as_they_arrive_unless_they_are_merged(sequence, early):
-    lasers, handed = RecordingLasers(), []
-
-    def on_frame(frame: Frame, saturation_dn: int) -> None:
-        handed.append((frame.lasers, saturation_dn))
-
-    procedure = Procedure(steps=parsed_sequence(sequence), on_frame=on_frame)
-    next(captured_shots(RecordingCamera(lasers), lasers, procedure, ["a"]))
-
-    assert handed == early
+    assert shot.saturation_dn == 200
 
 
 def test_all_lasers_are_off_when_a_shot_is_yielded():
@@ -99,16 +89,6 @@ def test_all_lasers_are_off_when_a_shot_is_yielded():
     next(shots_of(lasers, "off,all"))
 
     assert lasers.on_mask == 0
-
-
-def test_reported_masks_are_stored_beside_commanded_ones():
-    lasers = RecordingLasers(dark=0b100)
-
-    shot = next(shots_of(lasers, "off,all"))
-
-    assert shot.lasers.tolist() == [0, 0b111]
-    assert shot.read_lasers is not None
-    assert shot.read_lasers.tolist() == [0, 0b011]
 
 
 @pytest.mark.parametrize("sequence", ["off,1", "1,2", "1+2"])
@@ -157,14 +137,6 @@ def test_a_board_that_does_not_report_gives_no_read_masks():
     shot = next(shots_of(lasers, "off,1"))
 
     assert shot.read_lasers is None
-
-
-def test_a_shot_records_the_saturation_of_its_camera():
-    lasers = RecordingLasers()
-
-    shot = next(shots_of(lasers, "all"))
-
-    assert shot.saturation_dn == 200
 
 
 def test_the_exposure_reaches_the_camera():

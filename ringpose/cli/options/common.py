@@ -42,19 +42,13 @@ def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, flo
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
-Inputs = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-OptionalInputs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
+_INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line.")
+Inputs = Annotated[list[str], _INPUTS]
+OptionalInputs = Annotated[list[str] | None, _INPUTS]
 # readable=False: an unreadable file is reported when it is read, with its own exit status; Typer would report usage.
-RigFile = Annotated[Path, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")]
-OptionalRigFile = Annotated[
-    Path | None, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
-]
+_RIG = typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
+RigFile = Annotated[Path, _RIG]
+OptionalRigFile = Annotated[Path | None, _RIG]
 BoardFile = Annotated[
     Path, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
 ]
