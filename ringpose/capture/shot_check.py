@@ -105,7 +105,10 @@ class ShotChecker:
         return checked, None
 
     def never_seen(self, shot: Shot, lost_attempts: int) -> int:
-        """The mask of lasers of a lost shot that were never seen; one lit in frames of others is a safety fault."""
+        """The mask of those lasers of a lost shot that no shot has shown, after `lost_attempts` attempts at it.
+
+        Raises a safety fault if a laser is on in frames in which it should be off, and remains on.
+        """
         same_light = same_ambient_light(shot.images, shot.usual_full_dn)
         self._pixels, suspects = lasers_out_of_sequence(shot, self._pixels, same_light)
         for _ in range(DARK_CHECKS if suspects else 0):

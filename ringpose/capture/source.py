@@ -73,7 +73,10 @@ class Source:
 
     capture: Capture
     shots: Callable[[OnRead, Container[str]], Iterator[Shot]]
-    """Takes the shots; those of a scene continue after the names that exist already."""
+    """Takes the shots, given what to call with each file that is read, and names of shots that exist already.
+
+    A scene continues after the views of these names.
+    """
     folders: frozenset[Path] = frozenset()
     """Folders of recorded shots, as far as they are known before reading."""
     devices: tuple[()] | tuple[CameraDriver, LaserDriver] = ()

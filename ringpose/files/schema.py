@@ -69,7 +69,7 @@ class Fields:
         return self.values.get(key) is not None
 
     def given(self, keys: Iterable[str], read: Callable[[str], Value]) -> dict[str, Value]:
-        """The values of those of the keys that are present, each read by `read`."""
+        """Values by key, for those of the keys that are present; each is read by `read`."""
         return {key: read(key) for key in keys if self.has(key)}
 
     def optional(self, key: str, read: Callable[[str], Value]) -> Value | None:

@@ -19,7 +19,7 @@ ALIASES = {"ExposureTime": ("ExposureTimeAbs",), "Gain": ("GainAbs", "GainRaw")}
 
 
 class GenApiCamera(SoftwareTriggeredCamera):
-    """Features as nodes that have a value and, if numeric, limits; a driver implements the abstract methods."""
+    """A camera whose features are nodes with a value and, if numeric, limits; drivers implement the abstract methods."""
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """See `CameraDriver`."""
