@@ -156,10 +156,10 @@ def require_off(
     wait_s: float,
     exposure_s: float | None = None,
 ) -> Image:
-    """Switch all off, and check that a laser which was on alone goes off within `wait_s`; the image without it.
+    """An image with all lasers off, taken `wait_s` after they were switched off.
 
-    `pixels` are those that it lit, None if it was not seen. Raises `LaserSafetyError` if it stays on, or may be on all
-    the time. Ambient light may change meanwhile.
+    Raises `LaserSafetyError` if it shows the laser that was on alone before, by the `pixels` that it lit; or, if that
+    laser was not seen (None), if it shows any stripe, as the laser may be on all the time. Ambient light may change.
     """
     image = _dark_frame(camera, lasers, wait_s, exposure_s).image
     if pixels is None:

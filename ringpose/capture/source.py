@@ -146,7 +146,7 @@ def device_source(
     names: Callable[[Container[str]], Iterator[str]],
     scene_file: Path | None = None,
 ) -> Source:
-    """Shots by the steps of the request, under the names that `names` yields besides the existing ones."""
+    """The source of shots by the steps of the request; `names` yields their names, given those that exist already."""
     from ringpose.capture.pipeline import Procedure, captured_shots
 
     steps = request.steps or ()
@@ -201,7 +201,7 @@ def capture_record(request: CaptureRequest) -> Capture:
 
 
 def names_by_time() -> Iterator[str]:
-    """`20260101T000000Z_000001`, counted from 1: the names of two runs differ."""
+    """Names of shots: the time of the first and a number from 1, such as `20260101T000000Z_000001`."""
     began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     for number in count(1):
         yield f"{began}_{number:06d}"

@@ -95,7 +95,7 @@ def detect(
 
 
 class DetectInput:
-    """Path, shot and detection of an input; with `track` the search starts near the points of the previous one."""
+    """Reads inputs and searches them; with `track` the search starts near the break points of the previous one."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class DetectInput:
         self.previous: BreakPoints | None = None
 
     def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
-        """Read and search one input."""
+        """Path, shot and detection of an input."""
         from ringpose.files.images.shots import read_shot
         from ringpose.files.inputs import path_of_input
         from ringpose.types.detection import BreakPoints

@@ -19,7 +19,10 @@ ALIASES = {"ExposureTime": ("ExposureTimeAbs",), "Gain": ("GainAbs", "GainRaw")}
 
 
 class GenApiCamera(SoftwareTriggeredCamera):
-    """A camera whose features are nodes with a value and, if numeric, limits; drivers implement the abstract methods."""
+    """A camera whose features are nodes with a value and, if numeric, limits.
+
+    A driver implements the abstract methods.
+    """
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """See `CameraDriver`."""
