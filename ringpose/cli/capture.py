@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.batch import Batch
 from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose, finite
 from ringpose.cli.options.devices import ShotOptions
+from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
     from ringpose.capture.source import CaptureRequest, Source
-    from ringpose.cli.batch import Batch
     from ringpose.files.images.sessions import SessionWriter
 
 
@@ -24,7 +26,6 @@ def _list_devices(is_requested: bool) -> bool:
         return is_requested
 
     from ringpose.capture import device_discovery
-    from ringpose.cli import messages
     from ringpose.files import records
 
     for line in device_discovery.remarks():
@@ -77,7 +78,6 @@ def capture(
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence; all lasers are off at the end."""
     from ringpose.cli.acquisition import source_of
-    from ringpose.cli.batch import Batch
     from ringpose.files.images.sessions import SessionWriter, folder_of_now
     from ringpose.files.rigs import read_rig
 
@@ -104,7 +104,7 @@ def capture(
     batch.finish()
 
 
-def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
+def _check_devices(request: "CaptureRequest", batch: Batch) -> None:
     """Write one record for each check to stdout, the overall verdict last; ends the command."""
     from dataclasses import asdict
 
@@ -126,11 +126,9 @@ def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
     raise typer.Exit(NO_POSE if overall.verdict == "fault" else 0)
 
 
-def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool, verbose: bool, quiet: bool) -> None:
+def _take(source: "Source", writer: "SessionWriter", batch: Batch, still: bool, verbose: bool, quiet: bool) -> None:
     """Write each shot when it is taken, and its name to stdout when its file is complete."""
     from ringpose.capture.ambient import lost_attempts_dn
-    from ringpose.cli import messages
-    from ringpose.cli.progress import with_progress
     from ringpose.files import records
 
     with ExitStack() as stack:
@@ -154,8 +152,6 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool
 
 def _report_lost(lost_dn: list[float]) -> None:
     """Report the number of shots that were repeated because ambient light changed."""
-    from ringpose.cli import messages
-
     if lost_dn:
         shots = "1 shot was" if len(lost_dn) == 1 else f"{len(lost_dn)} shots were"
         size = f"by up to {max(map(abs, lost_dn)):.0f} dn"
