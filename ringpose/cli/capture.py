@@ -16,7 +16,7 @@ from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
-    from ringpose.capture.source import CaptureRequest, Source
+    from ringpose.capture.source import Source
     from ringpose.files.images.sessions import SessionWriter
 
 
@@ -78,47 +78,39 @@ def capture(
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence; all lasers are off at the end."""
     from ringpose.cli.acquisition import source_of
-    from ringpose.files.images.sessions import SessionWriter, folder_of_now
+    from ringpose.files.images.sessions import Existing, SessionWriter, folder_of_now
     from ringpose.files.rigs import read_rig
 
     request = shots.request(camera, None if rig is None else read_rig(rig), rate_hz=rate, channel=channel)
     if force and append:
         raise UsageError("", "--force and --append contradict each other", "give one of them")
     batch = Batch()
-    if test:
-        _check_devices(request, batch)
     source = source_of(request, batch)
+    if test:
+        _check_devices(source, request.fixed_exposure_s)
     folder = output or folder_of_now()
     if str(folder) == "-":
         raise UsageError("--output", "a session is a folder, not a stream", "name a folder")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
-    _take(
-        source,
-        SessionWriter(folder, source.capture, "append" if append else "replace" if force else "refuse"),
-        batch,
-        still,
-        verbose,
-        quiet,
-    )
+    existing: Existing = "append" if append else "replace" if force else "refuse"
+    _take(source, SessionWriter(folder, source.capture, existing), batch, still, verbose, quiet)
     batch.finish()
 
 
-def _check_devices(request: "CaptureRequest", batch: Batch) -> None:
+def _check_devices(source: "Source", exposure_s: float | None) -> None:
     """Write one record for each check to stdout, the overall verdict last; ends the command."""
     from dataclasses import asdict
 
     from ringpose.capture.self_test import run_self_test, summary
-    from ringpose.cli.acquisition import source_of
     from ringpose.files import records
 
-    source = source_of(request, batch)
     if not source.devices:
         raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
     checks = []
     camera, lasers = source.devices
     with camera, lasers:
-        for check in run_self_test(camera, lasers, request.fixed_exposure_s):
+        for check in run_self_test(camera, lasers, exposure_s):
             checks.append(check)
             records.write({key: value for key, value in asdict(check).items() if value})
     overall = summary(checks)
