@@ -101,18 +101,18 @@ class Capture:
     """One run of `ringpose capture`; URIs are as given by the user."""
 
     camera: str
+    camera_name: str | None = None
     lasers: str
+    laser_count: int | None = None
+    """None if only the recording contains it."""
+    laser_names: tuple[str, ...] | None = None
+    """From the rig, in the order of the mask's bits; None without a rig."""
     sequence: str | None = None
     """None for recorded shots that were imported unchanged."""
     exposure_s: float | None = None
     """None for the device's own setting."""
     rate_hz: float | None = None
     """None for the highest possible rate."""
-    camera_name: str | None = None
-    laser_count: int | None = None
-    """None if only the recording contains it."""
-    laser_names: tuple[str, ...] | None = None
-    """From the rig, in the order of the mask's bits; None without a rig."""
     state: CaptureState = "capturing"
     shots: tuple[str, ...] = ()
     """Names of the finished shots in chronological order."""
