@@ -18,19 +18,24 @@ import numpy as np
 
 from ringpose.estimate.covariance import differing_quantities
 from ringpose.estimate.hypotheses import (
+    MIN_DEVIATION_M,
     RADIUS_REMARK,
+    WIDER_BY,
     Hypothesis,
     outlier_hypotheses,
     ring_evidence,
     single_stripe_estimates,
+    with_deviation,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
+from ringpose.estimate.nuisance import FORM_SHARE
 from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior, initial_guess
 from ringpose.estimate.solver import (
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
     estimate_ring,
+    form_jacobian,
     precise_ring,
     ring_residuals,
 )
@@ -71,6 +76,12 @@ EDGE_NUMBERS = 8.0
 MAX_EDGE_MEAN_SQUARE = 2.0
 """Mean square of the whitened edge residuals from which visible edges contradict the rest. The standard deviations are
 those of the fit to all measurements: 150 drawn shots without outliers have at most 1.05."""
+
+MAX_DEVIATION_M = 0.01
+"""Largest deviation of a ring's form that is tried; one of more is not a launch-adapter ring."""
+
+MIN_FREEDOM = 0.1
+"""Degrees of freedom of a test below which there is nothing to test."""
 
 COINCIDENCE = 3.0
 """Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
@@ -286,7 +297,8 @@ def _explained(
         estimate = estimate_ring(measured, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
-        return _explanation(everything, everything, _single_stripes(everything) if search.for_pose else [])
+        best = _with_form(everything, search)
+        return _explanation(best, everything, _single_stripes(best) if search.for_pose else [])
     hypotheses = sorted(outlier_hypotheses(measured, prior, search.labelled), key=lambda each: each.penalty)
     solved = partial(_solved, everything=everything, tolerance_sigmas=search.tolerance_sigmas)
     tried: list[Solved] = []
@@ -308,7 +320,53 @@ def _explained(
         return known[0] if known else next((solved(each) for each in others), None)
 
     best, rivals = _select(everything, tried, both_ends)
+    best = _with_form(best, search)
     return _explanation(best, everything, [*rivals, *_single_stripes(best)])
+
+
+def _with_form(best: Solved, search: Search) -> Solved:
+    """The same, or a ring with the smallest deviation of its form that its edges and stripes do not contradict."""
+    hypothesis, estimate = best.hypothesis, best.estimate
+    if not search.for_pose or hypothesis.flag & (WIDER | PoseFlag.INCONSISTENT):
+        return best
+    deviation_m = max(WIDER_BY * hypothesis.prior.assumptions.ring_tolerance_m, MIN_DEVIATION_M)
+    found = best
+    while deviation_m <= MAX_DEVIATION_M and _contradicts_form(found, deviation_m):
+        wider = with_deviation(hypothesis, deviation_m)
+        again = estimate_ring(wider.measured, wider.prior, estimate, tolerance_sigmas=search.tolerance_sigmas)
+        if again is None:
+            break
+        found, deviation_m = Solved(wider, again), 2.0 * deviation_m
+    return found
+
+
+def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
+    """Whether the residuals look like a deviation of the ring from circle and plane, by a score test, Eq. (12.2).
+
+    Chi-squared of single rows, and the mean square of the edges, hardly show a wave along the whole edge. The score of
+    the amplitudes is u = F^T W r ~ N(0, M) if the form is as assumed, with M the information on them after elimination
+    of ring and common errors. Of amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares with
+    the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
+    """
+    estimate = solved.estimate
+    residuals, weights = estimate.residuals, estimate.weights
+    form = estimate.fixed.form
+    if form is None:
+        form = form_jacobian(residuals, solved.hypothesis.measured)
+    form = FORM_SHARE * deviation_m * form  # by amplitudes in units of s
+    weighted = form.T * weights
+    cross_information = weighted @ np.concatenate([residuals.jacobian, estimate.nuisance], axis=1)
+    information = weighted @ form
+    information -= cross_information @ np.linalg.solve(estimate.joint_information, cross_information.T)
+    size, axes = np.linalg.eigh(information)
+    size = np.maximum(size, 0.0)
+    weight = size / (1.0 + size)
+    total = float(weight.sum())
+    if total < MIN_FREEDOM:
+        return False
+    scores = axes.T @ (weighted @ estimate.remaining)
+    scale = float(weight @ weight) / total
+    return float((scores**2 / (1.0 + size)).sum()) > scale * chi2_quantile(total / scale, ALARM_SIGMAS)
 
 
 def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas: float) -> Solved | None:
@@ -435,8 +493,8 @@ def _contradicts_itself(estimate: Estimate) -> bool:
 
     Visible edges are too many, and their errors too correlated, to be added to the few numbers of the former.
     """
-    dof = estimate.degrees_of_freedom
-    fails_test = dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
+    dof = estimate.expected_chi2
+    fails_test = dof > MIN_FREEDOM and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
     return fails_test or edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
 
 
@@ -446,7 +504,7 @@ def edge_mean_square(estimate: Estimate) -> float:
     return float(squares.mean()) if len(squares) else 0.0
 
 
-def chi2_quantile(degrees_of_freedom: int, sigmas: float) -> float:
+def chi2_quantile(degrees_of_freedom: float | int, sigmas: float) -> float:
     """Quantile of chi-squared at the probability of a normal quantile (Wilson and Hilferty 1931)."""
     spread = 2.0 / (9.0 * degrees_of_freedom)
     return degrees_of_freedom * (1.0 - spread + sigmas * sqrt(spread)) ** 3

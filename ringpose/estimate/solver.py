@@ -201,7 +201,7 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
-        degrees_of_freedom=max(observations.stripe_numbers + prior_rows - PARAMETERS, 0),
+        numbers=observations.stripe_numbers + prior_rows,
         distance_sigmas=steps.distance_sigmas,
         edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
     )
@@ -475,6 +475,10 @@ def moved_ring(
 
 # Common errors, whose derivatives are evaluated once, near the solution
 
+ROUNDED_M = 1e-4
+"""Standard deviation of the displacement of a visible edge by a chamfer or rounding, unless the ring's tolerance is
+smaller: machined edges are broken by a few tenths of a millimetre."""
+
 WALL_SD_M = 0.03
 """Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
 
@@ -496,7 +500,7 @@ def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior
         variance = measured.camera.mount.covariance
         uncertain = np.diag(variance) > 0
         columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
-    columns.append(edge_jacobian(residuals, observations))
+    columns.append(edge_jacobian(residuals, observations, prior))
     return FixedColumns(
         by_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
     )
@@ -553,8 +557,11 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
     return jacobian
 
 
-def edge_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row error"]:
+def edge_jacobian(residuals: Residuals, observations: Observations, prior: Prior) -> Float64[Array, "row error"]:
     """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
+
+    A chamfer or a rounding reflects the light of a laser and that around in other directions, so that the edge in
+    ambient light lies beside the ends of the stripes by up to its width.
 
     What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
     face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
@@ -563,6 +570,10 @@ def edge_jacobian(residuals: Residuals, observations: Observations) -> Float64[A
     edges = observations.measured.edges
     rows = slice(residuals.data_rows - len(edges.edge), residuals.data_rows)
     columns = [edges.common] if len(edges.edge) else []
+    rounded_m = min(ROUNDED_M, prior.assumptions.ring_tolerance_m)
+    if columns and rounded_m > 0.0:
+        rounded = rounded_m * np.abs(residuals.jacobian[rows, HALF_BAND])
+        columns.append(rounded[:, None] * (edges.edge[:, None] == range(len(EDGE_SIGN))))
     if columns and edges.walls and len(set(observations.laser.tolist())) == 1:
         outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
         of_edge = edges.edge[:, None] == range(len(EDGE_SIGN))

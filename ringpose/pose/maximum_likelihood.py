@@ -33,7 +33,14 @@ from ringpose.estimate.covariance import (
     standard_deviation,
     with_second_order,
 )
-from ringpose.estimate.explanation import COINCIDENCE, RADIUS_SIGMAS, Explanation, edge_mean_square, explain
+from ringpose.estimate.explanation import (
+    COINCIDENCE,
+    MIN_FREEDOM,
+    RADIUS_SIGMAS,
+    Explanation,
+    edge_mean_square,
+    explain,
+)
 from ringpose.estimate.hypotheses import edge_evidence
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.residuals import Estimate, Prior
@@ -310,8 +317,9 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
     if best.flag & PoseFlag.INCONSISTENT:
-        freedom = estimate.degrees_of_freedom
-        covariance = covariance * max(estimate.chi2 / freedom if freedom else edge_mean_square(estimate), 1.0)
+        freedom = estimate.expected_chi2
+        ratio = estimate.chi2 / freedom if freedom > MIN_FREEDOM else edge_mean_square(estimate)
+        covariance = covariance * max(ratio, 1.0)
         for other in best.competing:
             difference = difference_from(other, quantities(other), estimate, found)
             covariance = covariance + np.outer(difference, difference)
