@@ -1,7 +1,6 @@
-"""Arguments of the kernels for line segments through stripe centres (tracks), the ring's rim, and arcs.
+"""Arguments of the kernels for line segments through stripe centres (tracks) and for the ring's rim.
 
-The sources are tracks.c (segmentation and line fits), rim.c (which segments lie on the rim of one planar ring) and
-arcs.c (two concentric arcs through the segments' endpoints).
+The sources are tracks.c (segmentation and line fits) and rim.c (which segments lie on the rim of one planar ring).
 """
 
 import math
