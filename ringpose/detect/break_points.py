@@ -23,9 +23,21 @@ from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
-from ringpose.kernels.ends import EndParams, Ends, LitLines, MarkParams, flagged_ends, stripe_ends
-from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
-from ringpose.types.arrays import EDGES, Array, Bool, Float64
+from ringpose.kernels.ends import EndParams, LitLines, stripe_ends
+from ringpose.kernels.lines import (
+    CENTERS,
+    COLUMNS_PER_CUT,
+    CORRELATION,
+    LASER,
+    MAX_CUT,
+    MIDDLE_X,
+    MIDDLE_Y,
+    SCATTER,
+    SLOPE,
+    X_END,
+    X_START,
+)
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import (
     MAX_OFFSET,
@@ -154,6 +166,19 @@ def ends_clear(found: BreakPoints) -> bool:
     return int(clear.sum()) >= min(CLEAR_ENDS, int(found.seen.sum()))
 
 
+class Ends(NamedTuple):
+    """The ends of the stripes on the ring's rim, left, then right; NaN where none was found."""
+
+    position_px: Float64[Array, "laser end=2 xy=2"]
+    """In the distorted image."""
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
+    flags: Int64[Array, "laser end=2"]
+    straight_px: Float64[Array, "laser end=2 xy=2"]
+    """The segments' own ends, in the undistorted image."""
+    straight_sigma_px: Float64[Array, "laser end=2"]
+    """Of the ordinates of the segments' lines there."""
+
+
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:
     """The ends of the face's tracks, each in the image that shows its stripe."""
     shown = [[number for number, laser in enumerate(face.lasers) if laser in image.lasers] for image in images]
@@ -164,28 +189,78 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
         if numbers
     ]
     ends = stripe_ends(lit, lens(rig.camera), _end_params(saturation_dn))
-    lasers = tuple(face.lasers[number] for number in order)
-    return flagged_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_params(rig.camera.image_width))
+    lasers = [face.lasers[number] for number in order]
+    return flagged_ends(face.tracks[order], ends, lasers, rig)
 
 
-@lru_cache(maxsize=4)
-def mark_params(image_width: int) -> MarkParams:
-    """Thresholds for the flags and sigmas of ends in images of that width."""
-    return MarkParams(
-        image_width=image_width,
-        border_px=BORDER_PX,
-        saturated_share=SATURATED_SHARE,
-        kink_level=KINK_LEVEL,
-        unclear_px=UNCLEAR_PX,
-        clipped_phase=CLIPPED_PHASE,
-        facet_sigmas=FACET_SIGMAS,  # the fitted line absorbs coarser texture, which the centres' scatter does not show
-        fit_dof=FIT_DOF_CORRECTION,
-        min_columns=MIN_SEGMENT_COLUMNS,
-        saturated_flag=BreakPointFlag.SATURATED,
-        kink_flag=BreakPointFlag.KINK,
-        clipped_flag=BreakPointFlag.CLIPPED,
-        blunt_flag=BreakPointFlag.BLUNT,
-        unclear_flag=BreakPointFlag.UNCLEAR,
+SHARED_WEIGHT, MAX_DECREASE = 0.75, 0.3
+"""Weight of all stripes of a shot in the scatter of one, and the largest decrease of its logarithm by the others.
+
+Surface, lens and speckle are the same for all stripes of a shot, and the scatter of 40 correlated columns is uncertain
+by a third. That of a single stripe may be larger, on textured background.
+"""
+
+
+def flagged_ends(
+    tracks: Float64[Array, "track column=11"],
+    found: Float64[Array, "track end=2 column=10"],
+    lasers: list[int],
+    rig: Rig,
+) -> Ends:
+    """The ends of segments, each of a different laser of the rig, with covariances and flags.
+
+    `found` is the result of `stripe_ends`. The error along the line is that of the edge; the error across is that of
+    the line: the scatter of the segment's centres, pooled over the segments, divided by the root of the number of
+    independent columns, and errors that all its centres have in common. The background shifts a centre by the relative
+    change of the amplitude times the section's sigma; a saturated centre errs by `CLIPPED_PHASE`.
+    """
+    x, y, slope, along, outside, saturated, width, (section, _), blunt, (background, _) = found.transpose(2, 1, 0)
+    blunt = blunt == 1
+    count, start, end = tracks[:, CENTERS], tracks[:, X_START], tracks[:, X_END]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a scatter of 0; ends that were not found
+        error = np.log(tracks[:, SCATTER] * np.sqrt(tracks[:, CORRELATION]))
+        pooled = SHARED_WEIGHT * (np.average(error, weights=count) - error)
+        scatter = tracks[:, SCATTER] * np.exp(np.where(np.isfinite(pooled), np.maximum(pooled, -MAX_DECREASE), 0.0))
+        used = 1 - 2 * np.minimum(count // COLUMNS_PER_CUT, MAX_CUT) / np.maximum(count, 1)
+        independent = used * count / tracks[:, CORRELATION] - FIT_DOF_CORRECTION / math.sqrt(len(tracks))
+        middle = scatter / np.sqrt(np.maximum(independent, MIN_SEGMENT_COLUMNS))
+        # the fitted line absorbs coarser texture, which the centres' scatter does not show
+        facets = np.maximum(count / (FACET_SIGMAS * section), 1)
+        middle = np.fmax(middle, section * np.sqrt(background / facets))
+        clipped = (saturated > SATURATED_SHARE).any(axis=0)
+        rows = np.maximum(np.abs(tracks[:, SLOPE]) * (end - start), 1)
+        shared = np.where(clipped, CLIPPED_PHASE / section / rows, 0.0)
+        spread = np.maximum(used * (end - start), 1) / math.sqrt(12)
+
+        def line_sigma(at: Float64[Array, "end=2 track"]) -> Float64[Array, "end=2 track"]:
+            """Standard deviation of the line's ordinate."""
+            return np.hypot(middle * np.hypot(1, (at - tracks[:, MIDDLE_X]) / spread), shared)
+
+        inside = (x >= BORDER_PX) & (x <= rig.camera.image_width - 1 - BORDER_PX)
+        edge_sigma = np.where(blunt, np.sqrt(np.maximum(along**2 - width**2, 0)), along)
+        flags = np.where(saturated > SATURATED_SHARE, int(BreakPointFlag.SATURATED), 0)
+        flags |= np.where(outside > KINK_LEVEL, int(BreakPointFlag.KINK), 0)
+        flags |= np.where(blunt, int(BreakPointFlag.BLUNT), 0)
+        flags |= np.where(edge_sigma > UNCLEAR_PX, int(BreakPointFlag.UNCLEAR), 0)
+        flags = np.where(inside, flags, int(BreakPointFlag.CLIPPED))
+        direction = np.stack([np.ones_like(slope), slope], axis=-1)
+        covariance = along[..., None, None] ** 2 * direction[..., None] * direction[..., None, :]
+        covariance[..., 1, 1] += line_sigma(x) ** 2
+    straight_x = np.stack([start, end])
+    straight_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (straight_x - tracks[:, MIDDLE_X])
+
+    def of_lasers(values: Array, fill: float = np.nan) -> Array:
+        """The values (end, track, ...) by laser (laser, end, ...)."""
+        table = np.full((len(rig.lasers.names), 2, *values.shape[2:]), fill, values.dtype)
+        table[lasers] = values.swapaxes(0, 1)
+        return table
+
+    return Ends(
+        position_px=of_lasers(np.where(inside[..., None], np.stack([x, y], axis=-1), np.nan)),
+        covariance_px2=of_lasers(np.where(inside[..., None, None], covariance, np.nan)),
+        flags=of_lasers(flags, 0),
+        straight_px=of_lasers(np.stack([straight_x, straight_y], axis=-1)),
+        straight_sigma_px=of_lasers(line_sigma(straight_x)),
     )
 
 

@@ -23,18 +23,6 @@ def faces(
 ) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
 def end_columns(lit: Array, dark: Array | None, lines: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
 def ends(columns: bytes, params: _Numbers, /) -> bytes: ...
-def marks(
-    tracks: Array,
-    ends: Array,
-    lasers: Array,
-    params: _Numbers,
-    position: Array,
-    covariance: Array,
-    flags: Array,
-    straight: Array,
-    sigma: Array,
-    /,
-) -> None: ...
 def edge_places(arcs: Array, covariance: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
 def edge_profiles(
     image: Array, place: Array, normal: Array, params: _Numbers, value: Array, saturated: Array, noise: Array, /

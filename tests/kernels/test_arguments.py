@@ -50,17 +50,6 @@ CALLS = {
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
     "end_columns": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),
-    "marks": (
-        TRACKS,
-        numbers(2, 2, 10),
-        np.arange(2),
-        (1.0,) * 14,
-        numbers(3, 2, 2),
-        numbers(3, 2, 2, 2),
-        np.zeros((3, 2), np.int64),
-        numbers(3, 2, 2),
-        numbers(3, 2),
-    ),
     "edge_places": (ARCS, np.zeros((7, 7)), LENS, (100.0, 90.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4, 10.0)),
     "edge_profiles": (
         IMAGE,
@@ -86,7 +75,7 @@ CALLS = {
 
 ARRAYS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, np.ndarray)]
 TUPLES = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, tuple)]
-FILLED = [("gradient", 3), ("chains", 0), *(("marks", i) for i in range(4, 9)), *(("edge_profiles", i) for i in (4, 5))]
+FILLED = [("gradient", 3), ("chains", 0), *(("edge_profiles", i) for i in (4, 5))]
 
 
 def call(name, i, changed):

@@ -1,7 +1,7 @@
-"""Stripe endpoints: position, covariance and flags (ringpose-method(7), section 3).
+"""Stripe endpoints: position and standard deviation (ringpose-method(7), section 3).
 
 The sources are profile.c (intensity along the stripe), end_noise.c (noise model), end_edges.c (edge fit), end_sigmas.c
-(variance of the fitted edge) and ends.c (all of it, covariances and flags).
+(variance of the fitted edge) and ends.c (all of it).
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
-from ringpose.types.arrays import Array, Float64, Int64, UInt
+from ringpose.types.arrays import Array, Float64, UInt
 
 
 class EndParams(NamedTuple):
@@ -82,74 +82,3 @@ def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Fl
         for image in images
     )
     return np.frombuffer(_kernels.ends(columns, params), dtype=np.float64).reshape(-1, 2, 10)
-
-
-class MarkParams(NamedTuple):
-    """Limits and values of the endpoint flags."""
-
-    image_width: float
-    border_px: float
-    """An end closer than this to the image's left or right border is truncated."""
-    saturated_share: float
-    """Share of the last columns with a saturated pixel above which an end is flagged as saturated."""
-    kink_level: float
-    """An end is a kink (a bend of the surface) if the level outside exceeds this share of the level inside."""
-    unclear_px: float
-    """Ends with a larger sigma are flagged as unclear."""
-    clipped_phase: float
-    """Error of a saturated stripe's centre, in pixels, times the sigma of its cross-section."""
-    facet_sigmas: float
-    """Correlation length of the background texture, in sigmas of the cross-section."""
-    fit_dof: float
-    """Degrees of freedom that the line fit takes from the number of independent columns,"""
-    min_columns: float
-    """and the smallest number that is left."""
-    saturated_flag: float
-    kink_flag: float
-    clipped_flag: float
-    blunt_flag: float
-    unclear_flag: float
-
-
-class Ends(NamedTuple):
-    """The ends of the stripes on the ring's rim, left, then right; NaN where none was found."""
-
-    position_px: Float64[Array, "laser end=2 xy=2"]
-    """In the distorted image."""
-    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
-    flags: Int64[Array, "laser end=2"]
-    straight_px: Float64[Array, "laser end=2 xy=2"]
-    """The tracks' own ends, in the undistorted image."""
-    straight_sigma_px: Float64[Array, "laser end=2"]
-    """Of the ordinates of the tracks' lines there."""
-
-
-def flagged_ends(
-    tracks: Float64[Array, "track column=11"],
-    found: Float64[Array, "track end=2 column=10"],
-    track_lasers: tuple[int, ...],
-    lasers: int,
-    params: MarkParams,
-) -> Ends:
-    """The ends of tracks, each of a different laser, with covariances and flags.
-
-    `tracks` and `found` are the results of `straight_segments` and `stripe_ends`. The error along the line is that
-    of the edge; the error across is that of the line: the scatter of the track's centres, divided by the root of the
-    number of independent columns, and errors that all its centres share (background, saturation). The scatter is pooled
-    over the tracks.
-    """
-    both = (lasers, 2)
-    position, covariance, flags = np.empty((*both, 2)), np.empty((*both, 2, 2)), np.empty(both, np.int64)
-    straight, sigma = np.empty((*both, 2)), np.empty(both)
-    _kernels.marks(
-        np.ascontiguousarray(tracks),
-        np.ascontiguousarray(found),
-        np.array(track_lasers, dtype=np.int64),
-        params,
-        position,
-        covariance,
-        flags,
-        straight,
-        sigma,
-    )
-    return Ends(position, covariance, flags, straight, sigma)

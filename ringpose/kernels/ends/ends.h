@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "tracks.h"
+#include "lens.h"
 
 /* ---- images and parameters ---- */
 

@@ -54,6 +54,9 @@ LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION,
     len(TRACK_COLUMNS)
 )
 
+MAX_CUT, COLUMNS_PER_CUT = 4, 12
+"""Centres at either end of a track that its line does not use (tracks.h): at most so many, one for so many columns."""
+
 
 class UnionParams(NamedTuple):
     """Conditions under which tracks on a common line are also tried as one merged track."""
