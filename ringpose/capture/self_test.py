@@ -8,11 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from ringpose.capture.cameras.driver import CameraDriver
-from ringpose.capture.laser_check import Image, LitPixels, lit_pixels
+from ringpose.capture.laser_check import LitPixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
-from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, steady_after_s
-from ringpose.capture.shot_check import require_off
+from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
 
 Verdict = Literal["ok", "warning", "fault"]
 """From best to worst."""
@@ -56,13 +55,11 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     found = f"without lasers the image has {100 * share:.1f} % of the full grey value"
     yield Check(check="ambient light", verdict=verdict, found=found, remedy=remedy)
     slowest_s = 0.0
-    for laser in range(0 if isinstance(lasers, UncontrolledLasers) else lasers.count):
-        pixels, check = _check_laser(camera, lasers, laser, dark)
-        yield check
-        if pixels is not None:
-            times_s = [steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (1 << laser, 0)]
-            slowest_s = max(slowest_s, *times_s)
-            yield _check_exposure(camera, lasers, laser, pixels)
+    for response in () if isinstance(lasers, UncontrolledLasers) else laser_responses(camera, lasers, exposure_s):
+        yield _check_laser(response, description.saturation_dn)
+        if response.pixels is not None:
+            slowest_s = max(slowest_s, response.settle_s)
+            yield _check_exposure(camera, lasers, response.laser, response.pixels)
     if slowest_s >= MAX_SETTLE_S:
         yield Check(check="settle", verdict="fault", found=f"a laser has not followed within {MAX_SETTLE_S} s")
     elif slowest_s:
@@ -89,25 +86,18 @@ def _check_frames(camera: CameraDriver) -> Check:
     return Check(check="frames", verdict="ok", found=found)
 
 
-def _check_laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Image) -> tuple[LitPixels | None, Check]:
-    """Checks that a laser is seen when it is on and not seen when it is off; returns its pixels, too."""
-    full_dn, check = camera.describe().saturation_dn, f"laser {laser + 1}"
-    lasers.set_mask(1 << laser)
-    lasers.wait(MAX_SETTLE_S)
-    lit = camera.trigger(1 << laser).image
-    pixels = lit_pixels(lit, [dark], full_dn)
-    require_off(camera, lasers, laser, pixels, (dark, lit), MAX_SETTLE_S)
+def _check_laser(response: LaserResponse, full_dn: int) -> Check:
+    """Whether a laser is seen when it is on, and whether it saturates the image."""
+    check, pixels = f"laser {response.laser + 1}", response.pixels
     if pixels is None:
         remedy = "check that it shines on something in the image, and that the exposure is long enough"
-        return None, Check(check=check, verdict="fault", found="is not seen", remedy=remedy)
+        return Check(check=check, verdict="fault", found="is not seen", remedy=remedy)
     found = f"seen at {len(pixels.pixel)} pixels, {float(np.median(pixels.contrast_dn)):.0f} dn above the dark"
     full = float((pixels.contrast_dn + pixels.dark_dn >= full_dn).mean())
-    if full > 0.5:
-        remedy = "expose shorter: saturated pixels do not determine the centre of a stripe"
-        return pixels, Check(
-            check=check, verdict="warning", found=f"{found}, {100 * full:.0f} % saturated", remedy=remedy
-        )
-    return pixels, Check(check=check, verdict="ok", found=found)
+    if full <= 0.5:
+        return Check(check=check, verdict="ok", found=found)
+    remedy = "expose shorter: saturated pixels do not determine the centre of a stripe"
+    return Check(check=check, verdict="warning", found=f"{found}, {100 * full:.0f} % saturated", remedy=remedy)
 
 
 def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> Check:

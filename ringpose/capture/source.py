@@ -18,7 +18,7 @@ from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_swit
 from ringpose.capture.latest_frame import paced
 from ringpose.capture.uri import CAMERAS, LASERS, device_uri, driver
 from ringpose.errors import UsageError
-from ringpose.types.image import Shot
+from ringpose.types.image import Frame, Shot
 from ringpose.types.rig import Rig
 from ringpose.types.session import Capture, Step, written_sequence
 
@@ -58,6 +58,8 @@ class CaptureRequest:
     """Of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
     report: Callable[[str], None] = lambda _: None
     """Receives a message when the camera is lost."""
+    on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
+    """Receives each frame as soon as it has arrived, and its saturation value (`Procedure.on_frame`)."""
 
     @property
     def fixed_exposure_s(self) -> float | None:
@@ -161,6 +163,7 @@ def device_source(
         settle_s=None if settle_s == "auto" else settle_s,
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not request.allow_missing,
         report=request.report,
+        on_frame=request.on_frame,
     )
     # A frame that lasts longer than the watchdog waits would show lasers going off.
     on_s = (procedure.settle_s or 0.0) + max(step.exposure_s or procedure.exposure_s or 0.0 for step in steps)

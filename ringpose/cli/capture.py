@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose
-from ringpose.cli.options.devices import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
+from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options.devices import ShotOptions
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
@@ -48,6 +48,9 @@ ListDevices = Annotated[
     bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=_list_devices, is_eager=True)
 ]
 TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
+Rate = Annotated[
+    float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")
+]
 HeldStill = Annotated[
     bool, typer.Option("--still", help="State in each shot that the target is held still while it is taken.")
 ]
@@ -55,17 +58,13 @@ Append = Annotated[bool, typer.Option("--append", help="Go on with a session tha
 
 
 @app.command()
+@with_option_groups
 def capture(
+    *,
     camera: CameraUri,
-    lasers: LasersUri = None,
-    sequence: Steps = None,
-    exposure: Exposure = None,
-    settle: Settle = None,
-    allow_missing: AllowUnseen = False,
-    rig: OptionalRigFile = None,
-    count: Count = None,
+    shots: ShotOptions,
     rate: Rate = None,
-    duration: Duration = None,
+    rig: OptionalRigFile = None,
     still: HeldStill = False,
     output: SessionFolder = None,
     force: ReplaceSession = False,
@@ -77,27 +76,12 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence; all lasers are off at the end."""
-    from ringpose.capture.source import CaptureRequest
     from ringpose.cli.acquisition import source_of
     from ringpose.cli.batch import Batch
     from ringpose.files.images.sessions import SessionWriter, folder_of_now
     from ringpose.files.rigs import read_rig
 
-    rig_of_shots = None if rig is None else read_rig(rig)
-    request = CaptureRequest(
-        camera=camera,
-        lasers=lasers,
-        steps=sequence,
-        exposure_s=exposure,
-        settle_s=settle,
-        allow_missing=allow_missing,
-        laser_names=None if rig_of_shots is None else rig_of_shots.lasers.names,
-        rig=rig_of_shots,
-        count=count,
-        rate_hz=rate,
-        duration_s=duration,
-        channel=channel,
-    )
+    request = shots.request(camera, None if rig is None else read_rig(rig), rate_hz=rate, channel=channel)
     existing, batch = _existing(force, append), Batch()
     if test:
         _check_devices(request, batch)

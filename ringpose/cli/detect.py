@@ -4,16 +4,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import app
+from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Jobs
-from ringpose.cli.options.assumptions import (
-    MaxRate,
-    MaxSpeed,
-    RigStabilityFactor,
-    RingTolerance,
-    Still,
-    assumption_options,
-)
+from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.common import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
 from ringpose.types.options import SegmentMethod, StripeSource
 
@@ -45,7 +38,9 @@ Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments i
 
 
 @app.command()
+@with_option_groups
 def detect(
+    *,
     inputs: Inputs,
     rig: OptionalRigFile = None,
     output: Output = "-",
@@ -54,11 +49,7 @@ def detect(
     method: MethodName = SegmentMethod.REFINED,
     stripes: StripesFrom = StripeSource.CENTERS,
     track: Track = False,
-    still: Still = False,
-    max_speed: MaxSpeed = None,
-    max_rate: MaxRate = None,
-    ring_tolerance: RingTolerance = None,
-    rig_stability: RigStabilityFactor = 1.0,
+    assumed: Assumed,
     full: Full = False,
     jobs: Jobs = 1,
     channel: ImageChannel = None,
@@ -79,7 +70,7 @@ def detect(
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
-    options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
+    options = assumed.options
     if track and jobs > 1:
         raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
     loaded_rig = None if rig is None else read_rig(rig)

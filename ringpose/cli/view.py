@@ -1,21 +1,20 @@
 """`ringpose view`: recorded shots with their poses, tracks and truth, in the browser or as one HTML page."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.batch import Batch
 from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile
-from ringpose.errors import UsageError
+from ringpose.cli.progress import with_progress
+from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from typing import Any
-
-    from ringpose.cli.batch import Batch
     from ringpose.report.replay import ReplayShot
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
@@ -53,10 +52,6 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """Show recorded shots in the browser: pictures, poses, tracks, errors, a timeline and a three-dimensional view."""
-    from importlib.util import find_spec
-
-    from ringpose.cli.batch import Batch
-    from ringpose.cli.progress import with_progress
     from ringpose.files import atomic, records
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
@@ -98,10 +93,9 @@ def view(
 
 
 def _lines_by_shot(
-    files: list[Path], batch: "Batch", line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
+    files: list[Path], batch: Batch, line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
 ) -> "dict[str, PoseLine]":
     """The line of each shot; invalid ones are reported by the batch."""
-    from ringpose.errors import DataError, NoInputError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
 
@@ -132,18 +126,14 @@ def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Trut
     from ringpose.report.replay import ReplayShot, replay_picture
 
     picture = overlay(picture_of(shot), detect(shot, rig), line, rig, with_numbers=False)
-    errors = {}
+    errors: Mapping[str, float] = {}
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)
-        truth_now = truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
-        errors = {
-            name: value
-            for name, value in score(truth, estimate, estimate.method, rig.camera).errors.items()
-            if name in SHOWN_ERRORS
-        }
-        truth = truth_now
+        errors = score(truth, estimate, estimate.method, rig.camera).errors
+        truth = truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
+    shown = {name: value for name, value in errors.items() if name in SHOWN_ERRORS}
     return ReplayShot(
-        name=shot.name, stamp_s=shot.measured_at_s, jpeg=replay_picture(picture), line=line, truth=truth, errors=errors
+        name=shot.name, stamp_s=shot.measured_at_s, jpeg=replay_picture(picture), line=line, truth=truth, errors=shown
     )
 
 
@@ -153,8 +143,6 @@ SHOWN_ERRORS = ("center_m", "normal_rad", "radius_outer_m", "grasp_m")
 
 def _check_names(given: Iterable[tuple[str, Iterable[str]]], shots: list[str]) -> None:
     """Report files that name none of the shots."""
-    from ringpose.errors import DataError
-
     for option, names in given:
         named = list(names)
         if named and not set(named) & set(shots):

@@ -6,7 +6,7 @@ would triangulate behind the camera are rejected: the images are upside down, mi
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -65,6 +65,7 @@ def detect(
     background: Frame | None = None,
     assumptions: Assumptions | None = None,
     camera: CameraMotion | None = None,
+    searched: Callable[[LaserImage], Stripes | None] = lambda _: None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
@@ -72,7 +73,8 @@ def detect(
     whole frames are searched. If the prediction is `labelled`, it assigns the stripes of frames with several lasers on.
     `background`: a frame without lasers of an earlier shot, for a shot without one: it is subtracted, but the edges
     that it shows are not measured again. `assumptions`: None for the usual ones about this shot. `camera`: its motion,
-    if a robot moves it; then a ring at rest moves in the images, too.
+    if a robot moves it; then a ring at rest moves in the images, too. `searched`: the stripes of a whole frame, if they
+    were found before the shot was complete.
     """
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
@@ -93,7 +95,7 @@ def detect(
     assigned = predicted is not None and predicted.labelled
     on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, camera, assigned=assigned)
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
-        stripes, segments = _all_stripes(images, source)
+        stripes, segments = _all_stripes(images, source, searched)
         on_ring = _found(stripes, images, shot, rig, assumptions, camera)
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
@@ -170,15 +172,17 @@ def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> 
     return bool((predicted.seen & np.isnan(found.position_px[..., 0])).any())
 
 
-def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
+def _all_stripes(
+    images: list[LaserImage], source: StripeSource, searched: Callable[[LaserImage], Stripes | None]
+) -> tuple[Stripes, Segments | None]:
     """The stripes of all frames in one record, and the line segments that they were made from, if any."""
     if source is StripeSource.SEGMENTS:
         return _stripes_between_segments(images)
     parts = [
-        _labelled(find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn), image)
+        searched(image) or find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
         for image in images
     ]
-    return _joined(parts), None
+    return _joined([_labelled(part, image) for part, image in zip(parts, images, strict=True)]), None
 
 
 def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:

@@ -212,7 +212,9 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
         or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
     )
-    return face if len(face.lasers) < CONFIRMED else _with_further_lasers(face, every, lasers, rig)
+    if not CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
+        return face
+    return _with_further_lasers(face, every, lasers, rig)
 
 
 def _with_further_lasers(

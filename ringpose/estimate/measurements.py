@@ -169,13 +169,11 @@ class Measurements:
             light_normal=planes.normal[laser],
             light_distance_m=planes.distance_m[laser],
             ends=ends,
-            edge_sign=2.0 * self.points.edge - 1.0,
             visible_rays=self.edges.ray,
-            visible_sign=2.0 * self.edges.edge - 1.0,
             visible_step=self.edges.step,
+            edge_sign=2.0 * np.concatenate([self.points.edge, self.edges.edge]) - 1.0,
             instant_s=instant_s,
-            of_sample=instant[: len(laser)],
-            of_visible=instant[len(laser) :],
+            instant=instant,
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
         of_lines = self.lines.wrt_camera

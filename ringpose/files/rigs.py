@@ -37,17 +37,21 @@ _STABILITY_KEYS = tuple(each.name for each in dataclasses.fields(RigStability))
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
 
-def read_rig(path: Path) -> Rig:
-    """The rig in a rig.yaml, with exactly normalised normals."""
-    return rig_in(read_bytes(path), str(path))
+def read_rig(path: Path, *, for_rings: bool = True) -> Rig:
+    """The rig in a rig.yaml, with exactly normalised normals.
+
+    One with a laser that cannot measure rings (`steep_stripes`) is rejected unless `for_rings` is false: light planes
+    of such lasers are calibrated and checked with boards as any others.
+    """
+    return rig_in(read_bytes(path), str(path), for_rings=for_rings)
 
 
-def rig_in(text: bytes, location: str) -> Rig:
-    """The rig in the text of a rig.yaml, fit to measure rings."""
+def rig_in(text: bytes, location: str, *, for_rings: bool = True) -> Rig:
+    """The rig in the text of a rig.yaml; the same as `read_rig`."""
     fields = Fields(location, parsed(text, location), _KEYS)
     rig = rig_of(fields, hashlib.sha256(text).hexdigest())
     for entry, finding in zip(fields.each("lasers"), steep_stripes(rig.lasers), strict=True):
-        if finding:
+        if finding and for_rings:
             raise entry.problem("normal", finding, "mount the camera so that the stripes run along the rows")
     return rig
 

@@ -113,8 +113,12 @@ class Fields:
         self._check_range(key, value, (least, most))
         return value
 
-    def number(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> float:
-        """A finite number between two bounds, both included."""
+    def number(
+        self, key: str, least: int | float = -math.inf, most: int | float = math.inf, missing: float | None = None
+    ) -> float:
+        """A finite number between two bounds, both included; `missing`, if given, for a key that is absent or null."""
+        if missing is not None and not self.has(key):
+            return missing
         value = self.raw(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.problem(key, f"is {kind(value)}, must be a number")

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -85,7 +86,10 @@ def _series_picture(
     figure = canvas(10, 1.9 * len(parts) + 1.6)
     rows: list[Axes] = figure.subplots(len(parts) + 1, 1, sharex=True).tolist()
     for part, name in enumerate(parts):
-        _draw_values(rows[part], place, value[:, part], sigma[:, part], lines)
+        for status, color in STATUS_COLORS.items():
+            here = np.array([line.status == status for line in lines], dtype=bool) & np.isfinite(value[:, part])
+            bars = {"yerr": np.nan_to_num(sigma[here, part]), "elinewidth": 1}
+            rows[part].errorbar(place[here], value[here, part], fmt=".", color=color, markersize=5, **bars)
         rows[part].set_ylabel(f"{name} ({unit})")
         rows[-1].plot(place, sigma[:, part], ".", markersize=4, label=name)
     rows[-1].set_yscale("log")
@@ -94,26 +98,6 @@ def _series_picture(
     rows[-1].xaxis.set_major_locator(MaxNLocator(integer=label == NUMBER))
     rows[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return Picture(png=png_of(figure), caption=caption)
-
-
-def _draw_values(
-    axes: Axes,
-    place: Float64[Array, "shot"],
-    value: Float64[Array, "shot"],
-    sigma: Float64[Array, "shot"],
-    lines: Sequence[PoseLine],
-) -> None:
-    for status, color in STATUS_COLORS.items():
-        here = np.array([line.status == status for line in lines], dtype=bool) & np.isfinite(value)
-        axes.errorbar(
-            place[here],
-            value[here],
-            yerr=np.nan_to_num(sigma[here]),
-            fmt=".",
-            color=color,
-            markersize=5,
-            elinewidth=1,
-        )
 
 
 def _abscissa(lines: Sequence[PoseLine]) -> tuple[Float64[Array, "shot"], str]:
@@ -132,12 +116,9 @@ def _sigmas(covariance: Float64[Array, "n n"] | None, chosen: slice) -> Float64[
     return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
 
-def _center(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
-    return 1e3 * pose.center_m, 1e3 * _sigmas(pose.covariance_center_m2, slice(0, 3))
-
-
-def _grasp(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
-    return 1e3 * pose.grasp_m, 1e3 * _sigmas(pose.covariance_grasp_m2, slice(0, 3))
+def _point(name: str, pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
+    covariance_m2 = getattr(pose, f"covariance_{name}_m2")
+    return 1e3 * getattr(pose, f"{name}_m"), 1e3 * _sigmas(covariance_m2, slice(0, 3))
 
 
 def _radii(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
@@ -154,8 +135,14 @@ def _angles(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "par
 
 
 QUANTITIES: tuple[tuple[str, tuple[str, ...], str, Values, str], ...] = (
-    ("Grasp point", ("x", "y", "z"), "mm", _grasp, "Grasp point, with one standard deviation; colours as above."),
-    ("Centre", ("x", "y", "z"), "mm", _center, "Centre of the ring, with one standard deviation."),
+    (
+        "Grasp point",
+        ("x", "y", "z"),
+        "mm",
+        partial(_point, "grasp"),
+        "Grasp point, with one standard deviation; colours as above.",
+    ),
+    ("Centre", ("x", "y", "z"), "mm", partial(_point, "center"), "Centre of the ring, with one standard deviation."),
     (
         "Normal",
         ("pitch", "yaw"),

@@ -102,7 +102,11 @@ def caster_view(
     per_px: Float64[Array, "axis=2 xy=2 pixel"] | None,
     width: int,
 ) -> render.View:
-    """The target and its light for rays (x, y, 1); `angle_per_px` is the width of a pixel at depth 1."""
+    """What the ray caster takes: target, placements and light, for camera rays (x, y, 1).
+
+    `per_px` are the derivatives of the rays by the pixel, `width` that of the image in pixels, and `angle_per_px` is
+    the width of a pixel at depth 1.
+    """
     planes, laser, light = illuminated.planes, illuminated.laser_light, illuminated.light
     lamps = _LAMP_DIRECTIONS / np.linalg.norm(_LAMP_DIRECTIONS, axis=1, keepdims=True)
     on = np.zeros(len(planes.distance_m))

@@ -42,6 +42,10 @@ class RenderedView:
         image = digitised(self.electrons(lasers, exposure_s, stamp_s), self.sensor, self.generator)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
 
+    def frames(self, sequence: Sequence[int], exposure_s: float, stamps_s: Float64[Array, "frame"]) -> list[Frame]:
+        """The exposures of a shot, each with the lasers of its mask on."""
+        return [self.frame(mask, exposure_s, float(stamp)) for mask, stamp in zip(sequence, stamps_s, strict=True)]
+
     def electrons(self, lasers: int, exposure_s: float, began_s: float = 0.0) -> Float32[Array, "row column"]:
         """Expected electrons of one exposure with the lasers of the mask on."""
         return self.electrons_with([lasers >> number & 1 for number in range(len(self.laser))], exposure_s, began_s)

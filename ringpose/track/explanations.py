@@ -6,6 +6,7 @@ weights are their evidence. Measurements are taken in the order of their stamps 
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,8 +45,18 @@ MIN_CURVATURE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Gripper:
+    """How far the ring may be off for the gripper to close on it."""
+
+    radial_m: float
+    """Distance of the true middle of the band from the grasp point."""
+    tilt_rad: float
+    """Angle between the true normal and the reported one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrackOptions:
-    """Limits of a track."""
+    """What the user states about a track."""
 
     predict_for_s: float = 2.0
     """Time without a measurement after which two that agree may start the track anew."""
@@ -53,6 +64,8 @@ class TrackOptions:
     """Time without a measurement after which the track is given up."""
     motion: MotionPrior = motion_prior()
     """Of a new track."""
+    gripper: Gripper | None = None
+    """The gripper whose capture of the ring is predicted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,12 +105,12 @@ class Track:
         return normalized
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fusion:
-    """How a measurement was used, and its test ratio."""
+class Fusion(NamedTuple):
+    """How a measurement was used, its test ratio, and why it was not used."""
 
     status: FusionStatus
     test_ratio: float = float("nan")
+    reason: str = ""
 
 
 def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | None) -> Track:
@@ -112,16 +125,15 @@ def track_after(
     """The track after a measurement that is not older than the track, and how the measurement was used."""
     gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
     if not observed.determines_plane and not gap_s <= options.predict_for_s:  # nor without a track
-        return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE)
+        return track, Fusion(FusionStatus.REJECTED_COVARIANCE)
     if not track.banks:
-        started_anew = new_track(observed, options.motion, radius)
-        return replace(started_anew, resets=track.resets), Fusion(status=FusionStatus.FUSED)
+        return replace(new_track(observed, options.motion, radius), resets=track.resets), Fusion(FusionStatus.FUSED)
     if gap_s < options.lost_after_s:
         after, ratio = _continued(track, observed)
         if ratio <= 1.0 and _bias_sigmas(after.likeliest, observed) > MAX_BIAS_SIGMAS:
-            return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=ratio)
+            return track, Fusion(FusionStatus.REJECTED_COVARIANCE, ratio)
         if ratio <= 1.0:
-            return after, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
+            return after, Fusion(FusionStatus.FUSED, ratio)
     return _contradicted(track, observed, radius, options, ratio)
 
 
@@ -143,10 +155,10 @@ def _contradicted(
             # A push during the first of the two shots makes that one wrong: it is left out where there is a track.
             used = anew if status is FusionStatus.REJECTED_GATE and its_ratio <= 1.0 else confirmed
             if _bias_sigmas(used.likeliest, observed) > MAX_BIAS_SIGMAS:
-                return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=agreement)
-            return used, Fusion(status=FusionStatus.FUSED, test_ratio=agreement)
+                return track, Fusion(FusionStatus.REJECTED_COVARIANCE, agreement)
+            return used, Fusion(FusionStatus.FUSED, agreement)
     rejected = replace(track, rejections=track.rejections + 1, pending=anew if its_ratio <= 1.0 else None)
-    return rejected, Fusion(status=status, test_ratio=ratio)
+    return rejected, Fusion(status, ratio)
 
 
 def _bias_sigmas(bank: Bank, observed: Observation) -> float:

@@ -12,7 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import CURVATURE, HALF_BAND, LIFT, MIN_CURVATURE, SHIFT, STEP, TILT_ALONG, TILT_INWARD, TURN
+from ringpose.geometry.ring import (
+    CURVATURE,
+    HALF_BAND,
+    LIFT,
+    MIN_CURVATURE,
+    SHIFT,
+    STEP,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    rotation_by,
+)
 from ringpose.types.arrays import Array, Float64
 
 MOTION = (
@@ -87,7 +98,7 @@ def after(states: RingStates, time_s: float) -> RingStates:
     radius_m, motion = states.mean_radius_m, states.motion
     rate_in, rate_al, lever_m = motion[:, 3], motion[:, 4], motion[:, 6]
     mass_velocity = mass_center_velocity(states)
-    rotation = rotations(motion[:, 3:6] * time_s)
+    rotation = rotation_by(motion[:, 3:6] * time_s)
     # the origin's displacement along the axes at the start: C = (R, 0, -l), o = C + l n - R inward
     displacement = mass_velocity * time_s
     displacement[:, 0] += radius_m
@@ -117,19 +128,6 @@ def mass_center_velocity(states: RingStates) -> Float64[Array, "state local=3"]:
     velocity[:, 0] -= lever_m * states.motion[:, 4]
     velocity[:, 1] += lever_m * states.motion[:, 3]
     return velocity
-
-
-def rotations(vectors_rad: Float64[Array, "n 3"]) -> Float64[Array, "n 3 3"]:
-    """Rotation matrices of rotation vectors (Rodrigues)."""
-    angle = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
-    skew = np.zeros((len(angle), 3, 3))
-    x, y, z = vectors_rad.T
-    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -z, y, -x
-    skew[:, 1, 0], skew[:, 2, 0], skew[:, 2, 1] = z, -y, x
-    first = np.sinc(angle / np.pi)[:, None, None]
-    second = 0.5 * np.sinc(angle / (2 * np.pi))[:, None, None] ** 2
-    rotation: Float64[Array, "n 3 3"] = np.eye(3) + first * skew + second * (skew @ skew)
-    return rotation
 
 
 class Charted(NamedTuple):

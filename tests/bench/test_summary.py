@@ -10,7 +10,6 @@ from ringpose.bench.summary import (
     error_statistics,
     exceeded_error_limits,
     summaries,
-    unknown_groups,
 )
 
 
@@ -46,7 +45,6 @@ def test_a_group_that_a_truth_does_not_name_is_a_dash():
     shots = [scored("a", 1.0, light="dim"), scored("b", 1.0)]
 
     assert [line.group.get("light") for line in summaries(shots, ["light"])] == [ABSENT, "dim", None]
-    assert unknown_groups(shots, ["light", "lihgt"]) == ["lihgt"]
 
 
 def test_failures_are_counted_and_do_not_enter_the_errors():

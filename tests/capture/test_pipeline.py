@@ -96,6 +96,19 @@ def test_every_frame_is_triggered_while_its_lasers_are_on():
     assert shot.stamp_s.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
+@pytest.mark.parametrize(("sequence", "early"), [("off,1,2", [(0, 200), (1, 200), (2, 200)]), ("1@1ms,1@2ms", [])])
+def test_frames_are_handed_on_as_they_arrive_unless_they_are_merged(sequence, early):
+    lasers, handed = RecordingLasers(), []
+
+    def on_frame(frame: Frame, saturation_dn: int) -> None:
+        handed.append((frame.lasers, saturation_dn))
+
+    procedure = Procedure(steps=parsed_sequence(sequence), on_frame=on_frame)
+    next(captured_shots(RecordingCamera(lasers), lasers, procedure, ["a"]))
+
+    assert handed == early
+
+
 def test_all_lasers_are_off_when_a_shot_is_yielded():
     lasers = RecordingLasers()
     next(shots_of(lasers, "off,all"))

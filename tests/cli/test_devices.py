@@ -163,7 +163,7 @@ def test_a_camera_is_served_to_this_machine_alone(capsys, tmp_path):
     small_scene(tmp_path)
 
     assert main(["simulate", "serve", "--scene", str(tmp_path / "scene.yaml"), "--camera", "192.168.0.1"]) == 2
-    assert "is no loopback address" in capsys.readouterr().err
+    assert "loopback address" in capsys.readouterr().err
 
 
 def test_two_cameras_need_two_addresses(serve, loopback_address, capsys):

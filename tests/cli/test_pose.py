@@ -38,6 +38,7 @@ def test_pose_in_the_tool_frame_is_the_cameras_moved_by_the_mount(rig, detection
 
     record = pose_lines(capsys.readouterr().out)[0]
     np.testing.assert_allclose(record["pose"]["center_m"], (mount @ [*CENTER_M, 1])[:3], atol=1e-9)
+    np.testing.assert_allclose(record["pose"]["normal"], mount[:3, :3] @ [0, 0, -1], atol=1e-9)
     assert record["frame"] == "tool"
 
 

@@ -72,7 +72,7 @@ def test_a_rig_that_could_not_be_read_is_not_written(rig_file, tmp_path, part, c
     assert not (tmp_path / "new.yaml").exists()
 
 
-def test_a_rig_whose_stripe_is_too_steep_for_rings_is_written_and_named_when_it_is_read(rig_file, tmp_path):
+def test_a_rig_whose_stripe_is_too_steep_is_rejected_only_for_measuring_rings(rig_file, tmp_path):
     rig = read_rig(rig_file())
     upright = replace(rig.lasers, normal=np.array([[0.8, 0.0, 0.6], [0.0, 0.6, -0.8]]))
 
@@ -80,6 +80,7 @@ def test_a_rig_whose_stripe_is_too_steep_for_rings_is_written_and_named_when_it_
 
     with pytest.raises(DataError, match=r"lasers\[0\].normal: draws a stripe at 90.0 degrees"):
         read_rig(tmp_path / "new.yaml")
+    np.testing.assert_array_equal(read_rig(tmp_path / "new.yaml", for_rings=False).lasers.normal, upright.normal)
 
 
 def test_a_rounded_normal_is_normalised(rig_file):

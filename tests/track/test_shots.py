@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from moving_rings import START_S, Shots, drawn_motion, stream
 from ring_scenes import RIGS, pixels_of
+from tracked_rings import track_of
 
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
@@ -24,10 +25,7 @@ def predicted_at(tracker: Tracker, ahead_s: float, rig=RIG):
 
 @pytest.fixture(scope="module")
 def tracker(records) -> Tracker:
-    tracker = Tracker(None)
-    for line in records:
-        tracker.add(line)
-    return tracker
+    return track_of(records)
 
 
 @pytest.mark.parametrize("ahead_s", [0.03, 0.3])
@@ -62,9 +60,7 @@ def test_a_prediction_does_not_assign_stripes_that_are_closer_than_five_sigmas(t
 
 def test_the_motion_of_the_edges_in_the_image_is_that_of_the_ring(rng):
     motion = replace(drawn_motion(rng, rate_deg_s=0.0), velocity_m_s=np.array([0.03, 0.0, 0.0]), rate_rad_s=np.zeros(3))
-    tracker = Tracker(None)
-    for line in stream(motion, 2.0, Shots(known_radius_sd_m=5e-4), rng):
-        tracker.add(line)
+    tracker = track_of(stream(motion, 2.0, Shots(known_radius_sd_m=5e-4), rng))
     stamp_s = tracker.track.stamp_s
 
     found_px = motion_px(tracker.track, stamp_s - 0.1, stamp_s, RIG)

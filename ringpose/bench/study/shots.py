@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.bench.design.bounds import Bound, cramer_rao
-from ringpose.bench.design.rig_changes import with_laser_angle
+from ringpose.bench.design.rig_changes import with_changes
 from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.detect.pipeline import detect
@@ -39,7 +39,6 @@ from ringpose.types.options import Method
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, RingView, Scene, Truth
-from ringpose.types.session import parsed_sequence
 from ringpose.types.study import CASE, Factor, Row, ShotRun, Study, StudyMethod, Value, columns
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
@@ -147,24 +146,7 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     """The scene of one shot: a random view, with a seed of its own, or a run of views that ends in it."""
     seed = int(np.random.SeedSequence([_SCENE, study.seed, _turn(study, index)]).generate_state(1)[0])
     numbers: Mapping[str, Any] = setting
-    scene = study.scene
-    if "laser_angle_rad" in setting:
-        scene = replace(scene, rig=with_laser_angle(scene.rig, numbers["laser_angle_rad"]))
-    if "radius_outer_m" in setting:
-        larger_m = numbers["radius_outer_m"] - scene.ring.radius_outer_m  # with the same cross-section
-        scene = replace(scene, ring=replace(scene.ring, profile_m=scene.ring.profile_m + np.array([larger_m, 0.0])))
-    if "sequence" in setting:
-        lasers = len(scene.rig.lasers.names)
-        masks = tuple(step.mask(lasers) for step in parsed_sequence(str(setting["sequence"])))
-        scene = replace(scene, sequence=masks)
-    if "stripe_dn" in setting:
-        scene = replace(scene, stripe_dn=numbers["stripe_dn"])
-    if "blur_px" in setting:
-        scene = replace(scene, lens=replace(scene.lens, blur_px=numbers["blur_px"]))
-    if "speckle_contrast" in setting:
-        scene = replace(scene, speckle=replace(scene.speckle, contrast=numbers["speckle_contrast"]))
-    if "dark_noise_e" in setting:
-        scene = replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=numbers["dark_noise_e"]))
+    scene = with_changes(study.scene, setting)
     approach = Approach(
         count=1,
         distances_m=(numbers["distance_m"],),

@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.acceptance import BOARD_LIMITS, check
-from ringpose.calibrate.boards.corner_errors import whiten, without_distortion_bias
+from ringpose.calibrate.boards.corner_errors import view_equations, whiten, without_distortion_bias
 from ringpose.calibrate.boards.layout import marker_size_findings
-from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution, view_equations
+from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
     cross_validation,
-    image_map,
     known_lens,
     model_comparison,
     projection_sigma_px,
@@ -67,21 +66,20 @@ def camera_assessment(
 
     `boards` are those of all views, in their order.
     """
-    where, used = image_map(calibration.camera), used_views(calibration, boards)
+    used = used_views(calibration, boards)
     whole = camera_solution(used, calibration.camera, model)
-    validation = cross_validation(used, whole, model, where)
+    validation = cross_validation(used, whole, model)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
-    known = known_lens(calibration.camera, corners_px, where)
-    sigma_px = np.where(known, projection_sigma_px(calibration.camera, where), np.nan)
+    known = known_lens(calibration.camera, corners_px)
+    sigma_px = np.where(known, projection_sigma_px(calibration.camera, calibration.covariance.data), np.nan)
     disagreement = float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
     return CameraAssessment(
         coverage=coverage(calibration, boards),
-        image_map=where,
         sigma_px=sigma_px,
         validation=validation,
         disagreement=disagreement,
         distances_m=tuple(distances_m),
-        comparison=model_comparison(used, whole, model, where) if compare else None,
+        comparison=model_comparison(used, whole, model) if compare else None,
         board=(
             other_camera_finding(calibration, boards),
             *marker_size_findings(boards),
@@ -96,9 +94,9 @@ def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tup
     A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
     show them, and the covariance treats the corners as independent. Views are independent.
     """
-    covariance = calibration.camera.covariance
+    covariance = calibration.covariance
     widening = _widening(assessment.disagreement, len(calibration.used))
-    if covariance is None or widening == 1:
+    if widening == 1:
         return calibration, assessment
     camera = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
     return replace(calibration, camera=camera), replace(assessment, sigma_px=widening * assessment.sigma_px)
@@ -123,7 +121,7 @@ def bow_finding(
         for view, pose, sigma in several
     ]
     jacobian, residual = (np.concatenate(part) for part in zip(*rows, strict=True))
-    free = np.flatnonzero(np.append(model.free, np.ones(3)))
+    free = np.flatnonzero(np.append(model.free, np.ones(3, dtype=bool)))
     scale = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     scaled = jacobian[:, free] / scale
     covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)

@@ -11,6 +11,7 @@ from ringpose.calibrate.acceptance import CAMERA_LIMITS, check, verdict_lines, v
 from ringpose.calibrate.camera.assessment import board_tilt_rad, different_poses
 from ringpose.calibrate.camera.outliers import CORNER_SIGMAS
 from ringpose.calibrate.camera.parameters import parameters_of
+from ringpose.calibrate.camera.validation import map_points_px
 from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,
@@ -193,8 +194,8 @@ def _coverage_findings(covered: Coverage) -> list[Check]:
 
 def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Check]:
     """Checks of the focal length's and the projection's standard deviations."""
-    sigma_px, where, deviations = assessment.sigma_px, assessment.image_map.points_px, calibration.standard_deviations
-    x, y = where[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
+    sigma_px, deviations = assessment.sigma_px, calibration.standard_deviations
+    x, y = map_points_px(calibration.camera)[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     focal_share = deviations["fx"] / float(calibration.camera.camera_matrix[0, 0])
     focal = "the focal length is uncertain: tilt the board more, and take it nearer and farther"
     median = "the projection is uncertain: add views, tilted to different sides, in every part of the image"

@@ -15,7 +15,7 @@ from ringpose.errors import DeviceError, UsageError
 from ringpose.types.image import Frame
 from ringpose.types.session import steps_of, written_sequence
 from ringpose.wire import images as wire
-from ringpose.wire.images import Fields, Greeting, MalformedMessage, ServedFrame
+from ringpose.wire.images import Greeting, Header, MalformedMessage, ServedFrame
 
 TIMEOUT_S = 60.0
 """Default time to wait for a message: with the clock `lockstep` other clients may hold it up."""
@@ -203,7 +203,7 @@ class TcpCamera(CameraDriver):
         except OSError as error:
             raise self._lost(error) from error
 
-    def _received(self) -> Fields:
+    def _received(self) -> Header:
         """The next header; its payload is kept in `_payload`. An error of the server is raised."""
         with self._malformed_messages():
             header_bytes, payload_bytes = wire.lengths_in(self._read(wire.PREFIX.size), wire.MAX_PAYLOAD)

@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import CsvFile, Force, Quiet, Report, finite, numbers
+from ringpose.cli.options.common import STDOUT, CsvFile, Force, Quiet, Report, check_report, finite, numbers
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
+from ringpose.cli.progress import with_progress
+from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Minimized
 
 if TYPE_CHECKING:
@@ -100,12 +102,10 @@ def design(
 
     from ringpose.bench.design.maps import best, csv_rows, design_rows, designs, places, summary_lines
     from ringpose.bench.table import aligned
-    from ringpose.cli.batch import Batch
-    from ringpose.cli.options.common import STDOUT
-    from ringpose.cli.progress import with_progress
-    from ringpose.errors import NO_POSE
     from ringpose.files import records
+    from ringpose.files.atomic import reject_existing
     from ringpose.files.io import csv_text, write_result
+    from ringpose.types.assumptions import TYPICAL_STABILITY
 
     sweep = _sweep(vary or [])
     where = places(
@@ -114,14 +114,13 @@ def design(
         radians(pitch),
         radians(yaw),
     )
-    _check_outputs(output, report, force)
+    check_report(report, force)
+    if output is not None:
+        reject_existing(output, force)
     base = _scene(rig, scene, radius_inner, radius_outer)
-    from ringpose.types.assumptions import TYPICAL_STABILITY
-
     stability = TYPICAL_STABILITY.scaled(rig_stability)
     found = list(with_progress(designs(base, sweep, where, stability), "rigs", quiet))
     chosen = best(found, QUANTITY[minimize], min_coverage)
-    batch = Batch()
     if csv != STDOUT:
         name = "none" if chosen is None else f"{chosen.name},"
         best_line = (
@@ -131,9 +130,7 @@ def design(
         records.write_text("\n".join(lines) + "\n")
     if csv is not None:
         write_result(csv, csv_text(csv_rows(found)), force=force)
-    if chosen is None:
-        batch.record_status(NO_POSE)
-    elif output is not None:
+    if chosen is not None and output is not None:
         from ringpose.files.rigs import write_rig
 
         write_rig(output, chosen.rig, force=force, inputs=[rig])
@@ -142,26 +139,14 @@ def design(
         from ringpose.files.io import provenance, write_page
 
         write_page(report, design_report(found, chosen, QUANTITY[minimize], provenance([rig])), force=force)
-    batch.finish()
-
-
-def _check_outputs(output: Path | None, report: Path | None, force: bool) -> None:
-    from ringpose.files.atomic import reject_existing
-    from ringpose.report.page import require_matplotlib
-
-    for target in (output, report):
-        if target is not None:
-            reject_existing(target, force)
-    if report is not None:
-        require_matplotlib()
+    if chosen is None:
+        raise typer.Exit(NO_POSE)
 
 
 def _sweep(words: list[str]) -> dict[str, list[float]]:
     """Names and values of --vary."""
     from math import prod
 
-    from ringpose.bench.design.maps import SWEPT
-    from ringpose.errors import UsageError
     from ringpose.files.schema import hint
 
     bounds = {
@@ -174,8 +159,8 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
     sweep: dict[str, list[float]] = {}
     for word in words:
         name, _, values = word.partition("=")
-        if name not in SWEPT or name in sweep:
-            raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(SWEPT)}", hint(name, SWEPT))
+        if name not in bounds or name in sweep:
+            raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(bounds)}", hint(name, bounds))
         sweep[name] = sorted(set(numbers(values, f"--vary {name}", "give numbers separated by commas", bounds[name])))
         if name == "lasers" and any(value != round(value) for value in sweep[name]):
             raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
@@ -191,7 +176,6 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
 
     import numpy as np
 
-    from ringpose.errors import DataError, UsageError
     from ringpose.files.rigs import read_rig
     from ringpose.files.scenes.scene import read_scene
     from ringpose.files.studies.specification import PRESETS
@@ -207,12 +191,7 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
     if radius_inner_m is not None and radius_outer_m is not None:
         if not 0 < radius_inner_m < radius_outer_m <= 5:
             raise UsageError("--radius-inner", "must be positive and smaller than --radius-outer, in metres")
-        height_m = ring.height_m
-        profile_m = [
-            [radius_inner_m, 0.0],
-            [radius_inner_m, height_m],
-            [radius_outer_m, height_m],
-            [radius_outer_m, 0.0],
-        ]
-        ring = replace(ring, profile_m=np.array(profile_m))
+        radii_m = [radius_inner_m, radius_inner_m, radius_outer_m, radius_outer_m]
+        profile_m = np.column_stack([radii_m, [0.0, ring.height_m, ring.height_m, 0.0]])
+        ring = replace(ring, profile_m=profile_m)
     return replace(base, rig=judged, sequence=sequence, ring=ring)

@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli import messages
+from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import Cron, report_missed
-from ringpose.cli.options.common import Force, Quiet, Report
+from ringpose.cli.options.common import Force, Quiet, Report, check_report
+from ringpose.cli.progress import with_total
+from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
     from ringpose.bench.study.executors import Done
@@ -72,8 +76,6 @@ def study(
     """Simulate, measure and score the shots of a study; resumes a study that was interrupted."""
     from ringpose.bench.study import pipeline
     from ringpose.bench.study.table import exceeded_limits, study_text, summarized
-    from ringpose.cli.batch import Batch
-    from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.studies.results import opened
     from ringpose.files.studies.specification import read_study, study_path
@@ -83,13 +85,8 @@ def study(
         raise UsageError("--scheduler-file", "excludes --scheduler", "give one of them")
     if (scheduler is not None or scheduler_file is not None) and find_spec("distributed") is None:
         raise UsageError("--scheduler", "distributed is not installed", "pip install 'ringpose[cluster]'")
-    worst = _worst(keep)
-    if report is not None:
-        from ringpose.files.atomic import reject_existing
-        from ringpose.report.page import require_matplotlib
-
-        require_matplotlib()
-        reject_existing(report, force)
+    worst = 0 if keep is None else _number_of_worst(keep)
+    check_report(report, force)
     read = read_study(study_path(study), count, seed)
     metadata = pipeline.metadata(read, shlex.join(["ringpose", *sys.argv[1:]]))
     batch = Batch()
@@ -115,12 +112,8 @@ def study(
     batch.finish()
 
 
-def _worst(keep: str | None) -> int:
+def _number_of_worst(keep: str) -> int:
     """N of `worst:N`."""
-    from ringpose.errors import UsageError
-
-    if keep is None:
-        return 0
     word, _, number = keep.partition(":")
     if word != "worst" or not number.isdecimal() or not 0 < int(number) <= 1000:
         raise UsageError("--keep", f"is {keep!r}", "give worst:N with N from 1 to 1000")
@@ -133,12 +126,8 @@ def _reported(done: "Iterator[Done]", missing: int, shots: int, quiet: bool) -> 
         yield from done
         return
     if sys.stderr.isatty():
-        from ringpose.cli.progress import with_total
-
         yield from with_total(done, "shots", shots, shots - missing)
         return
-    from ringpose.cli import messages
-
     begun_s = last_s = monotonic()
     for number, shot in enumerate(done, start=1):
         yield shot

@@ -227,7 +227,7 @@ def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | N
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.rigs import read_rig
 
-    rig = read_rig(rig_file)
+    rig = read_rig(rig_file, for_rings=False)
     if output is not None:
         reject_existing_outputs(output, None, options.force, [rig_file])
     batch = Batch()

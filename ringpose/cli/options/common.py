@@ -68,6 +68,18 @@ Report = Annotated[
         "--report", readable=False, metavar="FILE", help="Write an HTML page with pictures (needs matplotlib)."
     ),
 ]
+
+
+def check_report(report: Path | None, force: bool) -> None:
+    """Reject a report, before any computation, that exists or that cannot be drawn."""
+    from ringpose.files.atomic import reject_existing
+    from ringpose.report.page import require_matplotlib
+
+    if report is not None:
+        require_matplotlib()
+        reject_existing(report, force)
+
+
 OutputFile = Annotated[
     Path, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
 ]

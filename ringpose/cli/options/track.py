@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from ringpose.cli import messages
+from ringpose.cli.batch import Batch
 from ringpose.cli.options.common import finite
-from ringpose.errors import UsageError
+from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
-    from ringpose.cli.batch import Batch
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.lines import Gripper
     from ringpose.track.pipeline import Tracker
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.rig import Rig
@@ -90,27 +90,18 @@ class TrackSettings(NamedTuple):
     gripper_radial_m: float | None = None
     gripper_tilt_deg: float | None = None
 
-    @property
-    def gripper(self) -> "Gripper | None":
-        """The gripper's limits; both or none must be given."""
-        from ringpose.track.lines import Gripper
-
-        radial_m, tilt_deg = self.gripper_radial_m, self.gripper_tilt_deg
-        if radial_m is None and tilt_deg is None:
-            return None
-        if radial_m is None or tilt_deg is None:
-            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
-            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
-        return Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg))
-
     def tracker(self, rig: "Rig | None", assumed: "AssumptionOptions", camera: "CameraMotion | None") -> "Tracker":
         """The tracker; a track begins with the motion that is assumed within a shot."""
-        from ringpose.track.explanations import TrackOptions
-        from ringpose.track.lines import LineOptions
+        from ringpose.track.explanations import Gripper, TrackOptions
         from ringpose.track.pipeline import Tracker
         from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
 
-        options = TrackOptions()
+        options, radial_m, tilt_deg = TrackOptions(), self.gripper_radial_m, self.gripper_tilt_deg
+        if radial_m is not None and tilt_deg is not None:
+            options = replace(options, gripper=Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg)))
+        elif radial_m is not None or tilt_deg is not None:
+            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
+            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
         if self.predict_for_s is not None:
             options = replace(options, predict_for_s=self.predict_for_s)
         if self.lost_after_s is not None:
@@ -125,7 +116,7 @@ class TrackSettings(NamedTuple):
             MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
             MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
         )
-        return Tracker(rig, replace(options, motion=motion), LineOptions(gripper=self.gripper), camera)
+        return Tracker(rig, replace(options, motion=motion), camera)
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
@@ -153,11 +144,9 @@ def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]
 
 
 def track_writer(
-    write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: "Batch"
+    write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: Batch
 ) -> "Callable[[TrackLine], None]":
     """Writes lines of a track, and with `verbose` reports what became of each measurement."""
-    from ringpose.cli import messages
-    from ringpose.errors import NO_POSE
     from ringpose.files.records.ros import ros_messages
     from ringpose.files.records.tracks import track_record
 

@@ -13,7 +13,7 @@ from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
-from ringpose.files.records.rejections import rejection_record, rejections_in
+from ringpose.files.records.rejections import rejections_in
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import (
@@ -66,7 +66,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "break_points": _part("break_points", found),
         "repeated": _part("repeated", None if found is None else found.repeated),
         "ring_edges": _part("ring_edges", detection.ring_edges),
-        REJECTED: [rejection_record(each) for each in detection.rejected],
+        REJECTED: detection.rejected,
     }
     if full:
         record |= {"stripes": _part("stripes", detection.stripes), "segments": _part("segments", detection.segments)}
@@ -90,7 +90,7 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         points = replace(points, repeated=_break_points(parts["repeated"], len(points.position_px)))
     return Detection(
         shot=fields.text("shot"),
-        stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else math.nan,
+        stamp_s=fields.number("stamp_s", missing=math.nan),
         break_points=points,
         stripes=_stripes(parts["stripes"]) if "stripes" in parts else None,
         segments=_segments(parts["segments"]) if "segments" in parts else None,

@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from types import TracebackType
 
 from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, SwitchRow, row_of
 
@@ -88,9 +87,7 @@ class ServedRelays:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.unplug()
 
     def unplug(self) -> None:
@@ -188,18 +185,22 @@ class RelayContacts:
         with self._lock:
             return tuple(_share_on(changes, begin_s, end_s) for changes in self._changes)
 
-    def on_since_s(self, laser: int, time_s: float) -> float | None:
-        """Time since which a laser has been on without interruption; None if it is off at `time_s`."""
+    def on_since_s(self, time_s: float) -> tuple[float | None, ...]:
+        """For each laser the time since which it has been on without interruption; None if it is off at `time_s`."""
         with self._lock:
-            changes = [change for change in self._changes[laser] if change[0] <= time_s]
-        since_s = None
-        for change_s, on in changes:
-            since_s = (change_s if since_s is None else since_s) if on else None
-        return since_s
+            return tuple(_on_since_s(changes, time_s) for changes in self._changes)
 
 
 def _is_on(changes: list[tuple[float, bool]], time_s: float) -> bool:
     return changes[bisect_right(changes, (time_s, True)) - 1][1]
+
+
+def _on_since_s(changes: list[tuple[float, bool]], time_s: float) -> float | None:
+    since_s = None
+    for change_s, on in changes:
+        if change_s <= time_s:
+            since_s = (change_s if since_s is None else since_s) if on else None
+    return since_s
 
 
 def _share_on(changes: list[tuple[float, bool]], begin_s: float, end_s: float) -> float:

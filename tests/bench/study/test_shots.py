@@ -87,8 +87,8 @@ def test_errors_of_the_default_method_are_near_their_bound(study, rows):
 
     assert statistics.answers == statistics.targets == study.shots
     # of ratios that are 1, 96 % are in this band if 8 shots count along one direction, and 99.95 % if along all three
-    assert 0.5 < statistics.ratio("center_m") < 1.5
-    assert 0.5 < statistics.ratio("normal_rad") < 1.5
+    assert 0.5 < statistics.rms("ratio_center_m") < 1.5
+    assert 0.5 < statistics.rms("ratio_normal_rad") < 1.5
     assert 0.4 < statistics.mean("center_nees") < 2.0
     assert statistics.wrong == 0
 
@@ -96,7 +96,7 @@ def test_errors_of_the_default_method_are_near_their_bound(study, rows):
 def test_a_known_radius_lowers_bound_and_error(study, rows):
     summary = summarized(study, rows)
 
-    assert summary.all("ml-known").bound("center_m") < 0.5 * summary.all("ml").bound("center_m")
+    assert summary.all("ml-known").rms("bound_center_m") < 0.5 * summary.all("ml").rms("bound_center_m")
     assert summary.all("ml-known").rms("center_m") < 0.5 * summary.all("ml").rms("center_m")
 
 

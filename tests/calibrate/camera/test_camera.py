@@ -10,10 +10,13 @@ from known_views import CHESSBOARD, TRUE_CAMERA, board_view, chessboard_views
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
+from ringpose.calibrate.camera.assessment import camera_assessment, widened
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.errors import DataError
 from ringpose.types.board import Board, BoardView
+from ringpose.types.calibration import Grade
 
 SAMPLES = Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025)
 NOISE_PX = 0.05
@@ -227,3 +230,5 @@ def test_rendered_camera_lies_within_three_reported_sigmas_of_the_truth(shared_d
     assert np.abs(error / np.array(list(found.standard_deviations.values()))).max() < 3
     assert error @ np.linalg.solve(found.camera.covariance.data, error) < 21.7  # 99 % of chi2 with 9
     assert np.abs(error[:4]).max() < 0.4
+    assessed = camera_assessment(found, views, CameraModel())
+    assert camera_verdict(*widened(found, assessed), len(views)).grade is Grade.GOOD

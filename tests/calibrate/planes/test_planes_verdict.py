@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from known_views import NORMALS, TRUE_CAMERA, stripe_views, true_poses
 
-from ringpose.calibrate.planes.covariance import depth_uncertainty
+from ringpose.calibrate.planes.covariance import depth_sd_m
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import plane_angles
 from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.calibration import Grade
-from ringpose.types.rig import ParameterCovariance
+from ringpose.types.rig import ParameterCovariance, Rig
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
 
@@ -110,7 +110,8 @@ def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
     covariance = ParameterCovariance(parameters=names, data=np.diag(sigma**2))
     normal, distance_m = good.planes.normal[0], float(good.planes.distance_m[0])
 
-    found = depth_uncertainty(TRUE_CAMERA, good.planes, covariance, (0.5,))[0, 0, 4]
+    rig = Rig(camera=TRUE_CAMERA, lasers=good.planes, covariance=covariance)
+    found = depth_sd_m(rig, 0, 0.5)[4]
 
     middle = rays(np.array([[(TRUE_CAMERA.image_width - 1) / 2, 0.0]]), TRUE_CAMERA)[0]
     x = 0.5 * middle[0]
@@ -122,7 +123,7 @@ def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
         seen = rays(pixel, replace(TRUE_CAMERA, camera_matrix=matrix))[0]
         depths.append((distance_m + step[6]) / (tilted(normal, step[4:6]) @ seen))
     assert np.std(depths) == pytest.approx(found, rel=0.08)
-    assert np.isnan(depth_uncertainty(TRUE_CAMERA, good.planes, covariance, (0.05,))).all()  # outside the image
+    assert np.isnan(depth_sd_m(rig, 0, 0.05)).all()  # outside the image
 
 
 def renamed(calibration, way):
@@ -144,9 +145,3 @@ def test_a_middle_plane_that_is_not_between_the_others_is_reported(way, good):
 
     assert "middle_outside_rad" in {finding.name for finding in verdict.findings if finding.grade != Grade.GOOD}
     assert any(advice.startswith("middle is not between left and right") for advice in verdict.advice)
-
-
-def test_an_order_of_the_lasers_that_fits_the_expected_angles_is_named(good):
-    verdict = planes_verdict(renamed(good, (1, 0, 2)), expected_angles_rad=[0.18, 0.17])
-
-    assert any(advice.startswith("the angles fit the order middle, left, right") for advice in verdict.advice)

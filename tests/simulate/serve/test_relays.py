@@ -160,5 +160,5 @@ def test_the_share_of_an_interval_in_which_a_laser_is_on():
     contacts.command(1, False, 10.5)
 
     assert contacts.shares(9.5, 11.5) == pytest.approx((0.0, 0.25))
-    assert contacts.on_since_s(1, 10.2) == 10.0
-    assert contacts.on_since_s(1, 10.7) is None
+    assert contacts.on_since_s(10.2) == (None, 10.0)
+    assert contacts.on_since_s(10.7) == (None, None)

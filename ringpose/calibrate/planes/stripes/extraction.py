@@ -24,7 +24,6 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.detection import Stripes
 from ringpose.types.image import Shot
 from ringpose.types.rig import Camera
-from ringpose.types.session import MAX_LASERS
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""
@@ -172,18 +171,6 @@ def stripe_lines(
             return lines
         found = found or lines
     return found
-
-
-def stripes_seen(
-    image: UInt[Array, "row column"], dark: UInt[Array, "row column"] | None, surface: BoardSurface
-) -> int:
-    """Number of lines about as bright as the brightest one; for frames whose number of lasers is unknown."""
-    counts = []
-    for shrinking in (SHRINKINGS[0], SHRINKINGS[-1]):
-        lines = _lines_at_scale(image, dark, surface, MAX_LASERS, shrinking)
-        brightest = max((line.light for line in lines), default=0.0)
-        counts.append(sum(line.light > RIVAL_SHARE * brightest for line in lines))
-    return min((count for count in counts if count), default=0)
 
 
 def _lines_at_scale(
