@@ -23,13 +23,6 @@ typedef struct {
     double blunt_gain[2]; /* left, right ends */
 } Pooled;
 
-static int argmin(const double *cost, int count) {
-    int k = 0;
-    for (int s = 1; s < count; s++)
-        if (cost[s] < cost[k]) k = s;
-    return k;
-}
-
 /* Gain in log likelihood by widths larger than that of the cross-section. */
 static double blunt_gain(const double cost[WIDTHS]) {
     return cost[argmin(cost, SHARP_WIDTHS)] - cost[argmin(cost, WIDTHS)];

@@ -184,6 +184,13 @@ static inline double normal_cdf(double t) {
     return NORMAL_CDF[low] + (NORMAL_CDF[low + 1] - NORMAL_CDF[low]) * (at - low);
 }
 
+static inline int argmin(const double *cost, int count) {
+    int k = 0;
+    for (int s = 1; s < count; s++)
+        if (cost[s] < cost[k]) k = s;
+    return k;
+}
+
 /* Vertex of the parabola through three equidistant values, in their distance from the middle one; 0 if it is not a
    minimum. */
 static inline double parabola(double before, double at, double after) {
