@@ -186,14 +186,6 @@ def test_parameters_out_of_range_are_a_value_error(rng, wrong):
         ring_faces(crowd(rng, 4), ANY, planes(), with_rules(**wrong))
 
 
-@pytest.mark.parametrize("name", ["unions", "candidates", "ring"])
-def test_parameters_of_another_length_are_a_value_error(rng, name):
-    wrong = RULES._replace(**{name: getattr(RULES, name)[:-1]})
-
-    with pytest.raises(ValueError, match=name):
-        ring_faces(crowd(rng, 4), ANY, planes(), wrong)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 1e300])
 @pytest.mark.parametrize("column", range(1, len(TRACK_COLUMNS)))
 def test_wild_tracks_give_no_crash(rng, column, value):
