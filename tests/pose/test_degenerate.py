@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import without
 
 from ringpose.errors import DataError
 from ringpose.pose import pipeline
@@ -22,13 +23,6 @@ WITH_AND_WITHOUT_COVARIANCE = pytest.mark.parametrize("sigma_px", [np.nan, 0.3])
 @pytest.fixture
 def scene(scene_of):
     return scene_of("B", distance_m=0.5)
-
-
-def without(break_points, *places):
-    for laser, edge in places:
-        break_points.position_px[laser, edge] = np.nan
-        break_points.covariance_px2[laser, edge] = np.nan
-    return break_points
 
 
 def with_lasers(rig, normal, distance_m):
