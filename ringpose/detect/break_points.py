@@ -9,7 +9,6 @@ removed, and the ring's curvature shows which endpoints are on the inner edge.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,21 +16,23 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
-from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
+from ringpose.detect.stripes import BORDER_PX, lens
 from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
-from ringpose.kernels.ends import EndParams, LitLines, stripe_ends
+from ringpose.kernels.ends import FACET_SIGMAS, INSIDE_COLUMNS, OUTSIDE_COLUMNS, EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import (
     CENTERS,
     COLUMNS_PER_CUT,
     CORRELATION,
+    FIT_DOF_CORRECTION,
     LASER,
     MAX_CUT,
     MIDDLE_X,
     MIDDLE_Y,
+    MIN_SEGMENT_COLUMNS,
     SCATTER,
     SLOPE,
     X_END,
@@ -56,12 +57,6 @@ KINK_LEVEL = 0.25
 
 UNCLEAR_PX = 0.75
 """Standard deviation above which an end is flagged: half of the largest error that is permitted without a flag."""
-
-INSIDE_COLUMNS = 24
-"""Columns inside the edge from which the level on the face is estimated."""
-
-OUTSIDE_COLUMNS = 12
-"""Columns beyond the edge from which the level there is estimated."""
 
 MAX_END_SIGMA_PX = (INSIDE_COLUMNS + OUTSIDE_COLUMNS) / math.sqrt(12)
 """Standard deviation of a uniform distribution over the columns of a fit (10.4 px). A larger sigma, as beside a glint
@@ -188,7 +183,7 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
         for image, numbers in zip(images, shown, strict=True)
         if numbers
     ]
-    ends = stripe_ends(lit, lens(rig.camera), _end_params(saturation_dn))
+    ends = stripe_ends(lit, lens(rig.camera), EndParams(saturation_dn))
     lasers = [face.lasers[number] for number in order]
     return flagged_ends(face.tracks[order], ends, lasers, rig)
 
@@ -300,75 +295,11 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
     )
 
 
-BEYOND_COLUMNS = 40
-"""Columns beyond a segment in which its end is searched for."""
-
-FLANK_SIGMAS = 3.0
-"""Half height of the evaluated window about the line, in sigmas of the stripe."""
-
-FLANKS_SHARE = 0.6
-"""Share of columns with a saturated pixel above which only the flanks of a stripe are evaluated."""
-
-UNDIMMED_LEVEL = 0.6
-"""Ratio to the level on the face above which a stripe continues; on a wall beyond a kink it is lower."""
-
-MIN_HEADROOM = 0.05
-"""Minimum share of a column's intensity that is not clipped by saturation; other columns are ignored."""
-
-MIN_NOISE = 0.01
-"""Minimum noise of a column relative to the stripe's level: glare and the tails of the blur."""
-
-SHAPE_SIGMA = 0.005
-"""Error of an edge's position, in columns, due to the model of its blur; added to that by noise."""
-
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
-TEXTURE_FACTOR = 1.5
-"""Ratio of a column's amplitude error to the residual of its cross-section, on crinkled foil: 1.4 to 1.75."""
-
-FACET_SIGMAS = 6.0
-"""Correlation length of the surface texture along a stripe, in sigmas of its cross-section: finer texture averages out
-across the stripe."""
-
-NEAR_COLUMNS = 9.0
-"""Columns beyond the edge in which the fitted level is required; farther out a stripe on the body may begin."""
-
-WIDTH_SPREAD = 0.1
-"""Relative standard deviation of the blur between ends: depth of field, pixels."""
-
-BLUNT_GAIN = 3.0
-"""Gain in log likelihood, over all ends of an edge, above which edges wider than the stripe's cross-section are
-accepted: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
-
-CLIPPED_SHAPE = 0.45
-"""Relative error of the shape of a saturated edge: its visible foot is not that of a Gaussian blur, since speckle is
-clipped, too, and light on a wall or glare adds to it."""
-
 LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
 """Columns of a track that describe its line."""
-
-
-@lru_cache(maxsize=4)
-def _end_params(saturation_dn: int) -> EndParams:
-    return EndParams(
-        saturation_dn=saturation_dn,
-        beyond_columns=BEYOND_COLUMNS,
-        inside_columns=INSIDE_COLUMNS,
-        outside_columns=OUTSIDE_COLUMNS,
-        flank_sigmas=FLANK_SIGMAS,
-        flanks_share=FLANKS_SHARE,
-        undimmed_level=UNDIMMED_LEVEL,
-        min_headroom=MIN_HEADROOM,
-        min_noise=MIN_NOISE,
-        shape_sigma=SHAPE_SIGMA,
-        texture_factor=TEXTURE_FACTOR,
-        facet_sigmas=FACET_SIGMAS,
-        near_columns=NEAR_COLUMNS,
-        width_spread=WIDTH_SPREAD,
-        blunt_gain=BLUNT_GAIN,
-        clipped_shape=CLIPPED_SHAPE,
-    )
 
 
 IN_FRONT_M = 0.005

@@ -46,7 +46,7 @@ CALLS = {
         np.zeros(3, np.int64),
         np.zeros(1, np.int64),
         LENS,
-        (0.6, 0.5, 1.5, 2.5, 3.0, 10.0, 800.0, 40.0),
+        (800.0, 3.0, 0.6, 0.5, 1.25, 2.5, 10.0, 40.0),
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
     "end_columns": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),

@@ -13,42 +13,51 @@ from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Float64, UInt
 
+INSIDE_COLUMNS = 24
+"""Columns inside the edge from which the level on the face is estimated."""
+
+OUTSIDE_COLUMNS = 12
+"""Columns beyond the edge from which the level there is estimated."""
+
+FACET_SIGMAS = 6.0
+"""Correlation length of the surface texture along a stripe, in sigmas of its cross-section: finer texture averages out
+across the stripe."""
+
 
 class EndParams(NamedTuple):
     """Parameters of the endpoint search. The face is the part of the stripe on the ring's rim."""
 
     saturation_dn: float
-    beyond_columns: float
+    beyond_columns: float = 40
     """Columns beyond a track in which its end is searched."""
-    inside_columns: float
-    """Columns of the face from which the level inside the edge is estimated."""
-    outside_columns: float
-    """Columns beyond the edge from which the level outside is estimated."""
-    flank_sigmas: float
-    """Rows on both sides of the line that are evaluated, in sigmas of the cross-section."""
-    flanks_share: float
+    inside_columns: float = INSIDE_COLUMNS
+    outside_columns: float = OUTSIDE_COLUMNS
+    flank_sigmas: float = 3.0
+    """Half height of the evaluated window about the line, in sigmas of the cross-section."""
+    flanks_share: float = 0.6
     """Share of columns with a saturated pixel above which the amplitude is measured on the flanks only."""
-    undimmed_level: float
-    """The stripe continues while its level stays above this share of the face's level."""
-    min_headroom: float
+    undimmed_level: float = 0.6
+    """A stripe continues while its level stays above this share of the face's: on a wall beyond a kink it is lower."""
+    min_headroom: float = 0.05
     """Smallest visible share by which the amplitude of a saturated column is divided."""
-    min_noise: float
-    """Lower bound of a column's noise, as a share of the stripe's level: glare, tails of the blur."""
-    shape_sigma: float
-    """Standard deviation, in columns, of the position due to the model of the blur."""
-    texture_factor: float
-    """Factor from the residual of a column's cross-section to the error of its amplitude."""
-    facet_sigmas: float
-    """Correlation length of the background texture, in sigmas of the cross-section."""
-    near_columns: float
-    """Columns beyond the edge in which the level is compared with the fitted one."""
-    width_spread: float
-    """Relative standard deviation of the widths of edges in one image."""
-    blunt_gain: float
-    """Gain in log likelihood, over the ends of an edge, by widths larger than the cross-section's, above which ends are
-    blunt (rounded or chamfered)."""
-    clipped_shape: float
-    """Relative error of the shape of a saturated edge, in widths of its blur."""
+    min_noise: float = 0.01
+    """Minimum noise of a column relative to the stripe's level: glare and the tails of the blur."""
+    shape_sigma: float = 0.005
+    """Standard deviation, in columns, of the position due to the model of the blur; added to that by noise."""
+    texture_factor: float = 1.5
+    """Factor from the residual of a column's cross-section to the error of its amplitude, on crinkled foil: 1.4 to
+    1.75."""
+    facet_sigmas: float = FACET_SIGMAS
+    near_columns: float = 9.0
+    """Columns beyond the edge in which the fitted level is required; farther out a stripe on the body may begin."""
+    width_spread: float = 0.1
+    """Relative standard deviation of the blur between ends: depth of field, pixels."""
+    blunt_gain: float = 3.0
+    """Gain in log likelihood, over all ends of an edge, by widths larger than the cross-section's, above which ends are
+    blunt: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
+    clipped_shape: float = 0.45
+    """Relative error of the shape of a saturated edge: its visible foot is not that of a Gaussian blur, since speckle
+    is clipped, too, and light on a wall or glare adds to it."""
 
 
 class LitLines(NamedTuple):

@@ -13,7 +13,7 @@
 
 /* min_columns: of a piece; width: of the image; lengths in px. */
 typedef struct {
-    double kink, joined, short_series, count_on_line, border, min_columns, width, max_lag;
+    double width, border, kink, joined, short_series, count_on_line, min_columns, max_lag;
 } TrackParams;
 
 typedef struct {
