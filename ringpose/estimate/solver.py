@@ -39,6 +39,7 @@ from ringpose.geometry.ring import (
     MIN_RATE,
     TILT_ALONG,
     TILT_INWARD,
+    TINY,
     TURN,
     EdgeDistances,
     MovingRing,
@@ -249,12 +250,12 @@ class _Steps:
         """
         sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
         # after a long step, or one that was extrapolated, a step is shorter than the next ones show
-        shrinkage = sigmas / max(last_sigmas, np.finfo(float).tiny) if isfinite(last_sigmas) else 1.0
+        shrinkage = sigmas / max(last_sigmas, TINY) if isfinite(last_sigmas) else 1.0
         self.sigmas, self.distance_sigmas = sigmas, sigmas * min(max(shrinkage, self._ratio, MIN_RATIO), 1.0)
         last, self._last, self._ratio = self._last, step, 0.0
         if last is None or not extrapolate or not 0.0 < sigmas < MAX_EXTRAPOLATED * last_sigmas:
             return 1.0
-        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, np.finfo(float).tiny)
+        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, TINY)
         if not abs(ratio) < MAX_EXTRAPOLATED:
             return 1.0
         self._last, self._ratio = None, abs(ratio)
@@ -391,7 +392,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         rows[samples:stripe_rows] = scale_y[:, None] * (lines[which] - share[:, None] * along[which])
 
     # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    edge_scale = 1.0 / np.maximum(np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1)), np.finfo(float).tiny)
+    edge_scale = 1.0 / np.maximum(np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1)), TINY)
     if visible:
         rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
         rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
