@@ -317,8 +317,10 @@ def solve_normal_equations(
     products.ravel()[(1 + PARAMETERS) * (len(products) + 1) :: len(products) + 1] += 1.0
     reduced, cross_information = products[1 : 1 + PARAMETERS, : 1 + PARAMETERS], products[1 + PARAMETERS :]
     cross_information[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
-    solution = np.linalg.solve(cross_information[:, 1 + PARAMETERS :], cross_information[:, : 1 + PARAMETERS])
-    reduced = reduced - cross_information[:, 1 : 1 + PARAMETERS].T @ solution
+    solution = cross_information[:, : 1 + PARAMETERS]
+    if len(solution):
+        solution = np.linalg.solve(cross_information[:, 1 + PARAMETERS :], solution)
+        reduced = reduced - cross_information[:, 1 : 1 + PARAMETERS].T @ solution
     step = -np.linalg.solve(reduced[:, 1:] + RIDGE_MATRIX, reduced[:, 0])
     return reduced[:, 1:], step, -solution[:, 0] - solution[:, 1:] @ step
 
