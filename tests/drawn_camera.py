@@ -12,7 +12,32 @@ from ringpose.types.image import Frame
 HEIGHT, WIDTH = 130, 200
 
 
-class DrawnCamera(CameraDriver):
+class PlainCamera(CameraDriver):
+    """A camera of 8 bits without settings."""
+
+    name, image_width, image_height = "drawn", WIDTH, HEIGHT
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    def describe(self):
+        size = {"image_width": self.image_width, "image_height": self.image_height}
+        return CameraDescription(name=self.name, saturation_dn=255, **size)
+
+    def bounds(self, feature):
+        return None
+
+    def set(self, feature, value):
+        raise DeviceError("camera", "has no settings")
+
+    def arm(self, exposure_s):
+        pass
+
+
+class DrawnCamera(PlainCamera):
     """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails.
 
     In the frames that `hidden` numbers something stands before the lasers. Once it is `away` it has to be opened anew.
@@ -29,18 +54,6 @@ class DrawnCamera(CameraDriver):
         if self.opened > 1 and not self.reopens:
             raise DeviceError("camera", "is gone")
         self.away = False
-
-    def close(self):
-        pass
-
-    def describe(self):
-        return CameraDescription(name="drawn", image_width=WIDTH, image_height=HEIGHT, saturation_dn=255)
-
-    def bounds(self, feature):
-        return None
-
-    def set(self, feature, value):
-        raise DeviceError("camera", "has no settings")
 
     def arm(self, exposure_s):
         if self.away:

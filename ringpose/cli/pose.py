@@ -185,12 +185,14 @@ class _Stream:
 
     def __init__(self, single: SingleShot, tracker: "Tracker | None") -> None:
         from ringpose.pose.drift import DriftMonitor
+        from ringpose.pose.form_monitor import FormMonitor
 
         tolerance_m = getattr(single.known, "tolerance_m", None)  # of a ring of the catalogue
         if tolerance_m is not None:
             single = replace(single, options=replace(single.options, ring_tolerance_m=tolerance_m))
         self._single, self._tracker = single, tracker
         self.monitor = DriftMonitor(single.rig, single.rig.stability.scaled(single.options.rig_stability))
+        self.form = FormMonitor()
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
@@ -293,6 +295,9 @@ def _write(
         with_health, warning = stream.monitor.update(line)
         if warning is not None:
             messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
+        with_health, warning = stream.form.update(with_health)
+        if warning is not None:
+            messages.echo(f"{line.shot}: {warning}")
         write(with_health)
         if verbose:
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")

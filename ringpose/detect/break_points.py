@@ -17,8 +17,8 @@ from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import BORDER_PX, lens
-from ringpose.estimate.explanation import explain
-from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.explanation import Explanation, explain
+from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
@@ -45,6 +45,7 @@ from ringpose.types.detection import (
     UNLABELLED,
     BreakPointFlag,
     BreakPoints,
+    JudgedRing,
     NoBreakPoints,
     Rejection,
     outside_image,
@@ -109,6 +110,8 @@ class BreakPointsOnRing(NamedTuple):
 
     break_points: BreakPoints | NoBreakPoints
     rejected: tuple[Rejection, ...]
+    ring: JudgedRing | None = None
+    """None if several rings explain the break points, or none does."""
 
 
 def without_outliers(
@@ -152,7 +155,25 @@ def without_outliers(
         face_end_px=np.where(without_line[:, None], np.nan, points.face_end_px),
         face_sigma_px=np.where(without_line[:, None], np.nan, points.face_sigma_px),
     )
-    return BreakPointsOnRing(kept, rejected)
+    return BreakPointsOnRing(kept, rejected, _judged_ring(best, measured) if best and clear else None)
+
+
+def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None:
+    """The ring of an explanation, with its edges as they are named by it; None if weak priors hold it."""
+    if best.estimate.prior.regularize_about is not None:
+        return None
+    arcs, rates = best.estimate.arcs, best.estimate.rates
+    if best.edges_exchanged and best.measured is measured:  # it was estimated with the edges as they were given
+        arcs = arcs.with_center_opposite()
+    return JudgedRing(
+        origin_m=arcs.origin,
+        axes=arcs.axes,
+        curvature_per_m=arcs.curvature,
+        half_band_m=arcs.half_band_m,
+        velocity_m_s=rates.velocity_m_s,
+        rate_rad_s=rates.rate_rad_s,
+        stamp_s=best.measured.reference_s if math.isfinite(best.measured.reference_s) else None,
+    )
 
 
 def ends_clear(found: BreakPoints) -> bool:

@@ -286,7 +286,7 @@ def _plane_of(face: Face, rig: Rig) -> _Plane:
     )
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
-    normal = np.linalg.svd(points_m - origin_m)[2][2]
+    normal = np.linalg.svd(points_m - origin_m, full_matrices=False)[2][2]
     return _Plane(ends_m, [math.dist(*ends) for ends in ends_m], origin_m, -np.sign(normal @ origin_m) * normal)
 
 

@@ -62,6 +62,5 @@ PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
 PyObject *call_render(PyObject *module, PyObject *tuple);
 PyObject *call_hits(PyObject *module, PyObject *tuple);
 PyObject *call_code_edges(PyObject *module, PyObject *tuple);
-PyObject *call_crossed(PyObject *module, PyObject *tuple);
 
 #endif

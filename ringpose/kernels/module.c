@@ -25,7 +25,6 @@ static PyMethodDef methods[] = {
      "fills the last three"},
     {"hits", call_hits, METH_VARARGS,
      "hits(target tables, origin, direction, parameter, surface, point, normal): fills the last four"},
-    {"crossed", call_crossed, METH_VARARGS, "crossed(*target, *view, code, crossed): fills the last"},
     {"code_edges", call_code_edges, METH_VARARGS, "code_edges(code with a border, edge): fills the last"},
     {NULL, NULL, 0, NULL},
 };

@@ -10,7 +10,16 @@ from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in, detection_of, detection_record, write_detection
-from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection, RingEdgePoints, Segments, Stripes
+from ringpose.types.detection import (
+    BreakPoints,
+    Detection,
+    JudgedRing,
+    NoBreakPoints,
+    Rejection,
+    RingEdgePoints,
+    Segments,
+    Stripes,
+)
 
 
 def break_points(rng, lasers=3):
@@ -66,6 +75,18 @@ def ring_edges(rng, count=9):
     )
 
 
+def judged_ring(rng, stamp_s=1.7e9):
+    return JudgedRing(
+        origin_m=rng.normal(size=3),
+        axes=np.linalg.qr(rng.normal(size=(3, 3)))[0],
+        curvature_per_m=1.7,
+        half_band_m=0.015,
+        velocity_m_s=rng.normal(size=3),
+        rate_rad_s=rng.normal(size=3),
+        stamp_s=stamp_s,
+    )
+
+
 def same(first, second) -> bool:
     names = type(first).__slots__
     pairs = [(getattr(first, name), getattr(second, name)) for name in names]
@@ -101,6 +122,21 @@ def test_a_repeated_measurement_is_read_as_it_was_written(rng, there_and_back):
     after = there_and_back(before)
 
     assert same(after.break_points.repeated, again)
+
+
+@pytest.mark.parametrize("stamp_s", [1.7e9, None])
+def test_the_ring_is_read_as_it_was_written(rng, there_and_back, stamp_s):
+    before = replace(full_detection(rng), ring=judged_ring(rng, stamp_s))
+
+    assert same(there_and_back(before).ring, before.ring)
+
+
+def test_axes_of_a_ring_that_are_not_perpendicular_are_rejected(rng):
+    ring = judged_ring(rng)
+    before = replace(full_detection(rng), ring=replace(ring, axes=ring.axes[[0, 0, 2]]))
+
+    with pytest.raises(DataError, match="perpendicular"):
+        through_json(before)
 
 
 def test_detection_is_read_as_it_was_written(rng, there_and_back):

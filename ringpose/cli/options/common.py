@@ -3,7 +3,7 @@
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -50,24 +50,24 @@ OptionalInputs = Annotated[
     list[str] | None,
     typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
 ]
-# readable=False: an unreadable file is reported when it is read, with its own exit status; Typer would report usage.
-RigFile = Annotated[Path, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")]
-OptionalRigFile = Annotated[
-    Path | None, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
-]
-BoardFile = Annotated[
-    Path, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
-]
+
+
+def file_option(*names: str, text: str, metavar: str = "FILE") -> Any:
+    """An option that names a file or folder, with its help text.
+
+    A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
+    """
+    return typer.Option(*names, readable=False, metavar=metavar, help=text)
+
+
+RigFile = Annotated[Path, file_option("--rig", text="The calibrated rig (rig.yaml).")]
+OptionalRigFile = Annotated[Path | None, file_option("--rig", text="The calibrated rig (rig.yaml).")]
+BoardFile = Annotated[Path, file_option("--board", text="The board file: its kind and its sizes.")]
+OptionalBoard = Annotated[Path | None, file_option("--board", text="The board file: its kind and its sizes.")]
 Overlay = Annotated[
-    Path | None,
-    typer.Option("--overlay", readable=False, metavar="DIR", help="Draw what was found into PNG files in this folder."),
+    Path | None, file_option("--overlay", metavar="DIR", text="Draw what was found into PNG files in this folder.")
 ]
-Report = Annotated[
-    Path | None,
-    typer.Option(
-        "--report", readable=False, metavar="FILE", help="Write an HTML page with pictures (needs matplotlib)."
-    ),
-]
+Report = Annotated[Path | None, file_option("--report", text="Write an HTML page with pictures (needs matplotlib).")]
 
 
 def check_report(report: Path | None, force: bool) -> None:
@@ -80,9 +80,8 @@ def check_report(report: Path | None, force: bool) -> None:
         reject_existing(report, force)
 
 
-OutputFile = Annotated[
-    Path, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
-]
+OutputFile = Annotated[Path, file_option("--output", "-o", text="Where the result is written.")]
+OptionalOutput = Annotated[Path | None, file_option("--output", "-o", text="Where the result is written.")]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]
