@@ -38,7 +38,7 @@ CALLS = {
         np.zeros((1, 4), np.int32),
         np.ones((2, 2, 5), np.float32),
         numbers(2, 4),
-        (6.0, 4.0, 0.2, 5.0, 255.0, 2.0, 8.0),
+        (0.2, 5.0, 255.0, 6.0, 4.0, 2.0, 8.0),
     ),
     "tracks": (
         numbers(3, 2),
@@ -181,7 +181,7 @@ OUT_OF_RANGE = {
     ],
     "stripe parameter": [
         ("stripes", 5, changed(STRIPE_PARAMS, number, value), "params")
-        for number, value in ((0, -1.0), (1, np.nan), (2, 0.0), (3, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0))
+        for number, value in ((3, -1.0), (4, np.nan), (0, 0.0), (1, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0))
     ],
     "anchor threshold": [("gradient", 2, upper, "upper") for upper in (0, -1, 32768, 10**9)],
     "bits": [("gradient", 1, bits, "bits") for bits in (7, 17, 10**9)],
