@@ -6,6 +6,8 @@ Every shot is a function of the study and of its index, so that it can be comput
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import prod
+from pathlib import Path
 from typing import Literal
 
 from ringpose.types.assumptions import AssumptionOptions
@@ -120,6 +122,10 @@ class Study:
     run: ShotRun = ShotRun()
     limits: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
     """Limits of `LIMITS` on the first method; some of them by the name of the case."""
+    files: tuple[Path, ...] = ()
+    """The files that it was read from."""
+    sha256: str = ""
+    """Hash of their contents, the number of shots and the seed: studies with the same hash have the same shots."""
 
     @property
     def grid(self) -> tuple[Factor, ...]:
@@ -129,10 +135,7 @@ class Study:
     @property
     def cells(self) -> int:
         """Number of combinations."""
-        number = 1
-        for factor in self.grid:
-            number *= len(factor.values)
-        return number
+        return prod(len(factor.values) for factor in self.grid)
 
     @property
     def shots(self) -> int:

@@ -19,7 +19,7 @@ Key = tuple[Value, ...]
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Statistics:
-    """Sums over the rows of one method in one cell of the grid."""
+    """Counts and values of the rows of one method in one cell of the grid."""
 
     shots: int = 0
     targets: int = 0
@@ -98,12 +98,12 @@ class StudySummary:
     """By method and value of the factor `table` alone."""
 
     def all(self, method: str) -> Statistics:
-        """Those of all shots of a method."""
+        """The statistics of all shots of a method."""
         return self.columns[method, ()]
 
 
 def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
-    """The statistics of all rows; memory grows by the errors alone, a few hundred bytes a row."""
+    """The statistics of all rows, which are read one by one: only numbers are kept, a few hundred bytes a row."""
     by = tuple(factor.name for factor in study.grid if len(factor.values) > 1)
     cells: dict[tuple[str, Key], Statistics] = {}
     wide: dict[tuple[str, Key], Statistics] = {(method.value, ()): Statistics() for method in study.methods}
@@ -209,7 +209,10 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
 
 
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
-    """Values of the study's `table` factor and the statistics of a method for each; `()` for all shots without one."""
+    """The values of the factor in the columns of the first table, and the statistics of a method for each of them.
+
+    Without such a factor the only key is `()`, that of all shots.
+    """
     keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
     return keys, [summary.columns[method, key] for key in keys]
 
@@ -221,7 +224,7 @@ HEADINGS = (
 
 
 def cell_rows(summary: StudySummary, shown: Sequence[str]) -> list[list[str]]:
-    """The heading, then a row for each cell and method with those of the columns `HEADINGS` that are shown."""
+    """A table of all cells and methods as text: a row of headings, then the columns `shown` (of `HEADINGS`)."""
     rows = [[*summary.by, "method", *shown]]
     for key in sorted_keys(key for _, key in summary.cells):
         for method in summary.methods:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -44,17 +44,6 @@ _KEYS = (
 _FACTORS = (*TEXTS, *NUMBERS, *SWITCHES)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StudyFile:
-    """A study as it was read."""
-
-    study: Study
-    files: tuple[Path, ...]
-    """The files that it was read from."""
-    sha256: str
-    """Of their contents, with number of shots and seed: two studies with the same hash have the same shots."""
-
-
 def preset_names() -> list[str]:
     """Names of the studies that are shipped."""
     return sorted(file.stem for file in PRESETS.glob("*.yaml") if not file.stem.endswith(("-scene", "-rig")))
@@ -70,7 +59,7 @@ def study_path(name: str) -> Path:
     return Path(name)
 
 
-def read_study(path: Path, count: int | None = None, seed: int | None = None) -> StudyFile:
+def read_study(path: Path, count: int | None = None, seed: int | None = None) -> Study:
     """The study in a study.yaml; `count` and `seed` replace those of the file."""
     fields = read_yaml(path, _KEYS)
     fields.choice("ringpose", (SCHEMA,))
@@ -106,7 +95,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     files = (path, scene_file, scene_file.parent / read_yaml(scene_file).text("rig"))
     contents = [hashlib.sha256(read_bytes(file)).hexdigest() for file in files]
     identity = json.dumps({"files": contents, "count": study.count, "seed": study.seed})
-    return StudyFile(study=study, files=files, sha256=hashlib.sha256(identity.encode()).hexdigest())
+    return replace(study, files=files, sha256=hashlib.sha256(identity.encode()).hexdigest())
 
 
 def _alone(fields: Fields, key: str, value: Any) -> Fields:
