@@ -61,10 +61,11 @@ EARTH = Earth(direction=np.array([0.9, -0.2, 0.15]))
 
 
 class ConsolePage:
-    """The page, within its context.
+    """Serves the page of the console within its context.
 
     `record` is called with each measurement while recording is switched on, and `save` with the state when its button
-    is pressed; what it returns is shown. `load` makes a trajectory and `load_rig` a rig of content and name of a file.
+    is pressed; the text that it returns is shown. `load` reads a trajectory, `load_rig` a rig, from the content of a
+    file that is uploaded and its name.
     """
 
     def __init__(
@@ -480,7 +481,7 @@ class ConsolePage:
 
 
 def drawn_earth_m(scene: Scene, earth: Earth) -> tuple[float, float]:
-    """Distance from the ring, and radius, of a sphere that looks like the Earth from there and contains no part."""
+    """Distance (from the ring) and radius of a drawn Earth: as large as it appears from there, beyond all parts."""
     center_m = np.array([0.0, 0.0, scene.ring.height_m])
     vertices_m = np.concatenate([vertices_m for vertices_m, _ in target_surfaces(scene).values()])
     reach_m = float(np.linalg.norm(vertices_m - center_m, axis=1).max())

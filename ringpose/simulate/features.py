@@ -88,7 +88,7 @@ class DrawnShot:
 def drawn_features(
     scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
 ) -> Iterator[DrawnShot]:
-    """The first `count` views of a scene, or all, as one run: rig and form of the ring are drawn once."""
+    """Draw a detection for the first `count` views of a scene, or all; rig and form of the ring are drawn once."""
     common = common_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
     shown: RingView | None = None
     for number, view in enumerate(ring_views(scene)[:count]):

@@ -107,7 +107,7 @@ class ShotMotion(NamedTuple):
         return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
 
     def motion(self, time_s: float) -> Rates:
-        """Velocity of the ring's centre, and rates, at a time."""
+        """Velocity of the ring's centre, and angular velocity, at a time since the beginning of the shot."""
         if self.view.path is None:
             return self.drawn
         face_m = np.array([0.0, 0.0, self.scene.ring.height_m])

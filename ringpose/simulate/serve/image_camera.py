@@ -103,7 +103,7 @@ class ImageCamera:
 
     @property
     def greeting(self) -> wire.Greeting:
-        """What a client is greeted with."""
+        """The message that greets a client."""
         camera = self._scene.rig.camera
         return wire.Greeting(
             clock=self._clock,
