@@ -1,7 +1,7 @@
 """A textured surface under a blinking lamp with three laser lines, and a clock that only the devices advance."""
 
 import numpy as np
-from drawn_camera import PlainCamera
+from fake_camera import FakeCamera
 
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.types.image import Frame
@@ -14,16 +14,16 @@ FRAME_S = 0.013
 """From one trigger to the next, at least."""
 
 
-class BlinkingScene(PlainCamera, LaserDriver):
+class BlinkingScene(FakeCamera, LaserDriver):
     """Camera and lasers in one; 8-bit images of 5 DN without light, lines of `line_dn`, a lamp of up to `lamp_dn`.
 
     The lamp is on from `phase_s` on for `on_s`, then off for `off_s`, and lights the `patch` of the image. Lasers
     of the mask `welded` are always on, those of `sticking` from their first lighting on, those of `dead` never.
     """
 
-    name, image_width, image_height = "blinking", WIDTH, HEIGHT
     count = 3
     settle_s = 0.05
+    image_width, image_height = WIDTH, HEIGHT
 
     def __init__(
         self, rng, lamp_dn=60.0, on_s=0.45, off_s=0.45, phase_s=0.0, line_dn=120.0, speed_px_s=0.0, patch=np.s_[:, :]

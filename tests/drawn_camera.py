@@ -3,8 +3,8 @@
 import time
 
 import numpy as np
+from fake_camera import FakeCamera
 
-from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import DeviceError
 from ringpose.types.image import Frame
@@ -12,36 +12,13 @@ from ringpose.types.image import Frame
 HEIGHT, WIDTH = 130, 200
 
 
-class PlainCamera(CameraDriver):
-    """A camera of 8 bits without settings."""
-
-    name, image_width, image_height = "drawn", WIDTH, HEIGHT
-
-    def open(self):
-        pass
-
-    def close(self):
-        pass
-
-    def describe(self):
-        size = {"image_width": self.image_width, "image_height": self.image_height}
-        return CameraDescription(name=self.name, saturation_dn=255, **size)
-
-    def bounds(self, feature):
-        return None
-
-    def set(self, feature, value):
-        raise DeviceError("camera", "has no settings")
-
-    def arm(self, exposure_s):
-        pass
-
-
-class DrawnCamera(PlainCamera):
+class DrawnCamera(FakeCamera):
     """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails.
 
     In the frames that `hidden` numbers something stands before the lasers. Once it is `away` it has to be opened anew.
     """
+
+    image_width, image_height = WIDTH, HEIGHT
 
     def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True):
         self.contacts, self.rng, self.brightness_dn = contacts, rng, brightness_dn
