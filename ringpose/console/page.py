@@ -191,7 +191,8 @@ class ConsolePage:
 
     def _add_rig_controls(self) -> None:
         gui, lasers = self._server.gui, self._scene.rig.lasers.names
-        widths = sorted({width for width in (320, 480, 640, 800, 1200, self._width) if width <= self._largest_width})
+        largest = max(self._width, self._scene.rig.camera.image_width)
+        widths = sorted({width for width in (320, 480, 640, 800, 1200, self._width) if width <= largest})
         with gui.add_folder("Camera"):
             self._focal = gui.add_slider("focal length (%)", 50.0, 200.0, 1.0, 100.0)
             self._size = gui.add_dropdown(
@@ -212,10 +213,6 @@ class ConsolePage:
             self._shifts: list[Any] = [
                 gui.add_slider(f"{name} along y (mm)", -100.0, 100.0, 1.0, 0.0) for name in lasers
             ]
-
-    @property
-    def _largest_width(self) -> int:
-        return max(self._width, self._scene.rig.camera.image_width)
 
     def _add_light_controls(self) -> None:
         gui, light = self._server.gui, self._state.light
