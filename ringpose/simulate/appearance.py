@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.detect.difference_images import searched_frames
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
 from ringpose.simulate.break_points import inside_image
@@ -44,7 +45,7 @@ _GRAZING = 1e-6
 
 
 class LaserFrames(NamedTuple):
-    """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
+    """The frame of a shot in which the detector searches for the stripe of each laser."""
 
     number: Int64[Array, "laser"]
     """Index of that frame in the shot; -1 for a laser that is off in all frames."""
@@ -61,13 +62,10 @@ class LaserFrames(NamedTuple):
 def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
     """The frame of each laser in a sequence of laser masks: of those with it on, the one with the fewest lasers."""
     number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
-    subtracted, covered = np.zeros(lasers, dtype=bool), 0
-    for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
-        new = sequence[frame] & ~covered & ((1 << lasers) - 1)
-        which = [laser for laser in range(lasers) if new >> laser & 1]
-        number[which], together[which] = frame, len(which)
-        subtracted[which] = sequence[frame] & covered in sequence
-        covered |= sequence[frame]
+    subtracted = np.zeros(lasers, dtype=bool)
+    for frame, shown, also_on in searched_frames(sequence, lasers):
+        which = list(shown)
+        number[which], together[which], subtracted[which] = frame, len(which), also_on in sequence
     return LaserFrames(number, together, subtracted)
 
 
