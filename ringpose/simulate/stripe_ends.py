@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.detect.stripes import BORDER_PX
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_SHARE, rig_errors
 from ringpose.geometry.rays import project
@@ -125,9 +126,6 @@ class StripeEnds(NamedTuple):
     edge_at_start: Int64[Array, "laser"]
     """Edge that the left end belongs to."""
 
-
-BORDER_PX = 3.0
-"""Distance from the image's left or right border within which an end is not measured, as in the detector."""
 
 MIN_COLUMNS = 10
 """Minimum length of a stripe that is detected."""
