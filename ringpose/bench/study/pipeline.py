@@ -87,7 +87,7 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
     camera, names = scene.rig.camera, scene.rig.lasers.names
     model, views = CameraModel(), [view for _, view in _board_views(scene, scene.camera_boards, jobs)]
     found = calibrate_camera(views, camera.image_width, camera.image_height, model, camera.camera_name)
-    calibration, _ = widened(found, camera_assessment(found, views, model))
+    calibration, _ = widened(found, camera_assessment(found, model))
     stripes = StripeShots(scene.plane_boards.board, calibration.camera, ",".join(names), None)
     for shot, view in _board_views(scene, scene.plane_boards, jobs):
         stripes.add(shot, view)

@@ -79,7 +79,7 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
         "worst_px": float(lengths.max()),
         "corners_left_out": [
             {"corner": int(number), "residual_px": residual}
-            for number, residual in zip(view.ids[view.left_out], view.residual_px[view.left_out], strict=True)
+            for number, residual in zip(view.board.ids[view.left_out], view.residual_px[view.left_out], strict=True)
         ],
         "distance_m": float(view.pose.translation_m[2]),
         "tilt_rad": board_tilt_rad(view.pose),
@@ -99,7 +99,7 @@ def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment,
     lines = [f"{view.name}: left out: {view.rejected}" for view in calibration.views if view.rejected]
     for view in calibration.used:
         if view.left_out.any():
-            numbers = ", ".join(str(number) for number in view.ids[view.left_out])
+            numbers = ", ".join(str(number) for number in view.board.ids[view.left_out])
             far_px = np.linalg.norm(view.residual_px[view.left_out], axis=1).max()
             found = f"more than {CORNER_SIGMAS:g} sigmas off, up to {far_px:.2f} px"
             lines.append(f"{view.name}: corners left out: {numbers}: {found}")

@@ -85,7 +85,7 @@ def calibrate_camera(
     images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
     with batch.guarded():
         found = calibrated(images.views, images.width, images.height, model, camera_name)
-        calibration, assessment = widened(found, camera_assessment(found, images.views, model, distances_m, compare))
+        calibration, assessment = widened(found, camera_assessment(found, model, distances_m, compare))
         verdict = camera_verdict(calibration, assessment, len(images.views) + len(images.without_board))
         quality = camera_quality(calibration, assessment, verdict, images.without_board)
         write_camera(output, calibration.camera, extra=quality, force=force, inputs=[board, *images.paths])

@@ -214,5 +214,5 @@ def test_rendered_camera_lies_within_three_reported_sigmas_of_the_truth(shared_d
     assert np.abs(error / np.array(list(found.standard_deviations.values()))).max() < 3
     assert error @ np.linalg.solve(found.camera.covariance.data, error) < 21.7  # 99 % of chi2 with 9
     assert np.abs(error[:4]).max() < 0.4
-    assessed = camera_assessment(found, views, CameraModel())
+    assessed = camera_assessment(found, CameraModel())
     assert camera_verdict(*widened(found, assessed), len(views)).grade is Grade.GOOD

@@ -40,7 +40,7 @@ def ten():
     """Ten views, the camera calibrated with them, and its assessment."""
     boards = chessboard_views(np.random.default_rng(10), 10)
     found = calibrate_camera(boards, 1600, 1200)
-    return boards, found, camera_assessment(found, boards, PLUMB_BOB, (0.5, 1.0))
+    return boards, found, camera_assessment(found, PLUMB_BOB, (0.5, 1.0))
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def frontal_views(rng):
 
 
 def verdict_of(found, boards, images: int | None = None) -> Verdict:
-    return camera_verdict(*widened(found, camera_assessment(found, boards, PLUMB_BOB)), images or len(boards))
+    return camera_verdict(*widened(found, camera_assessment(found, PLUMB_BOB)), images or len(boards))
 
 
 def value(verdict: Verdict, name: str) -> float:
@@ -86,7 +86,7 @@ def test_views_of_noise_alone_hardly_ever_widen_the_covariance(views):
     for _ in range(16):
         boards = views(8)
         found = calibrate_camera(boards, 1600, 1200)
-        wider += widened(found, camera_assessment(found, boards, PLUMB_BOB))[0] is not found
+        wider += widened(found, camera_assessment(found, PLUMB_BOB))[0] is not found
 
     assert wider <= 2
 
@@ -98,7 +98,7 @@ def test_views_of_a_bent_board_widen_the_covariance(views):
     ]
     found = calibrate_camera(boards, 1600, 1200)
 
-    wider, assessed = widened(found, camera_assessment(found, boards, PLUMB_BOB))
+    wider, assessed = widened(found, camera_assessment(found, PLUMB_BOB))
 
     ratio = wider.standard_deviations["fx"] / found.standard_deviations["fx"]
     assert ratio == pytest.approx(assessed.disagreement)
@@ -160,7 +160,7 @@ def test_three_views_can_be_assessed_but_not_left_out(views):
     boards = views(3)
     found = calibrate_camera(boards, 1600, 1200)
 
-    assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
+    assessed = camera_assessment(found, PLUMB_BOB, compare=True)
 
     assert assessed.left_out == ()
     assert np.isnan(assessed.disagreement)
@@ -175,7 +175,7 @@ def test_held_out_views_are_not_fitted_better_by_coefficients_that_the_lens_does
     boards = views(10)
     found = calibrate_camera(boards, 1600, 1200)
 
-    comparison = camera_assessment(found, boards, PLUMB_BOB, compare=True).comparison
+    comparison = camera_assessment(found, PLUMB_BOB, compare=True).comparison
 
     plumb_bob, rational = comparison.fits
     assert rational.rms_px < plumb_bob.rms_px
@@ -211,7 +211,7 @@ def test_corners_left_out_are_numbered_with_their_residuals(views):
     moved[17] += [0.0, 0.7]
     boards[3] = replace(boards[3], points_px=moved)
     found = calibrate_camera(boards, 1600, 1200)
-    assessed = camera_assessment(found, boards, PLUMB_BOB)
+    assessed = camera_assessment(found, PLUMB_BOB)
     verdict = camera_verdict(found, assessed, 8)
 
     view = camera_quality(found, assessed, verdict)["quality"]["views"][3]
@@ -225,7 +225,7 @@ def test_corners_left_out_are_numbered_with_their_residuals(views):
 def test_the_manual_lists_every_limit(views):
     boards = [replace(view, marker_size_ratio=(1.0, 1.0)) for view in views(8)]
     found = calibrate_camera(boards, 1600, 1200)
-    verdict = camera_verdict(found, camera_assessment(found, boards, PLUMB_BOB), 8)
+    verdict = camera_verdict(found, camera_assessment(found, PLUMB_BOB), 8)
     page = (Path(__file__).parents[3] / "man" / "ringpose-calibrate-camera.1").read_text()
 
     listed = re.findall(r"^\.It (\w+) Ta (\S+) Ta (\S+)$", page, re.MULTILINE)
@@ -270,7 +270,7 @@ def test_a_lens_that_plumb_bob_does_not_describe_asks_for_the_other_model(rng):
         boards.append(BoardView(name=f"v{index}", ids=np.arange(len(POINTS)), points_board_m=POINTS, points_px=noisy))
     found = calibrate_camera(boards, 800, 600)
 
-    verdict = camera_verdict(found, camera_assessment(found, boards, PLUMB_BOB, compare=True), 14)
+    verdict = camera_verdict(found, camera_assessment(found, PLUMB_BOB, compare=True), 14)
 
     assert value(verdict, "held_out_ratio") > 1.05
     assert any("use --distortion-model rational_polynomial" in sentence for sentence in verdict.advice)

@@ -29,7 +29,7 @@ def calibrated(paths: Sequence[Path], board: Board, model: CameraModel) -> tuple
     views = [view for view in found if not isinstance(view, NoBoard)]
     height, width = next(iter(images.values())).shape
     calibration = calibrate_camera(views, width, height, model)
-    return widened(calibration, camera_assessment(calibration, views, model))
+    return widened(calibration, camera_assessment(calibration, model))
 
 
 def deviations_from(calibration: CameraCalibration, reference: Sequence[float]) -> np.ndarray:

@@ -66,7 +66,7 @@ def test_a_rational_lens_has_the_reported_errors_where_it_is_known(middle_views)
 def test_the_share_of_the_image_in_which_the_lens_is_unknown_is_reported(middle_views):
     boards = middle_views(5)
     found = calibrate_camera(boards, 800, 600, MODEL)
-    assessed = camera_assessment(found, boards, MODEL)
+    assessed = camera_assessment(found, MODEL)
     verdict = camera_verdict(found, assessed, 5)
 
     projection = camera_quality(found, assessed, verdict)["quality"]["projection"]
@@ -90,6 +90,6 @@ def test_a_rational_model_is_valid_up_to_the_largest_radius_of_a_corner():
 def test_polynomials_alone_are_known_everywhere(middle_views):
     boards = middle_views(5)
 
-    assessed = camera_assessment(calibrate_camera(boards, 800, 600), boards, CameraModel())
+    assessed = camera_assessment(calibrate_camera(boards, 800, 600), CameraModel())
 
     assert assessed.unknown_share == 0
