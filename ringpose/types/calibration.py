@@ -270,8 +270,10 @@ class ModelComparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraAssessment:
-    """The quantities by which a camera calibration is assessed."""
+    """A camera calibration with the quantities by which it is assessed."""
 
+    calibration: CameraCalibration
+    """With the covariance inflated if the views disagree more than noise explains."""
     coverage: Coverage
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with

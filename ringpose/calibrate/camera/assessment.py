@@ -62,17 +62,25 @@ def camera_assessment(
     distances_m: Sequence[float] = DISTANCES_M,
     compare: bool = False,
 ) -> CameraAssessment:
-    """Coverage, uncertainty over the image, cross-validation, and with `compare` the other distortion model's fit."""
+    """Coverage, uncertainty over the image, cross-validation, and with `compare` the other distortion model's fit.
+
+    The covariance is inflated if the views disagree more than noise explains. A board that is bent, moves or reflects
+    causes errors that the corners of a view have in common. Residuals do not show them, and the covariance treats the
+    corners as independent. Views are independent.
+    """
     used = used_views(calibration)
     whole = camera_solution(used, calibration.camera, model)
     left_out, jackknife_px = leave_one_out(used, whole, model)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
-    known = known_lens(calibration.camera, corners_px)
-    sigma_px = np.where(known, projection_sigma_px(calibration.camera, calibration.covariance.data), np.nan)
+    known, covariance = known_lens(calibration.camera, corners_px), calibration.covariance
+    sigma_px = np.where(known, projection_sigma_px(calibration.camera, covariance.data), np.nan)
     disagreement = float(np.median(jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
+    widening = disagreement if disagreement > 1 + CHANCE / np.sqrt(len(used) - 1) else 1.0
+    wider = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
     return CameraAssessment(
+        calibration=replace(calibration, camera=wider),
         coverage=coverage(calibration),
-        sigma_px=sigma_px,
+        sigma_px=widening * sigma_px,
         left_out=left_out,
         split_half_px=split_half_px(used, whole, model),
         disagreement=disagreement,
@@ -81,28 +89,9 @@ def camera_assessment(
         board=(
             other_camera_finding(calibration),
             *marker_size_findings([view.board for view in calibration.views]),
-            bow_finding(used, whole, model, _widening(disagreement, len(used))),
+            bow_finding(used, whole, model, widening),
         ),
     )
-
-
-def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tuple[CameraCalibration, CameraAssessment]:
-    """The calibration and its assessment, with the covariance inflated if the views disagree more than noise explains.
-
-    A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
-    show them, and the covariance treats the corners as independent. Views are independent.
-    """
-    covariance = calibration.covariance
-    widening = _widening(assessment.disagreement, len(calibration.used))
-    if widening == 1:
-        return calibration, assessment
-    camera = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
-    return replace(calibration, camera=camera), replace(assessment, sigma_px=widening * assessment.sigma_px)
-
-
-def _widening(disagreement: float, views: int) -> float:
-    """Factor by which the standard deviations are inflated; 1 if the disagreement is not significant."""
-    return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
 
 
 def bow_finding(

@@ -67,10 +67,10 @@ def test_the_share_of_the_image_in_which_the_lens_is_unknown_is_reported(middle_
     boards = middle_views(5)
     found = calibrate_camera(boards, 800, 600, MODEL)
     assessed = camera_assessment(found, MODEL)
-    verdict = camera_verdict(found, assessed, 5)
+    verdict = camera_verdict(assessed, 5)
 
-    projection = camera_quality(found, assessed, verdict)["quality"]["projection"]
-    lines = "\n".join(camera_summary(found, assessed, verdict))
+    projection = camera_quality(assessed, verdict)["quality"]["projection"]
+    lines = "\n".join(camera_summary(assessed, verdict))
 
     assert projection["unknown_share"] > 0.05
     assert np.isfinite(projection["sigma_worst_px"])
