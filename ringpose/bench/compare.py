@@ -112,20 +112,14 @@ def _nees(name: str) -> Quantity:
     )
 
 
+ERRORS = ("center_m", "normal_rad", "grasp_m", "radius_inner_m", "radius_outer_m", "velocity_m_s", "rate_rad_s")
+
 COMPARED: Mapping[str, Quantity] = {
-    "center_m": _squared_error("center_m"),
-    "normal_rad": _squared_error("normal_rad"),
-    "grasp_m": _squared_error("grasp_m"),
-    "radius_inner_m": _squared_error("radius_inner_m"),
-    "radius_outer_m": _squared_error("radius_outer_m"),
-    "velocity_m_s": _squared_error("velocity_m_s"),
-    "rate_rad_s": _squared_error("rate_rad_s"),
+    **{name: _squared_error(name) for name in ERRORS},
     "center_typical_m": _typical_error("center_m"),
     "normal_typical_rad": _typical_error("normal_rad"),
     "grasp_typical_m": _typical_error("grasp_m"),
-    "center_nees": _nees("center_nees"),
-    "normal_nees": _nees("normal_nees"),
-    "velocity_nees": _nees("velocity_nees"),
+    **{name: _nees(name) for name in ("center_nees", "normal_nees", "velocity_nees")},
     "available": Quantity(
         score=lambda shot: float(shot.status == "ok") if shot.has_target else None,
         figure=_itself,

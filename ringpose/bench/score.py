@@ -25,7 +25,7 @@ from ringpose.estimate.pose_errors import (
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose, Status
 from ringpose.types.rig import Camera
 from ringpose.types.scene import Truth
 
@@ -79,29 +79,24 @@ by degree of freedom."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseEstimate:
-    """The result of one method for one shot: a pose in the camera frame, or None."""
+    """The pose line of a shot by one method, in the camera frame, to be compared with the truth."""
 
+    line: PoseLine
     shot: str
+    """Name of the shot in the truth."""
     method: str
     """Empty if a record without a pose does not contain it."""
-    pose: RingPose | None
-    status: Status = "none"
-    """That of the record."""
-    flags: PoseFlag = PoseFlag(0)
-    stamp_s: float = math.nan
-    """The instant at which the pose holds; NaN if unknown."""
-    shot_stamp_s: float = math.nan
-    """That of the shot."""
-    velocity: RingVelocity | None = None
-    assumptions: StatedAssumptions | None = None
-    """None if nothing was estimated."""
-    latency_s: float = math.nan
-    rig: str = ""
-    """SHA-256 of the rig file, empty if unknown."""
+    status: Status
+    """That of the record, which may have flags that are not known."""
+
+    @property
+    def stamp_s(self) -> float:
+        """The instant at which the pose holds, by default that of the shot; NaN if unknown."""
+        return self.line.stamp_s if math.isnan(self.line.pose_stamp_s) else self.line.pose_stamp_s
 
 
 class Outcome(StrEnum):
-    """The outcome of a shot."""
+    """What a method gives for a shot, compared with what the truth expects."""
 
     OK = "ok"
     DEGRADED = "degraded"
@@ -181,25 +176,15 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
     """The estimate in a pose record; DataError unless it is in the camera frame, like the truth."""
     if line.pose is not None and line.frame is not PoseFrame.CAMERA:
         raise DataError(place, f"is in the {line.frame} frame", "give poses in the camera frame")
-    return PoseEstimate(
-        shot=line.shot,
-        method=line.pose.method if line.pose else "",
-        pose=line.pose,
-        status=line.status,
-        flags=line.flags,
-        stamp_s=line.stamp_s if math.isnan(line.pose_stamp_s) else line.pose_stamp_s,
-        shot_stamp_s=line.stamp_s,
-        velocity=line.velocity,
-        assumptions=assumptions_of(line),
-        latency_s=line.latency_s,
-        rig=line.rig,
-    )
+    method = line.pose.method if line.pose else ""
+    return PoseEstimate(line=line, shot=line.shot, method=method, status=line.status)
 
 
 def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -> list[PoseEstimate]:
-    """Estimates of a track under the names of the truths that are nearest in time; of several at one truth the nearest.
+    """Estimates of a track, each renamed to the shot of the truth that is nearest in time.
 
-    One that is more than `MAX_PROPAGATION_S` from all truths keeps its name.
+    Of several estimates at one truth the nearest is kept. An estimate that is more than `MAX_PROPAGATION_S` from all
+    truths keeps its name.
     """
     dated = [truth for truth in truths if truth.stamp_s is not None]
     stamps_s = np.array([truth.stamp_s for truth in dated])
@@ -246,30 +231,33 @@ def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matc
 
 
 def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Camera | None) -> Score:
-    """Score of an estimate (None for a shot without a record); without the camera the arc is not checked."""
+    """Score of an estimate (None for a shot without a record).
+
+    Without the camera it is not checked whether the grasp point lies on the arc that the stripes span.
+    """
     has_target = truth.expect != "no_target"
     scored = partial(Score, shot=truth.shot, method=method, has_target=has_target, groups=truth.groups)
     if estimate is None:
         return scored(outcome=Outcome.LOST, status="lost")
-    truth_now = truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
-    compared = _compared(truth_now, estimate)
+    line, truth_now = estimate.line, truth_at(truth, estimate.stamp_s, estimate.line.stamp_s)
+    compared = _compared(truth_now, line)
     distances = {
         name: math.sqrt(mahalanobis_squared(error, covariance))
         for name, (error, covariance) in compared.items()
         if covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
     }
-    found = dict(_judgements(truth_now, estimate, compared, distances, camera))
+    found = dict(_judgements(truth_now, line, compared, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in found.items()}
     return scored(
         outcome=_outcome(truth, estimate.status, Judgement.WRONG in judgements.values()),
         status=estimate.status,
-        errors=_errors(truth_now, estimate.pose, compared, distances),
+        errors=_errors(truth_now, line.pose, compared, distances),
         judgements=judgements,
         distances=distances,
         gross=tuple(name for name, (_, gross) in found.items() if gross),
-        assumptions=estimate.assumptions,
-        latency_s=estimate.latency_s if math.isfinite(estimate.latency_s) else None,
-        rig=estimate.rig,
+        assumptions=assumptions_of(line),
+        latency_s=line.latency_s if math.isfinite(line.latency_s) else None,
+        rig=line.rig,
     )
 
 
@@ -287,8 +275,8 @@ Compared = dict[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]
 """Error of each reported quantity that has a truth, in the coordinates in which it is judged, and its covariance."""
 
 
-def _compared(truth: Truth, estimate: PoseEstimate) -> Compared:
-    pose, velocity, reported = estimate.pose, estimate.velocity, _reported(estimate)
+def _compared(truth: Truth, line: PoseLine) -> Compared:
+    pose, velocity, reported = line.pose, line.velocity, _reported(line)
     center_m, normal, radius_m = truth.center_m, truth.normal, mid_radius_m(truth)
     found: Compared = {}
     if pose is None or center_m is None or normal is None:
@@ -315,9 +303,9 @@ def _compared(truth: Truth, estimate: PoseEstimate) -> Compared:
     return found
 
 
-def _reported(estimate: PoseEstimate) -> list[str]:
-    """Names of the quantities (`JUDGED`) that an estimate determines."""
-    pose, velocity = estimate.pose, estimate.velocity
+def _reported(line: PoseLine) -> list[str]:
+    """Names of the quantities (`JUDGED`) that a pose line determines."""
+    pose, velocity = line.pose, line.velocity
     if pose is None:
         return []
     velocity_m_s = np.array(np.nan) if velocity is None else velocity.center_m_s
@@ -326,16 +314,16 @@ def _reported(estimate: PoseEstimate) -> list[str]:
 
 
 def _judgements(
-    truth: Truth, estimate: PoseEstimate, compared: Compared, distances: Mapping[str, float], camera: Camera | None
+    truth: Truth, line: PoseLine, compared: Compared, distances: Mapping[str, float], camera: Camera | None
 ) -> Iterator[tuple[str, tuple[Judgement, bool]]]:
     """Each reported quantity with its judgement, and whether its error is gross."""
-    for name in _reported(estimate):
+    for name in _reported(line):
         if truth.expect != "no_target" and name not in compared:
             continue
-        if estimate.flags & FLAGS_OF_QUANTITY[name]:
+        if line.flags & FLAGS_OF_QUANTITY[name]:
             yield name, (Judgement.FLAGGED, False)
         elif truth.expect == "no_target" or (
-            name == "grasp" and estimate.pose is not None and misses_band(estimate.pose.grasp_m, truth, camera)
+            name == "grasp" and line.pose is not None and misses_band(line.pose.grasp_m, truth, camera)
         ):
             yield name, (Judgement.WRONG, True)
         elif name in distances:

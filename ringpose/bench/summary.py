@@ -78,7 +78,7 @@ class WrongQuantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """One group of shots, or all of them, of one method."""
+    """Figures of a group of shots, or of all of them, by one method."""
 
     method: str
     group: Mapping[str, Value]

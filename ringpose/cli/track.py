@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import app
+from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
-from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, number_option
 from ringpose.cli.options.track import (
     Format,
-    GripperRadial,
-    GripperTilt,
-    LostAfter,
     Newest,
     OutputFormat,
-    PredictFor,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
@@ -35,37 +31,29 @@ if TYPE_CHECKING:
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
 
-Inputs = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="INPUT...",
-        help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        "--rate", metavar="HZ", min=0.01, max=1000, callback=finite, help="Lines a second, by this computer's clock."
-    ),
-]
-Brief = Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")]
-
 
 @app.command()
+@with_option_groups
 def track(
-    inputs: Inputs,
+    *,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUT...",
+            help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
+        ),
+    ],
     rig: OptionalRigFile = None,
-    rate: Rate = None,
-    predict_for: PredictFor = None,
-    lost_after: LostAfter = None,
+    rate: Annotated[
+        float | None, number_option("--rate", "HZ", "Lines a second, by this computer's clock.", 0.01, 1000)
+    ] = None,
+    settings: TrackSettings,
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
     robot_poses: RobotPosesFile = None,
-    gripper_radial_m: GripperRadial = None,
-    gripper_tilt_deg: GripperTilt = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
-    brief: Brief = False,
+    brief: Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -74,7 +62,6 @@ def track(
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
 
-    settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
     assumed, motion = Assumed(max_speed=max_speed, max_rate=max_rate).options, camera_motion(robot_poses, rig, inputs)
     tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
     batch = Batch()
@@ -94,7 +81,7 @@ class _Records:
         self._reported: set[str] = set()
 
     def added(self, item: "Input", at_rate: bool = False) -> "Attempt | None":
-        """What became of a record; None if it is not a record of this track, which is reported."""
+        """How a record was used; None if it does not belong to this track, which is reported."""
         from ringpose.files.records.poses import pose_line_of
 
         attempt = None

@@ -10,7 +10,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile, file_option
 from ringpose.cli.progress import with_progress
 from ringpose.errors import DataError, NoInputError, UsageError
 
@@ -21,32 +21,22 @@ if TYPE_CHECKING:
     from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
-Poses = Annotated[
-    list[Path] | None,
-    typer.Option("--poses", readable=False, metavar="FILE", help="The output of ringpose pose for these shots."),
-]
-Tracks = Annotated[
-    list[Path] | None,
-    typer.Option("--tracks", readable=False, metavar="FILE", help="The output of ringpose track for these poses."),
-]
-TruthFile = Annotated[
-    Path | None, typer.Option("--truth", readable=False, metavar="FILE", help="Show the truth and the errors, too.")
-]
-HtmlFile = Annotated[
-    Path | None, typer.Option("--html", readable=False, metavar="FILE", help="Write the replay as one HTML page.")
-]
-Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
-
 
 @app.command()
 def view(
     inputs: Inputs,
     rig: RigFile,
-    poses: Poses = None,
-    tracks: Tracks = None,
-    truth: TruthFile = None,
-    html: HtmlFile = None,
-    port: Port = 8080,
+    poses: Annotated[
+        list[Path] | None, file_option("--poses", meaning="The output of ringpose pose for these shots.")
+    ] = None,
+    tracks: Annotated[
+        list[Path] | None, file_option("--tracks", meaning="The output of ringpose track for these poses.")
+    ] = None,
+    truth: Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")] = None,
+    html: Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")] = None,
+    port: Annotated[
+        int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")
+    ] = 8080,
     channel: ImageChannel = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -130,7 +120,7 @@ def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Trut
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)
         errors = score(truth, estimate, estimate.method, rig.camera).errors
-        truth = truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
+        truth = truth_at(truth, estimate.stamp_s, line.stamp_s)
     shown = {name: value for name, value in errors.items() if name in SHOWN_ERRORS}
     return ReplayShot(
         name=shot.name, stamp_s=shot.measured_at_s, jpeg=replay_picture(picture), line=line, truth=truth, errors=shown

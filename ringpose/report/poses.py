@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from ringpose.estimate.covariance import standard_deviation
 from ringpose.report.figures import canvas, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.types.arrays import Array, Float64
@@ -35,12 +36,11 @@ def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str)
 
 
 def badness(line: PoseLine) -> tuple[int, float]:
-    """Sort key of the worst shots: the worst has the largest."""
+    """Sort key, the worst shot last: without a pose, degraded, then by the standard deviation of the grasp point."""
     if line.pose is None:
         return 2, np.inf
     covariance = line.pose.covariance_grasp_m2
-    sigma_m = np.inf if covariance is None else float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-    return int(line.status == "degraded"), sigma_m
+    return int(line.status == "degraded"), np.inf if covariance is None else standard_deviation(covariance)
 
 
 def _status_section(lines: Sequence[PoseLine]) -> Section:
@@ -127,11 +127,9 @@ def _radii(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part
 
 def _angles(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
     """Pitch and yaw; both with the larger standard deviation of the normal in any direction."""
-    angles = np.degrees([pose.pitch_rad, pose.yaw_rad])
-    tilts = None if pose.covariance is None else pose.covariance[:2, :2]
-    known = tilts is not None and bool(np.isfinite(tilts).all())
-    sigma = np.sqrt(max(np.linalg.eigvalsh(tilts)[-1], 0.0)) if known and tilts is not None else np.nan
-    return angles, np.full(2, np.degrees(sigma))
+    tilts = np.full((2, 2), np.nan) if pose.covariance is None else pose.covariance[:2, :2]
+    sigma_rad = standard_deviation(tilts) if np.isfinite(tilts).all() else np.nan
+    return np.degrees([pose.pitch_rad, pose.yaw_rad]), np.full(2, np.degrees(sigma_rad))
 
 
 QUANTITIES: tuple[tuple[str, tuple[str, ...], str, Values, str], ...] = (

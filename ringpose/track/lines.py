@@ -113,11 +113,11 @@ def track_line(
         ),
         hypotheses=tuple(
             SideHypothesis(
-                side=side,
+                side=each.side,
                 weight=weight,
                 center_m=(found if each is bank else _Reported(each, stamp_s)).value[_CENTER],
             )
-            for each, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
+            for each, weight in zip(track.banks, weights.tolist(), strict=True)
         ),
         flags=flags,
         model=MotionModel.PRECESSION if models.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
@@ -129,7 +129,7 @@ def track_line(
 
 
 def validity(track: Track, stamp_s: float, options: TrackOptions) -> Validity:
-    """By the age of the newest measurement that was used."""
+    """How far the track may be trusted at an instant, by the age of the newest measurement that was used."""
     if not track.banks:
         return Validity.LOST
     age_s = stamp_s - track.stamp_s

@@ -99,7 +99,7 @@ class Tracker:
 
     @property
     def track(self) -> Track:
-        """After all records so far."""
+        """The track after all records so far."""
         return self._entries[-1].track if self._entries else self._base
 
     def add(self, line: PoseLine, now_s: float = float("inf"), inflation: float = 1.0) -> Attempt:

@@ -46,7 +46,7 @@ FIRST_INTERVAL_S = 0.5
 
 
 class ShotTracker:
-    """Measures shots with the prediction of the track that they extend."""
+    """Detects what shots show near the prediction of a track, and extends the track by them."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker

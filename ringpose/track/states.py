@@ -116,14 +116,14 @@ def after(states: RingStates, time_s: float) -> RingStates:
 
 
 def center_velocity(states: RingStates) -> Float64[Array, "state local=3"]:
-    """Velocity of the ring's centre, along the ring's axes: u + R w x inward."""
+    """Velocity of the ring's centre, along the ring's axes: that of the origin + R w x inward (radius R, rate w)."""
     velocity: Float64[Array, "state local=3"] = states.motion[:, :3].copy()
     velocity[:, 2] -= states.mean_radius_m * states.motion[:, 4]
     return velocity
 
 
 def mass_center_velocity(states: RingStates) -> Float64[Array, "state local=3"]:
-    """Velocity of the centre of mass, along the ring's axes: that of the ring's centre - l w x n."""
+    """Velocity of the centre of mass, along the ring's axes: that of the ring's centre - l w x n (lever l, rate w)."""
     velocity, lever_m = center_velocity(states), states.motion[:, 6]
     velocity[:, 0] -= lever_m * states.motion[:, 4]
     velocity[:, 1] += lever_m * states.motion[:, 3]
@@ -218,7 +218,7 @@ STEPS = np.concatenate([np.diag(DIFFERENCE), -np.diag(DIFFERENCE)])
 
 
 def perturbed(coordinates: Float64[Array, "state error=14"]) -> Float64[Array, "perturbed error=14"]:
-    """Each state's coordinates with all `STEPS`."""
+    """Each state's coordinates after each of the `STEPS`, for derivatives by central differences."""
     around: Float64[Array, "perturbed error"] = (coordinates[:, None] + STEPS).reshape(-1, len(ERRORS))
     return around
 

@@ -178,6 +178,7 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("light: dim", "light: dim, sequence: 'off,9'", "sequence"),
         ("light: dim", "light: dim, wavelength: 1", "wavelength"),
         ("methods:", "limits: {max_center: 1}\nmethods:", "max_center"),
+        ("methods:", "limits: {max_wrong: {turned: 1}}\nmethods:", "turned"),
         ("methods:", "table: hue\nmethods:", "hue"),
         ("level: features", "level: images\ncalibrate: 1", "calibrate"),
         ("level: features", "level: features\ncalibrate: true", "calibrate"),
@@ -225,7 +226,7 @@ def test_bad_usage_is_reported(folder, capsys, words, status, named):
 def test_the_presets_are_valid(name):
     read = read_study(study_path(name))
 
-    assert read.study.shots >= 150
+    assert read.shots >= 150
     assert read_study(study_path(name), count=2).sha256 != read.sha256
 
 

@@ -110,21 +110,6 @@ def test_lasers_are_assigned_while_shots_continue_the_track_and_not_after_one_th
     assert not shots.assigns_lasers(RIG)
 
 
-def test_shots_that_share_a_background_count_less(rng):
-    still = drawn_motion(rng, speed_m_s=0.0, rate_deg_s=0.0)
-    lines, variances = stream(still, 3.0, Shots(), rng), []
-    for masks in ([0, 7], [7]):
-        shots = ShotTracker(tracker := Tracker(None))
-        for line in lines[:12]:
-            shots.added(line)
-        shots.detected(shot([0, 7], lines[12].pose_stamp_s - 0.02), RIG, USUAL.about_shot(RIG.stability, still=False))
-        shots.detected(shot(masks, lines[12].pose_stamp_s), RIG, USUAL.about_shot(RIG.stability, still=False))
-        shots.added(lines[12])
-        variances.append(np.trace(tracker.line_at(0.0).grasp.covariance[:3, :3]))
-
-    assert variances[1] > 1.05 * variances[0]
-
-
 @pytest.mark.parametrize("count", range(1, 11))
 def test_shots_with_one_background_contribute_the_information_of_their_mean(count):
     covariance = np.full((count, count), BACKGROUND_SHARE) + (1.0 - BACKGROUND_SHARE) * np.eye(count)

@@ -57,7 +57,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceResult:
-    """What a rig can measure at a place."""
+    """How accurately a rig can measure the ring at a place."""
 
     place: Place
     stripes: int
@@ -200,7 +200,7 @@ def place_result(scene: Scene, place: Place) -> PlaceResult:
 
 
 def scene_at(scene: Scene, place: Place) -> Scene:
-    """The scene with one view: the middle of the face at the place, the centre of the ring to its right."""
+    """The scene with one view, in which the visible section of the face is at a place, left of the ring's centre."""
     normal = facing_normal(place.pitch_rad, place.yaw_rad)
     point_m = place.distance_m * image_ray(scene.rig.camera, np.array([place.offset_x, place.offset_y]))
     axis = ring_rotation(normal, 0.0)[:, 0]

@@ -91,18 +91,14 @@ def _set_up_text(study: Study) -> str:
 def _columns(study: Study, rows: Iterable[Row]) -> dict[str, dict[str, np.ndarray]]:
     """By method: distance, error, bound, and reported standard deviation of the centre; NaN where there is none."""
     stride = max(1, study.shots // MAX_POINTS)
-    names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m", "true_center_x_m", "true_center_z_m")
+    names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m")
     found: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}
     for row in rows:
         if int(row["shot"] or 0) % stride == 0:
-            values = [row.get(name) for name in names]
-            found[str(row["method"])].append(
-                [float(value) if isinstance(value, int | float) else np.nan for value in values]
-            )
-    return {
-        method: dict(zip(names, np.array(values).reshape(-1, len(names)).T, strict=True))
-        for method, values in found.items()
-    }
+            values = [np.nan if (value := row.get(name)) is None else float(value) for name in names]
+            found[str(row["method"])].append(values)
+    columns = {method: np.array(values).reshape(-1, len(names)).T for method, values in found.items()}
+    return {method: dict(zip(names, values, strict=True)) for method, values in columns.items()}
 
 
 def _color(summary_methods: Sequence[str], method: str) -> str:
@@ -158,7 +154,7 @@ def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
 
 
 def factor_name(name: str) -> str:
-    """A factor's name beside values that have a unit of their own."""
+    """The name of a factor without its unit, as a heading of values that state their unit."""
     return name.removesuffix("_m").removesuffix("_rad").replace("_", " ")
 
 

@@ -12,14 +12,14 @@ import numpy as np
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import aligned, number
-from ringpose.types.study import BOUNDS, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
+from ringpose.types.study import BOUNDS, CASE, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
 
 Key = tuple[Value, ...]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Statistics:
-    """Sums over the rows of one method in one cell of the grid."""
+    """Counts and values of the rows of one method in one cell of the grid."""
 
     shots: int = 0
     targets: int = 0
@@ -33,6 +33,8 @@ class Statistics:
     failed: int = 0
     """Shots that could not be computed."""
     wrong: int = 0
+    ok_wrong: int = 0
+    """Shots with the status `ok` and a wrong quantity."""
     judged: int = 0
     gross: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
@@ -52,6 +54,7 @@ class Statistics:
         self.false_poses += has_pose and row["expect"] == "no_target"
         wrong = len(names_in(row["wrong"]))
         self.wrong += wrong
+        self.ok_wrong += wrong > 0 and row["status"] == "ok"
         self.judged += wrong + len(names_in(row["correct"]))
         self.gross += len(names_in(row["gross"]))
         if not has_pose and (has_target or row["outcome"] == "error"):
@@ -95,12 +98,12 @@ class StudySummary:
     """By method and value of the factor `table` alone."""
 
     def all(self, method: str) -> Statistics:
-        """Those of all shots of a method."""
+        """The statistics of all shots of a method."""
         return self.columns[method, ()]
 
 
 def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
-    """The statistics of all rows; memory grows by the errors alone, a few hundred bytes a row."""
+    """The statistics of all rows, which are read one by one: only numbers are kept, a few hundred bytes a row."""
     by = tuple(factor.name for factor in study.grid if len(factor.values) > 1)
     cells: dict[tuple[str, Key], Statistics] = {}
     wide: dict[tuple[str, Key], Statistics] = {(method.value, ()): Statistics() for method in study.methods}
@@ -206,7 +209,10 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
 
 
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
-    """Values of the study's `table` factor and the statistics of a method for each; `()` for all shots without one."""
+    """The values of the factor in the columns of the first table, and the statistics of a method for each of them.
+
+    Without such a factor the only key is `()`, that of all shots.
+    """
     keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
     return keys, [summary.columns[method, key] for key in keys]
 
@@ -218,7 +224,7 @@ HEADINGS = (
 
 
 def cell_rows(summary: StudySummary, shown: Sequence[str]) -> list[list[str]]:
-    """The heading, then a row for each cell and method with those of the columns `HEADINGS` that are shown."""
+    """A table of all cells and methods as text: a row of headings, then the columns `shown` (of `HEADINGS`)."""
     rows = [[*summary.by, "method", *shown]]
     for key in sorted_keys(key for _, key in summary.cells):
         for method in summary.methods:
@@ -264,19 +270,30 @@ def failure_rows(summary: StudySummary) -> list[list[str]]:
 def exceeded_limits(study: Study, summary: StudySummary) -> list[str]:
     """A message for each limit that the first method misses in a cell, or that applies to nothing."""
     method, found = summary.methods[0], []
-    own = {key: each for (of_method, key), each in summary.cells.items() if of_method == method}
-    for name, limit in study.limits.items():
-        what = LIMITS[name]
-        values = {key: _limited(each, what) for key, each in own.items()}
-        for key, value in values.items():
+    for name, stated in study.limits.items():
+        what, applies = LIMITS[name], False
+        for (of_method, key), each in summary.cells.items():
+            limit = _limit_in(stated, summary, key)
+            if of_method != method or limit is None:
+                continue
+            value = _limited(each, what)
+            applies = applies or value == value
             place = ", ".join(f"{by} {value_text(by, v)}" for by, v in zip(summary.by, key, strict=True)) or "all shots"
             if value < limit if name.startswith("min_") else value > limit:
                 relation = "is below" if name.startswith("min_") else "exceeds"
                 found.append(f"{name}: {what} {value:.4g} of {place} ({method}) {relation} {limit:.4g}")
-        if not any(value == value for value in values.values()):
-            found.append(f"{name}: no shot of {method} has {what}, limit {limit:.4g}")
+        if not applies:
+            found.append(f"{name}: no shot of {method} has {what}, limit {stated}")
     failed = summary.all(method).failed
     return [*found, *([f"{failed} shots could not be computed"] if failed else [])]
+
+
+def _limit_in(stated: float | Mapping[str, float], summary: StudySummary, key: Key) -> float | None:
+    """The limit in a cell; None if it is stated for other cases only."""
+    if not isinstance(stated, Mapping):
+        return stated
+    case = str(key[summary.by.index(CASE)]) if CASE in summary.by else next(iter(stated), "")
+    return stated.get(case)
 
 
 def _limited(each: Statistics, what: str) -> float:
@@ -284,6 +301,8 @@ def _limited(each: Statistics, what: str) -> float:
         return each.available / each.targets if each.targets else nan
     if what == "no_pose":
         return 1.0 - each.answers / each.targets if each.targets else nan
+    if what == "ok_wrong":
+        return each.ok_wrong / each.shots if each.shots else nan
     return float(each.wrong) if what == "wrong" else each.rms(what)
 
 

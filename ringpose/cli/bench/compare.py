@@ -8,42 +8,37 @@ import typer
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
-from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
+from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, number_option
 from ringpose.errors import DataError, UsageError
 
 if TYPE_CHECKING:
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
 
-ResultA = Annotated[
-    str,
-    typer.Argument(
-        metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
-    ),
-]
-ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
-Tolerance = Annotated[
-    float,
-    typer.Option(
-        "--tolerance", metavar="SHARE", min=0, callback=finite, help="Differences up to this do not count as failure."
-    ),
-]
-TwoMethods = Annotated[
-    str | None,
-    typer.Option("--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."),
-]
-OtherRig = Annotated[bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")]
-
 
 def compare(
-    a: ResultA,
-    b: ResultB,
+    a: Annotated[
+        str,
+        typer.Argument(
+            metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
+        ),
+    ],
+    b: Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")],
     truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
-    methods: TwoMethods = None,
-    tolerance: Tolerance = 0.02,
-    allow_other_rig: OtherRig = False,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, number_option("--tolerance", "SHARE", "Differences up to this do not count as failure.", 0)
+    ] = 0.02,
+    allow_other_rig: Annotated[
+        bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")
+    ] = False,
     json: JsonFile = None,
     force: Force = False,
 ) -> None:

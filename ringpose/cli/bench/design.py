@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import STDOUT, CsvFile, Force, Quiet, Report, check_report, finite, numbers
+from ringpose.cli.options.common import (
+    STDOUT,
+    CsvFile,
+    Force,
+    Quiet,
+    Report,
+    check_report,
+    file_option,
+    number_option,
+    numbers,
+)
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, UsageError
@@ -17,57 +27,6 @@ if TYPE_CHECKING:
 MAX_DESIGNS = 500
 """Maximum number of rigs in a sweep."""
 
-RigToDesign = Annotated[
-    Path, typer.Argument(metavar="RIG", help="The rig (rig.yaml), with the places of its projectors.")
-]
-SceneFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--scene",
-        readable=False,
-        metavar="FILE",
-        help="Take ring, laser light, lens, sensor and light from this scene.",
-    ),
-]
-Vary = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--vary",
-        metavar="NAME=VALUES",
-        help="Values to try of laser_angle_rad, baseline_m, focal_px, dark_noise_e or lasers, separated by commas; may "
-        "be given again: all combinations are tried.",
-    ),
-]
-Distances = Annotated[
-    str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, separated by commas.")
-]
-Offsets = Annotated[
-    str,
-    typer.Option(
-        "--offsets",
-        metavar="SHARES",
-        help="Horizontal offsets from the image centre, in image widths, separated by commas.",
-    ),
-]
-Pitch = Annotated[
-    float, typer.Option("--pitch", metavar="DEG", min=-60, max=60, callback=finite, help="Pitch of the ring.")
-]
-Yaw = Annotated[float, typer.Option("--yaw", metavar="DEG", min=-60, max=60, callback=finite, help="Yaw of the ring.")]
-Stability = Annotated[
-    float,
-    typer.Option("--rig-stability", metavar="FACTOR", min=0, callback=finite, help="Scales the rig's usual stability."),
-]
-Minimize = Annotated[Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")]
-MinCoverage = Annotated[
-    float,
-    typer.Option(
-        "--min-coverage", metavar="SHARE", min=0, max=1, help="Smallest share of the places with all stripes in view."
-    ),
-]
-BestRig = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", readable=False, metavar="FILE", help="Write the best rig (rig.yaml)."),
-]
 
 QUANTITY = {
     Minimized.CENTER: "center_m",
@@ -79,20 +38,52 @@ QUANTITY = {
 
 
 def design(
-    rig: RigToDesign,
-    scene: SceneFile = None,
-    vary: Vary = None,
-    distances: Distances = "0.2,0.3,0.4,0.5,0.7,1.0",
-    offsets: Offsets = "-0.3,-0.15,0,0.15,0.3",
-    pitch: Pitch = 0.0,
-    yaw: Yaw = 0.0,
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="The rig (rig.yaml), with the places of its projectors.")],
+    scene: Annotated[
+        Path | None, file_option("--scene", meaning="Take ring, laser light, lens, sensor and light from this scene.")
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="NAME=VALUES",
+            help="Values to try of laser_angle_rad, baseline_m, focal_px, dark_noise_e or lasers, separated by commas; "
+            "may be given again: all combinations are tried.",
+        ),
+    ] = None,
+    distances: Annotated[
+        str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, separated by commas.")
+    ] = "0.2,0.3,0.4,0.5,0.7,1.0",
+    offsets: Annotated[
+        str,
+        typer.Option(
+            "--offsets",
+            metavar="SHARES",
+            help="Horizontal offsets from the image centre, in image widths, separated by commas.",
+        ),
+    ] = "-0.3,-0.15,0,0.15,0.3",
+    pitch: Annotated[float, number_option("--pitch", "DEG", "Pitch of the ring.", -60, 60)] = 0.0,
+    yaw: Annotated[float, number_option("--yaw", "DEG", "Yaw of the ring.", -60, 60)] = 0.0,
     radius_outer: RadiusOuter = None,
     radius_inner: RadiusInner = None,
-    rig_stability: Stability = 1.0,
-    minimize: Minimize = Minimized.CENTER,
-    min_coverage: MinCoverage = 0.8,
+    rig_stability: Annotated[
+        float, number_option("--rig-stability", "FACTOR", "Scales the rig's usual stability.", 0)
+    ] = 1.0,
+    minimize: Annotated[
+        Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")
+    ] = Minimized.CENTER,
+    min_coverage: Annotated[
+        float,
+        typer.Option(
+            "--min-coverage",
+            metavar="SHARE",
+            min=0,
+            max=1,
+            help="Smallest share of the places with all stripes in view.",
+        ),
+    ] = 0.8,
     csv: CsvFile = None,
-    output: BestRig = None,
+    output: Annotated[Path | None, file_option("--output", "-o", meaning="Write the best rig (rig.yaml).")] = None,
     report: Report = None,
     force: Force = False,
     quiet: Quiet = False,

@@ -1,32 +1,36 @@
 """`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from math import inf, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli.options.common import (
+    STDOUT,
+    CsvFile,
+    Force,
+    JsonFile,
+    OptionalRigFile,
+    PoseFrame,
+    Quiet,
+    number_option,
+)
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
-    from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
 
-PosesOrFolders = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
-]
 TruthFiles = Annotated[
     list[Path] | None,
     typer.Option("--truth", metavar="FILE", help="Ground truth (truth.jsonl); may be given again."),
@@ -39,45 +43,46 @@ By = Annotated[
         help="Groups of the truth with a line each, separated by commas; default: distance_m,light.",
     ),
 ]
-Methods = Annotated[
-    list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
-]
 
 
-def _limit(option: str, unit: str, what: str) -> Any:
-    return typer.Option(option, metavar=unit, min=0, callback=finite, help=f"Limit on the RMSE of {what}.")
-
-
-MaxCenter = Annotated[float | None, _limit("--max-center-mm", "MM", "the centre")]
-MaxNormal = Annotated[float | None, _limit("--max-normal-deg", "DEG", "the normal")]
-MaxRadius = Annotated[float | None, _limit("--max-radius-mm", "MM", "the radii")]
-MaxGrasp = Annotated[float | None, _limit("--max-grasp-mm", "MM", "the grasp point")]
-MaxMissed = Annotated[
-    int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
-]
-MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")]
-
-Since = Annotated[
-    str | None, typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d).")
-]
 Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit is missed.")]
 
 
 def bench(
-    inputs: PosesOrFolders,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
+    ],
     truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
-    method: Methods = None,
+    method: Annotated[
+        list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
+    ] = None,
     json: JsonFile = None,
     csv: CsvFile = None,
-    max_center_mm: MaxCenter = None,
-    max_normal_deg: MaxNormal = None,
-    max_radius_mm: MaxRadius = None,
-    max_grasp_mm: MaxGrasp = None,
-    max_missed: MaxMissed = None,
-    max_wrong: MaxWrong = None,
-    since: Since = None,
+    max_center_mm: Annotated[
+        float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)
+    ] = None,
+    max_normal_deg: Annotated[
+        float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)
+    ] = None,
+    max_radius_mm: Annotated[
+        float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)
+    ] = None,
+    max_grasp_mm: Annotated[
+        float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)
+    ] = None,
+    max_missed: Annotated[
+        int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
+    ] = None,
+    max_wrong: Annotated[
+        int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d)."),
+    ] = None,
     cron: Cron = False,
     force: Force = False,
     quiet: Quiet = False,
@@ -171,11 +176,11 @@ def scores_of_lines(
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
     estimates = _estimates_in(inputs, truths, batch)
     if since_s > -inf:
-        estimates = [estimate for estimate in estimates if estimate.shot_stamp_s >= since_s]
+        estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
-        truths = [truth for truth in truths if truth.shot in recent or (truth.stamp_s or -inf) >= since_s]
-        kept = {truth.shot for truth in truths}
-        sets = [([truth for truth in of_set if truth.shot in kept], camera) for of_set, camera in sets]
+        recent |= {truth.shot for truth in truths if (truth.stamp_s or -inf) >= since_s}
+        sets = [([truth for truth in of_set if truth.shot in recent], camera) for of_set, camera in sets]
+        truths = [truth for of_set, _ in sets for truth in of_set]
     matched = matching(estimates, truths)
     no_truth = f"have a pose line but no truth in {', '.join(map(str, truth_files))}"
     for shots, what, remedy in (
@@ -219,7 +224,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "li
                 unnamed.append(estimate)
                 continue
             if estimate.shot in by_shot:  # rejects time stamps of another clock
-                truth_at(by_shot[estimate.shot], estimate.stamp_s, estimate.shot_stamp_s)
+                truth_at(by_shot[estimate.shot], estimate.stamp_s, line.stamp_s)
             estimates.append(estimate)
     return estimates + named_by_stamp(unnamed, truths)
 
@@ -240,8 +245,11 @@ def _scores_of_folders(
 
     Of a folder that grows, shots written before `since_s`, or not yet, are left out.
     """
-    from ringpose.bench.score import scores
+    from ringpose.bench.score import estimate_of, scores
+    from ringpose.detect.pipeline import detect
+    from ringpose.files.images.shots import read_shot
     from ringpose.files.rigs import read_rig
+    from ringpose.pose.pipeline import pose_line
 
     found = []
     for folder in map(Path, folders):
@@ -253,25 +261,16 @@ def _scores_of_folders(
             if since_s > -inf:
                 shots = {path.stem: path.stat().st_mtime for path in (folder / "shots").glob("*.npz")}
                 truths = [truth for truth in truths if shots.get(truth.shot, -inf) >= since_s]
-            estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
+            estimates = []
+            for truth in with_progress(truths, "shots", quiet):
+                with batch.guarded():
+                    shot = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
+                    detection = detect(shot, of_shots)
+                    for method in methods:
+                        line = pose_line(detection, of_shots, method, PoseFrame.CAMERA)
+                        estimates.append(replace(estimate_of(line, truth.shot), method=method.value))
             found += scores(estimates, truths, of_shots.camera)
     return found
-
-
-def _estimates(
-    shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: Batch, quiet: bool
-) -> "Iterator[PoseEstimate]":
-    from ringpose.bench.score import estimate_of
-    from ringpose.detect.pipeline import detect
-    from ringpose.files.images.shots import read_shot
-    from ringpose.pose.pipeline import pose_line
-
-    for truth in with_progress(truths, "shots", quiet):
-        with batch.guarded():
-            detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
-            for method in methods:
-                line = pose_line(detection, rig, method, PoseFrame.CAMERA)
-                yield replace(estimate_of(line, truth.shot), method=method.value)
 
 
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:

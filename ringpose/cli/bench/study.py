@@ -13,7 +13,7 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import Cron, report_missed
-from ringpose.cli.options.common import Force, Quiet, Report, check_report
+from ringpose.cli.options.common import Force, Quiet, Report, check_report, file_option
 from ringpose.cli.progress import with_total
 from ringpose.errors import UsageError
 
@@ -23,52 +23,45 @@ if TYPE_CHECKING:
 LOG_S = 60.0
 """Time between two lines of progress where stderr is not a terminal."""
 
-StudyName = Annotated[
-    str,
-    typer.Argument(
-        metavar="STUDY",
-        help="A study.yaml, or a preset: paper-synthetic, paper-lights, calibrated, tumbling, violations, outliers.",
-    ),
-]
-Output = Annotated[
-    Path,
-    typer.Option("--output", "-o", readable=False, metavar="DIR", help="Folder of the results; resumed if it exists."),
-]
-ShotCount = Annotated[
-    int | None,
-    typer.Option(
-        "--count", metavar="N", min=1, help="Number of shots in each cell of the grid, instead of the study's."
-    ),
-]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the study's.")]
-Jobs = Annotated[
-    int,
-    typer.Option("--jobs", "-j", metavar="N", min=0, help="Processes; 0 is one per core. Results do not depend on it."),
-]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="URI", help="Compute on this dask cluster (tcp://...).")
-]
-SchedulerFile = Annotated[
-    Path | None,
-    typer.Option("--scheduler-file", readable=False, metavar="FILE", help="Compute on the dask cluster of this file."),
-]
-Keep = Annotated[
-    str | None, typer.Option("--keep", metavar="worst:N", help="Write the N shots with the largest centre errors.")
-]
-Wait = Annotated[bool, typer.Option("--wait", help="Wait while another process writes to the folder.")]
-
 
 def study(
-    study: StudyName,
-    output: Output,
-    count: ShotCount = None,
-    seed: Seed = None,
-    jobs: Jobs = 0,
-    scheduler: Scheduler = None,
-    scheduler_file: SchedulerFile = None,
-    keep: Keep = None,
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY",
+            help="A study.yaml, or a preset: "
+            "paper-synthetic, paper-lights, calibrated, tumbling, violations, outliers.",
+        ),
+    ],
+    output: Annotated[
+        Path, file_option("--output", "-o", meaning="Folder of the results; resumed if it exists.", metavar="DIR")
+    ],
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count", metavar="N", min=1, help="Number of shots in each cell of the grid, instead of the study's."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the study's.")
+    ] = None,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=0, help="Processes; 0 is one per core. Results do not depend on it."
+        ),
+    ] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="URI", help="Compute on this dask cluster (tcp://...).")
+    ] = None,
+    scheduler_file: Annotated[
+        Path | None, file_option("--scheduler-file", meaning="Compute on the dask cluster of this file.")
+    ] = None,
+    keep: Annotated[
+        str | None, typer.Option("--keep", metavar="worst:N", help="Write the N shots with the largest centre errors.")
+    ] = None,
     report: Report = None,
-    wait: Wait = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait while another process writes to the folder.")] = False,
     cron: Cron = False,
     force: Force = False,
     quiet: Quiet = False,
@@ -91,8 +84,9 @@ def study(
     metadata = pipeline.metadata(read, shlex.join(["ringpose", *sys.argv[1:]]))
     batch = Batch()
     with opened(output, metadata, force=force, wait=wait) as folder:
-        prepared = pipeline.prepared(read.study, folder, jobs)
-        missing = pipeline.missing(prepared, folder)
+        prepared = pipeline.prepared(read, folder, jobs)
+        finished = folder.finished(prepared.shots)
+        missing = [index for index in range(prepared.shots) if index not in finished]
         done = pipeline.computed(prepared, missing, jobs, scheduler, scheduler_file)
         pipeline.write_finished(prepared, folder, _reported(done, len(missing), prepared.shots, quiet or cron))
         folder.write_tables(columns(prepared), metadata)

@@ -37,7 +37,7 @@ def report_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -
     return NO_POSE if bad else 0
 
 
-PrintBoard = Annotated[Path | None, file_option("--print-board", text="Only draw the board at true scale, as PDF.")]
+PrintBoard = Annotated[Path | None, file_option("--print-board", meaning="Only draw the board at true scale, as PDF.")]
 
 
 def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet: bool) -> None:

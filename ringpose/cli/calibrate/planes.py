@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""
 
-CameraFile = Annotated[Path | None, file_option("--camera", text="The calibrated camera (camera.yaml).")]
+CameraFile = Annotated[Path | None, file_option("--camera", meaning="The calibrated camera (camera.yaml).")]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
     bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
@@ -63,13 +63,15 @@ WorkingDistance = Annotated[
 ]
 Mount = Annotated[
     Path | None,
-    file_option("--mount", text="Where the camera is mounted: tool_from_camera, with covariance and delay if known."),
+    file_option(
+        "--mount", meaning="Where the camera is mounted: tool_from_camera, with covariance and delay if known."
+    ),
 ]
 Check = Annotated[
-    Path | None, file_option("--check", metavar="RIG", text="Only see whether this rig agrees with the shots.")
+    Path | None, file_option("--check", metavar="RIG", meaning="Only see whether this rig agrees with the shots.")
 ]
 Update = Annotated[
-    Path | None, file_option("--update", metavar="RIG", text="Estimate anew the planes of this rig that moved.")
+    Path | None, file_option("--update", metavar="RIG", meaning="Estimate anew the planes of this rig that moved.")
 ]
 Surround = Annotated[
     float,

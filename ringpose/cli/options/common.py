@@ -28,6 +28,21 @@ def finite(value: float | None) -> float | None:
     return value
 
 
+def number_option(
+    name: str, unit: str, meaning: str, least: int | float | None = None, most: int | float | None = None
+) -> Any:
+    """An option that takes a finite number within bounds."""
+    return typer.Option(name, metavar=unit, min=least, max=most, callback=finite, help=meaning)
+
+
+def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
+    """An option that names a file or folder.
+
+    A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
+    """
+    return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
+
+
 def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
     """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
     from ringpose.errors import UsageError
@@ -42,32 +57,19 @@ def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, flo
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
-Inputs = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-OptionalInputs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-
-
-def file_option(*names: str, text: str, metavar: str = "FILE") -> Any:
-    """An option that names a file or folder, with its help text.
-
-    A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
-    """
-    return typer.Option(*names, readable=False, metavar=metavar, help=text)
-
-
-RigFile = Annotated[Path, file_option("--rig", text="The calibrated rig (rig.yaml).")]
-OptionalRigFile = Annotated[Path | None, file_option("--rig", text="The calibrated rig (rig.yaml).")]
-BoardFile = Annotated[Path, file_option("--board", text="The board file: its kind and its sizes.")]
-OptionalBoard = Annotated[Path | None, file_option("--board", text="The board file: its kind and its sizes.")]
+_INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line.")
+Inputs = Annotated[list[str], _INPUTS]
+OptionalInputs = Annotated[list[str] | None, _INPUTS]
+_RIG = file_option("--rig", meaning="The calibrated rig (rig.yaml).")
+RigFile = Annotated[Path, _RIG]
+OptionalRigFile = Annotated[Path | None, _RIG]
+_BOARD = file_option("--board", meaning="The board file: its kind and its sizes.")
+BoardFile = Annotated[Path, _BOARD]
+OptionalBoard = Annotated[Path | None, _BOARD]
 Overlay = Annotated[
-    Path | None, file_option("--overlay", metavar="DIR", text="Draw what was found into PNG files in this folder.")
+    Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
 ]
-Report = Annotated[Path | None, file_option("--report", text="Write an HTML page with pictures (needs matplotlib).")]
+Report = Annotated[Path | None, file_option("--report", meaning="Write an HTML page with pictures (needs matplotlib).")]
 
 
 def check_report(report: Path | None, force: bool) -> None:
@@ -80,8 +82,9 @@ def check_report(report: Path | None, force: bool) -> None:
         reject_existing(report, force)
 
 
-OutputFile = Annotated[Path, file_option("--output", "-o", text="Where the result is written.")]
-OptionalOutput = Annotated[Path | None, file_option("--output", "-o", text="Where the result is written.")]
+_OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
+OutputFile = Annotated[Path, _OUTPUT]
+OptionalOutput = Annotated[Path | None, _OUTPUT]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]

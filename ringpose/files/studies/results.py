@@ -159,7 +159,7 @@ def holds_results(path: Path) -> bool:
 
 
 def read_results(path: Path) -> tuple[dict[str, Any], Iterator[Row]]:
-    """What results.csv, or that in a folder, is of (study.json beside it), and its rows."""
+    """The description of a study (study.json) and the rows of its results.csv, in a folder or at the table's path."""
     if path.is_dir():
         path = path / "results.csv"
     description = path.with_name("study.json")

@@ -129,6 +129,35 @@ def test_limits_are_checked_in_every_cell(study, rows):
     assert exceeded_limits(replace(study, limits={"max_center_m": 1.0}), summarized(study, rows)) == []
 
 
+def test_limits_on_wrong_shots_with_the_status_ok_are_stated_by_case(study):
+    cases = {"none": (), "turned": (Factor(name="plane_tilt_rad", values=(0.002,)),)}
+    by_case = replace(
+        study,
+        factors=(Factor(name="case", values=tuple(cases)), *study.factors[:2]),
+        cases=cases,
+        limits={"max_ok_wrong_share": {"none": 0.0, "turned": 0.4}},
+    )
+    row = dict.fromkeys(columns(by_case)) | {"method": "ml", "expect": "pose", "distance_m": 0.3, "light": "dim"}
+    wrong = {"outcome": "pose", "status": "ok", "wrong": "normal"}
+    right = {"outcome": "pose", "status": "ok", "correct": "normal"}
+    flagged = wrong | {"status": "degraded"}
+    rows = [row | {"case": "turned"} | each for each in (wrong, right, flagged)]
+
+    kept = exceeded_limits(by_case, summarized(by_case, [*rows, row | {"case": "none"} | right]))
+    missed = exceeded_limits(by_case, summarized(by_case, [row | {"case": "none"} | wrong, *rows, *rows[:1]]))
+
+    assert kept == []
+    assert len(missed) == 2
+    assert "none" in missed[0]
+    assert "turned" in missed[1]
+
+
+def test_the_violated_assumptions_have_a_limit_each():
+    study = read_study(study_path("violations")).study
+
+    assert set(study.limits["max_ok_wrong_share"]) == set(study.cases)
+
+
 def test_the_worst_shots_are_those_with_the_largest_errors(study, rows):
     worst = worst_shots(rows, "ml", 3)
 
@@ -205,7 +234,7 @@ def test_the_estimator_assumes_what_the_study_states(study):
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "flag"), [("not round or flat", "ring_form"), ("too fast", "motion")])
 def test_a_rendered_shot_that_violates_an_assumption_is_flagged(case, flag):
-    study = read_study(study_path("violations")).study
+    study = read_study(study_path("violations"))
     rows = [study_rows(study, turn * study.cells + list(study.cases).index(case))[0] for turn in range(3)]
 
     assert any(flag in str(row["flags"]).split() for row in rows)
@@ -226,7 +255,7 @@ def test_an_image_of_a_study_is_detected_and_scored(study):
 @pytest.mark.parametrize("index", [412, 710, 966, 1084])
 def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_without_a_flag(index):
     """A stripe on a surface behind the ring beside a missing or a wrong one: two stripes that agree on another ring."""
-    row = study_rows(read_study(study_path("outliers")).study, index)[0]
+    row = study_rows(read_study(study_path("outliers")), index)[0]
 
     assert row["method"] == "ml"
     assert row["edge_points"] > 30
