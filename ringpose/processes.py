@@ -131,9 +131,10 @@ class Pool:
             return
 
     def collected(self, *others: "Connection[Any, Any]") -> Iterator[tuple[list[Any], list[Any] | None, float]]:
-        """Wait for results: chunks with theirs (None if the worker was killed) and their duration.
+        """Wait until workers have finished; yields each finished chunk, its results and the seconds that it took.
 
-        Returns without any if one of the other connections can be read first.
+        The results are None if the worker was killed. Nothing is yielded if one of the other connections can be read
+        before a worker has finished.
         """
         from multiprocessing.connection import wait
 

@@ -74,8 +74,8 @@ class LitPixels:
     def are_on_in(self, image: Image, *, by_lamp: bool = True) -> bool:
         """Whether the laser that lit these pixels is on in an image, whose ambient light may differ.
 
-        Brighter ambient light raises the surroundings of the pixels as well; a laser line is narrow. Light that is not
-        a line counts as a laser's only if no lamp can have lit the pixels (`by_lamp`); it is recognised by its level.
+        Brighter ambient light raises the surroundings of the pixels as well; a laser line is narrow. `by_lamp`: whether
+        a lamp may have lit the pixels instead; if not, light that is not a line is recognised by its grey values.
         """
         if by_lamp or self._stand_out_in(self.lit):
             return self._stand_out_in(image)
@@ -148,7 +148,9 @@ def lit_pixels(image: Image, without: Sequence[Image], saturation_dn: int) -> Li
 
 
 def diffuse_light_dn(shot: Shot, seen: UInt8[Array, "frame"], pixels: Mapping[int, LitPixels]) -> float:
-    """Rise in grey value of light that is not a laser line but was taken for one; 0 if any line shows out of turn.
+    """Rise in grey value of light that is not a line but was taken for a laser.
+
+    0 if there is none, or if a laser line shows in a frame in which its laser should be off.
 
     A lamp that lights part of the image in a laser's own frame and in others gives that laser pixels that are lit in
     the others, too.

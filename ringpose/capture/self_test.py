@@ -50,10 +50,8 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     yield _check_frames(camera)
     dark = camera.trigger(0).image
     share = float(dark.mean()) / description.saturation_dn
-    verdict: Verdict = "warning" if share > 0.5 else "ok"
-    remedy = "darken, or expose shorter" if share > 0.5 else ""
     found = f"without lasers the image has {100 * share:.1f} % of the full grey value"
-    yield Check(check="ambient light", verdict=verdict, found=found, remedy=remedy)
+    yield _check("ambient light", found, share > 0.5, "warning", "darken, or expose shorter")
     slowest_s = 0.0
     for response in () if isinstance(lasers, UncontrolledLasers) else laser_responses(camera, lasers, exposure_s):
         yield _check_laser(response, description.saturation_dn)
@@ -81,9 +79,7 @@ def _check_frames(camera: CameraDriver) -> Check:
     rate_hz = FRAMES / (time.perf_counter() - began_s)
     again = sum(frame.attempts - 1 for frame in frames)
     found = f"{FRAMES} frames of {frames[0].exposure_s:g} s, {rate_hz:.1f} a second, {again} of them repeated"
-    if again:
-        return Check(check="frames", verdict="warning", found=found, remedy="look for lost packets: cable, switch")
-    return Check(check="frames", verdict="ok", found=found)
+    return _check("frames", found, again > 0, "warning", "look for lost packets: cable, switch")
 
 
 def _check_laser(response: LaserResponse, full_dn: int) -> Check:
@@ -94,10 +90,9 @@ def _check_laser(response: LaserResponse, full_dn: int) -> Check:
         return Check(check=check, verdict="fault", found="is not seen", remedy=remedy)
     found = f"seen at {len(pixels.pixel)} pixels, {float(np.median(pixels.contrast_dn)):.0f} dn above the dark"
     full = float((pixels.contrast_dn + pixels.dark_dn >= full_dn).mean())
-    if full <= 0.5:
-        return Check(check=check, verdict="ok", found=found)
+    found += f", {100 * full:.0f} % saturated"
     remedy = "expose shorter: saturated pixels do not determine the centre of a stripe"
-    return Check(check=check, verdict="warning", found=f"{found}, {100 * full:.0f} % saturated", remedy=remedy)
+    return _check(check, found, full > 0.5, "warning", remedy)
 
 
 def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> Check:
@@ -114,12 +109,13 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
     lasers.set_mask(0)
     usable = light_dn[0][1] < camera.describe().saturation_dn
     if usable.sum() < MIN_USABLE:
-        return Check(
-            check=check, verdict="warning", found="cannot be checked: all pixels are saturated", remedy="expose shorter"
-        )
+        return _check(check, "cannot be checked: all pixels are saturated", True, "warning", "expose shorter")
     whole, half = (float((bright - dark)[usable].mean()) for dark, bright in light_dn)
     found = f"half the exposure gives {100 * half / whole:.0f} % of the light"
-    if not 0.4 < half / whole < 0.65:
-        remedy = "a camera that applies exposures late needs skip=1 in its URI"
-        return Check(check=check, verdict="fault", found=found, remedy=remedy)
-    return Check(check=check, verdict="ok", found=found)
+    remedy = "a camera that applies exposures late needs skip=1 in its URI"
+    return _check(check, found, not 0.4 < half / whole < 0.65, "fault", remedy)
+
+
+def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> Check:
+    """A check with the verdict `ok`, or with this one and a remedy if the finding is bad."""
+    return Check(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")

@@ -105,7 +105,10 @@ class ShotChecker:
         return checked, None
 
     def never_seen(self, shot: Shot, lost_attempts: int) -> int:
-        """The mask of lasers of a lost shot that were never seen; one lit in frames of others is a safety fault."""
+        """The mask of those lasers of a lost shot that no shot has shown, after `lost_attempts` attempts at it.
+
+        Raises a safety fault if a laser is on in frames in which it should be off, and remains on.
+        """
         same_light = same_ambient_light(shot.images, shot.usual_full_dn)
         self._pixels, suspects = lasers_out_of_sequence(shot, self._pixels, same_light)
         for _ in range(DARK_CHECKS if suspects else 0):
@@ -153,10 +156,10 @@ def require_off(
     wait_s: float,
     exposure_s: float | None = None,
 ) -> Image:
-    """Switch all off, and check that a laser which was on alone goes off within `wait_s`; the image without it.
+    """An image with all lasers off, taken `wait_s` after they were switched off.
 
-    `pixels` are those that it lit, None if it was not seen. Raises `LaserSafetyError` if it stays on, or may be on all
-    the time. Ambient light may change meanwhile.
+    Raises `LaserSafetyError` if it shows the laser that was on alone before, by the `pixels` that it lit; or, if that
+    laser was not seen (None), if it shows any stripe, as the laser may be on all the time. Ambient light may change.
     """
     image = _dark_frame(camera, lasers, wait_s, exposure_s).image
     if pixels is None:

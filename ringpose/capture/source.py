@@ -73,7 +73,10 @@ class Source:
 
     capture: Capture
     shots: Callable[[OnRead, Container[str]], Iterator[Shot]]
-    """Takes the shots; those of a scene continue after the names that exist already."""
+    """Takes the shots, given what to call with each file that is read, and names of shots that exist already.
+
+    A scene continues after the views of these names.
+    """
     folders: frozenset[Path] = frozenset()
     """Folders of recorded shots, as far as they are known before reading."""
     devices: tuple[()] | tuple[CameraDriver, LaserDriver] = ()
@@ -143,7 +146,7 @@ def device_source(
     names: Callable[[Container[str]], Iterator[str]],
     scene_file: Path | None = None,
 ) -> Source:
-    """Shots by the steps of the request, under the names that `names` yields besides the existing ones."""
+    """The source of shots by the steps of the request; `names` yields their names, given those that exist already."""
     from ringpose.capture.pipeline import Procedure, captured_shots
 
     steps = request.steps or ()
@@ -198,7 +201,7 @@ def capture_record(request: CaptureRequest) -> Capture:
 
 
 def names_by_time() -> Iterator[str]:
-    """`20260101T000000Z_000001`, counted from 1: the names of two runs differ."""
+    """Names of shots: the time of the first and a number from 1, such as `20260101T000000Z_000001`."""
     began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     for number in count(1):
         yield f"{began}_{number:06d}"

@@ -35,9 +35,9 @@ app = typer.Typer(
 
 
 def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as Typer takes it: a parameter whose type is a data class stands for one option per field.
+    """The command for Typer, in which a parameter whose type is a data class is replaced by one option for each field.
 
-    Hence a group of options that several commands share is defined once: by its data class, whose fields have defaults
+    A group of options that several commands share is thus defined once, by its data class, whose fields have defaults
     and are annotated with `typer.Option`. The command receives the group as one value.
     """
     groups: dict[str, Any] = {}

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
-from ringpose.cli.batch import Jobs
+from ringpose.cli.batch import Batch, Jobs
 from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.common import (
     Force,
@@ -37,12 +38,12 @@ from ringpose.cli.options.track import (
     track_writer,
 )
 from ringpose.cli.pose_jobs import SingleShot, recorded_lines
-from ringpose.errors import UsageError
+from ringpose.cli.progress import with_progress
+from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN, Method
 
 if TYPE_CHECKING:
     from ringpose.capture.source import TrackedSequence
-    from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
     from ringpose.detect.difference_images import LaserImage
     from ringpose.geometry.camera_motion import CameraMotion
@@ -92,7 +93,6 @@ def pose(
     quiet: Quiet = False,
 ) -> None:
     """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
-    from ringpose.cli.batch import Batch
     from ringpose.files.rigs import read_rig, require_mount
 
     _check_source(inputs, camera, shots)
@@ -177,12 +177,14 @@ class _Stream:
 
     def __init__(self, single: SingleShot, tracker: "Tracker | None") -> None:
         from ringpose.pose.drift import DriftMonitor
+        from ringpose.pose.form_monitor import FormMonitor
 
         tolerance_m = getattr(single.known, "tolerance_m", None)  # of a ring of the catalogue
         if tolerance_m is not None:
             single = replace(single, options=replace(single.options, ring_tolerance_m=tolerance_m))
         self._single, self._tracker = single, tracker
         self.monitor = DriftMonitor(single.rig, single.rig.stability.scaled(single.options.rig_stability))
+        self.form = FormMonitor()
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
@@ -238,10 +240,9 @@ def _writer(
     output_format: Format,
     brief: bool,
     verbose: bool,
-    batch: "Batch",
+    batch: Batch,
 ) -> "Callable[[PoseLine], None]":
     """Writes the record of a pose line, or of the track that it continues."""
-    from ringpose.errors import NO_POSE
     from ringpose.files.records.poses import pose_record
 
     record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
@@ -272,19 +273,20 @@ def _write(
     lines: "Iterator[PoseLine]",
     stream: _Stream,
     write: "Callable[[PoseLine], None]",
-    batch: "Batch",
+    batch: Batch,
     verbose: bool,
     quiet: bool,
 ) -> None:
     """Every line as it comes, with the health of the rig; then its picture."""
-    from ringpose.cli import messages
-    from ringpose.cli.progress import with_progress
     from ringpose.pose.pipeline import remarks_on
 
     for line in with_progress(lines, "shots", quiet):
         with_health, warning = stream.monitor.update(line)
         if warning is not None:
             messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
+        with_health, warning = stream.form.update(with_health)
+        if warning is not None:
+            messages.echo(f"{line.shot}: {warning}")
         write(with_health)
         if verbose:
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")

@@ -11,31 +11,36 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.estimate.covariance import differing_quantities
 from ringpose.estimate.hypotheses import (
+    MIN_DEVIATION_M,
     RADIUS_REMARK,
+    WIDER_BY,
     Hypothesis,
     outlier_hypotheses,
     ring_evidence,
     single_stripe_estimates,
+    with_deviation,
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
+from ringpose.estimate.nuisance import FORM_SHARE
 from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior, initial_guess
 from ringpose.estimate.solver import (
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
     estimate_ring,
+    form_jacobian,
     precise_ring,
     ring_residuals,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
-from ringpose.types.detection import Rejection
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, MovingRing, Rates, RingArcs, motion_derivatives
+from ringpose.types.detection import JudgedRing, Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
 
 ALARM_SIGMAS = 3.0
@@ -72,6 +77,12 @@ MAX_EDGE_MEAN_SQUARE = 2.0
 """Mean square of the whitened edge residuals from which visible edges contradict the rest. The standard deviations are
 those of the fit to all measurements: 150 drawn shots without outliers have at most 1.05."""
 
+MAX_DEVIATION_M = 0.01
+"""Largest deviation of a ring's form that is tried; one of more is not a launch-adapter ring."""
+
+MIN_FREEDOM = 0.1
+"""Degrees of freedom of a test below which there is nothing to test."""
+
 COINCIDENCE = 3.0
 """Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
 
@@ -85,6 +96,8 @@ class Search(NamedTuple):
     """Whether a pose follows, which needs all comparable explanations."""
     tolerance_sigmas: float = DECISION_SIGMAS
     """Estimated distance from the optimum at which each iteration ends."""
+    start: MovingRing | None = None
+    """A ring near the one that explains all measurements with the edges as they are named, if it is known."""
 
 
 class Solved(NamedTuple):
@@ -129,17 +142,26 @@ class Explanation:
 
 
 def explain(
-    measured: Measurements, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+    measured: Measurements,
+    prior: Prior,
+    *,
+    labelled: bool,
+    edges_named: bool,
+    precise: bool = True,
+    judged: JudgedRing | None = None,
 ) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
-    whether the ring is needed to the precision of a pose, and not only the decision.
+    whether the ring is needed to the precision of a pose, and not only the decision. `judged`: the ring by which the
+    break points were judged, near which the one of all measurements is sought first.
     """
     guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
         measured, guess = _at_reference_time(measured, prior)
+    if judged is not None:
+        search = search._replace(start=_moving_ring(judged, measured.reference_s))
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
@@ -155,6 +177,16 @@ def explain(
     rivals = (*best.competing, *([] if best.other_side is None else [best.other_side]))
     differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in rivals))
     return replace(best, differing=differing)
+
+
+def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
+    """The ring at the reference time."""
+    arcs = RingArcs(
+        origin=judged.origin_m, axes=judged.axes, curvature=judged.curvature_per_m, half_band_m=judged.half_band_m
+    )
+    if judged.stamp_s is not None and isfinite(reference_s):
+        arcs = arcs.after(reference_s - judged.stamp_s, judged.velocity_m_s, judged.rate_rad_s)
+    return MovingRing(arcs, Rates(judged.velocity_m_s, judged.rate_rad_s))
 
 
 def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:
@@ -217,6 +249,7 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
 def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
     best, edges_named = _explained(measured, prior, search, guess=guess), search.edges_named
+    search = search._replace(start=None)  # with edges exchanged it is another ring
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
@@ -257,14 +290,15 @@ def _explained(
     measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
-    estimate = estimate_ring(measured, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
+    estimate = estimate_ring(measured, prior, search.start, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
     if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
         tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
         estimate = estimate_ring(measured, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
-        return _explanation(everything, everything, _single_stripes(everything) if search.for_pose else [])
+        best = _with_form(everything, search)
+        return _explanation(best, everything, _single_stripes(best) if search.for_pose else [])
     hypotheses = sorted(outlier_hypotheses(measured, prior, search.labelled), key=lambda each: each.penalty)
     solved = partial(_solved, everything=everything, tolerance_sigmas=search.tolerance_sigmas)
     tried: list[Solved] = []
@@ -286,7 +320,53 @@ def _explained(
         return known[0] if known else next((solved(each) for each in others), None)
 
     best, rivals = _select(everything, tried, both_ends)
+    best = _with_form(best, search)
     return _explanation(best, everything, [*rivals, *_single_stripes(best)])
+
+
+def _with_form(best: Solved, search: Search) -> Solved:
+    """The same, or a ring with the smallest deviation of its form that its edges and stripes do not contradict."""
+    hypothesis, estimate = best.hypothesis, best.estimate
+    if not search.for_pose or hypothesis.flag & (WIDER | PoseFlag.INCONSISTENT):
+        return best
+    deviation_m = max(WIDER_BY * hypothesis.prior.assumptions.ring_tolerance_m, MIN_DEVIATION_M)
+    found = best
+    while deviation_m <= MAX_DEVIATION_M and _contradicts_form(found, deviation_m):
+        wider = with_deviation(hypothesis, deviation_m)
+        again = estimate_ring(wider.measured, wider.prior, estimate, tolerance_sigmas=search.tolerance_sigmas)
+        if again is None:
+            break
+        found, deviation_m = Solved(wider, again), 2.0 * deviation_m
+    return found
+
+
+def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
+    """Whether the residuals look like a deviation of the ring from circle and plane, by a score test, Eq. (12.2).
+
+    Chi-squared of single rows, and the mean square of the edges, hardly show a wave along the whole edge. The score of
+    the amplitudes is u = F^T W r ~ N(0, M) if the form is as assumed, with M the information on them after elimination
+    of ring and common errors. Of amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares with
+    the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
+    """
+    estimate = solved.estimate
+    residuals, weights = estimate.residuals, estimate.weights
+    form = estimate.fixed.form
+    if form is None:
+        form = form_jacobian(residuals, solved.hypothesis.measured)
+    form = FORM_SHARE * deviation_m * form  # by amplitudes in units of s
+    weighted = form.T * weights
+    cross_information = weighted @ np.concatenate([residuals.jacobian, estimate.nuisance], axis=1)
+    information = weighted @ form
+    information -= cross_information @ np.linalg.solve(estimate.joint_information, cross_information.T)
+    size, axes = np.linalg.eigh(information)
+    size = np.maximum(size, 0.0)
+    weight = size / (1.0 + size)
+    total = float(weight.sum())
+    if total < MIN_FREEDOM:
+        return False
+    scores = axes.T @ (weighted @ estimate.remaining)
+    scale = float(weight @ weight) / total
+    return float((scores**2 / (1.0 + size)).sum()) > scale * chi2_quantile(total / scale, ALARM_SIGMAS)
 
 
 def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas: float) -> Solved | None:
@@ -413,8 +493,8 @@ def _contradicts_itself(estimate: Estimate) -> bool:
 
     Visible edges are too many, and their errors too correlated, to be added to the few numbers of the former.
     """
-    dof = estimate.degrees_of_freedom
-    fails_test = dof > 0 and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
+    dof = estimate.expected_chi2
+    fails_test = dof > MIN_FREEDOM and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)
     return fails_test or edge_mean_square(estimate) > MAX_EDGE_MEAN_SQUARE
 
 
@@ -424,7 +504,7 @@ def edge_mean_square(estimate: Estimate) -> float:
     return float(squares.mean()) if len(squares) else 0.0
 
 
-def chi2_quantile(degrees_of_freedom: int, sigmas: float) -> float:
+def chi2_quantile(degrees_of_freedom: float | int, sigmas: float) -> float:
     """Quantile of chi-squared at the probability of a normal quantile (Wilson and Hilferty 1931)."""
     spread = 2.0 / (9.0 * degrees_of_freedom)
     return degrees_of_freedom * (1.0 - spread + sigmas * sqrt(spread)) ** 3

@@ -37,6 +37,9 @@ RELABEL_PENALTY = 20.0
 RADIUS_REMARK = "the ring that was seen does not have the given radii; they were left out"
 """Reason in the record if assumed radii were rejected."""
 
+RING_FORM_REMARK = "the ring deviates from a circle or a plane by more than assumed"
+"""Reason in the record if the ring's form contradicts the assumed tolerance."""
+
 MAX_PERMUTED = 3
 """Number of lasers up to which all assignments are tried."""
 
@@ -108,10 +111,18 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
             remark = "the frame with all lasers contradicts those with one; it was left out"
             penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * left_out
             yield Hypothesis(once, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, penalty)
-    deviation_m = max(WIDER_BY * tolerance_m, MIN_DEVIATION_M)
-    remark = "the ring deviates from a circle or a plane by more than assumed"
-    assumptions = replace(prior.assumptions, ring_tolerance_m=deviation_m)
-    yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.RING_FORM, remark, OUTLIER_PENALTY)
+    yield with_deviation(Hypothesis(measured, prior), max(WIDER_BY * tolerance_m, MIN_DEVIATION_M))
+
+
+def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:
+    """The hypothesis, and that the ring deviates from a circle or a plane by this standard deviation."""
+    assumptions = replace(hypothesis.prior.assumptions, ring_tolerance_m=deviation_m)
+    return hypothesis._replace(
+        prior=hypothesis.prior._replace(assumptions=assumptions),
+        flag=hypothesis.flag | PoseFlag.RING_FORM,
+        remark="; ".join(filter(None, [hypothesis.remark, RING_FORM_REMARK])),
+        penalty=hypothesis.penalty + OUTLIER_PENALTY,
+    )
 
 
 def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:

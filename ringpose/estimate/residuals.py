@@ -160,8 +160,8 @@ class Estimate:
     """... and those of the visible edge points among them."""
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
-    degrees_of_freedom: int
-    """Numbers of stripes, break points and radii less the parameters; rows of weak priors count like measurements."""
+    numbers: int
+    """Of stripes, break points and radii; rows of weak priors count like measurements."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
@@ -179,6 +179,29 @@ class Estimate:
         diagonal[:PARAMETERS] = RIDGE
         information[range(len(information)), range(len(information))] += diagonal
         return information
+
+    @cached_property
+    def expected_chi2(self) -> float:
+        """Expectation of chi-squared, to which the degrees of freedom of a test of it correspond.
+
+        The number of its terms less their leverages. Without visible edges these add up to the number of parameters;
+        edges take a part of the parameters upon themselves, of up to seven numbers in twelve.
+        """
+        residuals = self.residuals
+        if residuals.stripe_rows == residuals.data_rows:
+            return float(self.degrees_of_freedom)
+        counted = np.r_[: residuals.stripe_rows, residuals.data_rows : len(residuals.residual)]
+        covariance = np.linalg.inv(self.joint_information)
+        rows = np.concatenate([residuals.jacobian, self.nuisance], axis=1)[counted]
+        common = len(covariance) - PARAMETERS - self.fixed.edge_errors
+        of_common = covariance.diagonal()[PARAMETERS : PARAMETERS + common].sum()
+        leverages = float(((rows @ covariance) * rows).sum()) + float(of_common)
+        return max(self.numbers + common - leverages, 0.0)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Of the stripes alone: the numbers less the parameters."""
+        return max(self.numbers - PARAMETERS, 0)
 
     @property
     def log_determinant(self) -> float:

@@ -5,6 +5,7 @@ the solution; from there on visible edge points count fully or not at all, and b
 are judged by `ringpose.estimate.explanation`.
 """
 
+from functools import partial
 from math import inf, isfinite, sqrt
 
 import numpy as np
@@ -40,6 +41,7 @@ from ringpose.geometry.ring import (
     TILT_INWARD,
     TURN,
     EdgeDistances,
+    MovingRing,
     Rates,
     RingArcs,
     polar_angles,
@@ -84,12 +86,12 @@ MAX_TILT_RAD = 0.7
 def estimate_ring(
     measured: Measurements,
     prior: Prior,
-    start: Estimate | None = None,
+    start: Estimate | MovingRing | None = None,
     *,
     guess: RingArcs | None = None,
     tolerance_sigmas: float = PRECISE_SIGMAS,
 ) -> Estimate | None:
-    """The maximum-likelihood ring; None if the iteration diverges. `start`: an estimate near it, if there is one.
+    """The maximum-likelihood ring; None if the iteration diverges. `start`: a ring that may be near it.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
     priors about the initial guess in a second run, so that they do not degrade the others. If visible edges close such
@@ -99,14 +101,13 @@ def estimate_ring(
     edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
     observations = measured.observations
-
-    def solve(start: RingArcs | Estimate, prior: Prior, tolerance_sigmas: float = tolerance_sigmas) -> Estimate | None:
-        try:
-            return _gauss_newton(_linearized(start, observations, prior), observations, prior, tolerance_sigmas)
-        except np.linalg.LinAlgError:
-            return None
-
+    solve = partial(_solved, observations)
     with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_ring`
+        if isinstance(start, MovingRing):
+            estimate = solve(start, prior, tolerance_sigmas)
+            if estimate is not None and not poorly_determined(estimate.inverse):
+                return estimate
+            start = None
         if guess is None and start is None:
             guess = initial_guess(observations, prior)
         first: RingArcs | Estimate | None = guess if start is None else start
@@ -116,16 +117,26 @@ def estimate_ring(
             first = guess if regularized is None else regularized.arcs
         if first is None:
             return None
-        estimate = solve(first, prior)
+        estimate = solve(first, prior, tolerance_sigmas)
         if estimate is None or poorly_determined(estimate.inverse):
             guess = initial_guess(observations, prior) if guess is None else guess
             about = first.arcs if guess is None and isinstance(first, Estimate) else guess
-            estimate = solve(first, prior._replace(regularize_about=about))
+            estimate = solve(first, prior._replace(regularize_about=about), tolerance_sigmas)
         # one edge without a line on the face beside it leaves open on which side the centre is: try the other one
         side_open = prior.single_edge and bool(measured.points.isolated.all())
         if estimate is not None and estimate.arcs.curvature < 0 and side_open:
-            estimate = solve(estimate.arcs.with_center_opposite(), prior) or estimate
+            estimate = solve(estimate.arcs.with_center_opposite(), prior, tolerance_sigmas) or estimate
     return estimate
+
+
+def _solved(
+    observations: Observations, start: RingArcs | MovingRing | Estimate, prior: Prior, tolerance_sigmas: float
+) -> Estimate | None:
+    """The ring by an iteration from `start`; None if that diverges."""
+    try:
+        return _gauss_newton(_linearized(start, observations, prior), observations, prior, tolerance_sigmas)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
@@ -190,28 +201,30 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
-        degrees_of_freedom=max(observations.stripe_numbers + prior_rows - PARAMETERS, 0),
+        numbers=observations.stripe_numbers + prior_rows,
         distance_sigmas=steps.distance_sigmas,
         edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
     )
 
 
 def _linearized(
-    start: RingArcs | Estimate, observations: Observations, prior: Prior
+    start: RingArcs | MovingRing | Estimate, observations: Observations, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The residuals at a ring or at an estimate nearby, fixed columns at the latter, and what these leave of residuals.
+    """The residuals at a guess or at a ring nearby, fixed columns at the latter, and what these leave of residuals.
 
     LinAlgError if parameters are so far from being determined that the iteration is useless without weak priors.
     """
-    if isinstance(start, Estimate):
-        residuals = ring_residuals(start.arcs, observations, prior, start.rates)
-        fixed: FixedColumns | None = fixed_columns(residuals, observations, prior)
-        nuisance = nuisance_columns(residuals, fixed)
-        comparable = nuisance.shape[1] == len(start.nuisance_step)
-        predicted = residuals.residual + nuisance @ start.nuisance_step if comparable else residuals.residual
+    fixed: FixedColumns | None = None
+    if isinstance(start, RingArcs):
+        residuals = ring_residuals(start, observations, prior)
     else:
-        residuals, fixed = ring_residuals(start, observations, prior), None
-        predicted = residuals.residual
+        residuals = ring_residuals(start.arcs, observations, prior, start.rates)
+        fixed = fixed_columns(residuals, observations, prior)
+    predicted = residuals.residual
+    if isinstance(start, Estimate) and fixed is not None:
+        nuisance = nuisance_columns(residuals, fixed)
+        if nuisance.shape[1] == len(start.nuisance_step):
+            predicted = residuals.residual + nuisance @ start.nuisance_step
     if prior.regularize_about is None:
         inverse = np.linalg.inv(residuals.jacobian.T @ residuals.jacobian + RIDGE_MATRIX)
         if poorly_determined(inverse, HOPELESS):
@@ -348,6 +361,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     measured, view = observations.measured, observations.view
     motion = prior.assumptions.motion if measured.moving else None
     sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
+    rates = rates if len(sds) else STILL
     stripes, every_edge = predicted_view(arcs, view, rates if len(sds) else None)
     ends, samples, visible = view.ends, len(view.rays), len(view.visible_rays)
     points, edges = (
@@ -469,6 +483,10 @@ def moved_ring(
 
 # Common errors, whose derivatives are evaluated once, near the solution
 
+ROUNDED_M = 1e-4
+"""Standard deviation of the displacement of a visible edge by a chamfer or rounding, unless the ring's tolerance is
+smaller: machined edges are broken by a few tenths of a millimetre."""
+
 WALL_SD_M = 0.03
 """Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
 
@@ -490,7 +508,7 @@ def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior
         variance = measured.camera.mount.covariance
         uncertain = np.diag(variance) > 0
         columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
-    columns.append(edge_jacobian(residuals, observations))
+    columns.append(edge_jacobian(residuals, observations, prior))
     return FixedColumns(
         by_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
     )
@@ -547,8 +565,11 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
     return jacobian
 
 
-def edge_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row error"]:
+def edge_jacobian(residuals: Residuals, observations: Observations, prior: Prior) -> Float64[Array, "row error"]:
     """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
+
+    A chamfer or a rounding reflects the light of a laser and that around in other directions, so that the edge in
+    ambient light lies beside the ends of the stripes by up to its width.
 
     What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
     face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
@@ -557,6 +578,10 @@ def edge_jacobian(residuals: Residuals, observations: Observations) -> Float64[A
     edges = observations.measured.edges
     rows = slice(residuals.data_rows - len(edges.edge), residuals.data_rows)
     columns = [edges.common] if len(edges.edge) else []
+    rounded_m = min(ROUNDED_M, prior.assumptions.ring_tolerance_m)
+    if columns and rounded_m > 0.0:
+        rounded = rounded_m * np.abs(residuals.jacobian[rows, HALF_BAND])
+        columns.append(rounded[:, None] * (edges.edge[:, None] == range(len(EDGE_SIGN))))
     if columns and edges.walls and len(set(observations.laser.tolist())) == 1:
         outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
         of_edge = edges.edge[:, None] == range(len(EDGE_SIGN))

@@ -162,11 +162,8 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 
 def rig_stability(fields: Fields) -> RigStability:
     """The key `stability` of a rig or a pose record."""
-    return RigStability(
-        plane_tilt_rad=fields.number("plane_tilt_rad", least=0, most=MAX_STABILITY.plane_tilt_rad),
-        plane_distance_m=fields.number("plane_distance_m", least=0, most=MAX_STABILITY.plane_distance_m),
-        focal_ratio=fields.number("focal_ratio", least=0, most=MAX_STABILITY.focal_ratio),
-    )
+    limits = dataclasses.asdict(MAX_STABILITY)
+    return RigStability(**{key: fields.number(key, least=0, most=most) for key, most in limits.items()})
 
 
 def _lasers(fields: Fields) -> LaserPlanes:
@@ -215,6 +212,6 @@ def _mount(fields: Fields) -> Mount:
     return Mount(
         tool_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
         root=axes * np.sqrt(np.maximum(variance, 0.0)),
-        delay_s=mount.number("delay_s") if mount.has("delay_s") else 0.0,
-        delay_sd_s=mount.number("delay_sd_s", least=0) if mount.has("delay_sd_s") else 0.0,
+        delay_s=mount.number("delay_s", missing=0.0),
+        delay_sd_s=mount.number("delay_sd_s", least=0, missing=0.0),
     )

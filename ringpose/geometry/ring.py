@@ -392,6 +392,13 @@ class Rates(NamedTuple):
     """Angular velocity across the normal."""
 
 
+class MovingRing(NamedTuple):
+    """A ring at one instant, and its motion."""
+
+    arcs: RingArcs
+    rates: Rates
+
+
 class CameraDisplacements(NamedTuple):
     """Motion of the camera itself: P = rotation P_0 + translation_m at each instant, P_0 in the camera frame at t_0."""
 

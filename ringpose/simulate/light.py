@@ -171,11 +171,11 @@ def _lit_direction(
 
 
 def radiance_along(
-    illuminated: IlluminatedTarget, direction: Float64[Array, "ray xyz=3"], angle_per_px: float = 0.0
+    illuminated: IlluminatedTarget, direction: Float64[Array, "ray xyz=3"]
 ) -> Float32[Array, "source ray"]:
     """Radiance in the middle of the exposure along rays of the camera frame: ambient light, then each laser."""
     xy = np.ascontiguousarray(direction[:, :2].T / direction[:, 2])
-    view = caster_view(illuminated, angle_per_px, xy, None, max(len(direction), 1))
+    view = caster_view(illuminated, 0.0, xy, None, max(len(direction), 1))
     image = view.blank_image()
     if len(direction):
         render.render(view._replace(poses=view.poses[[len(view.poses) // 2]]), image)

@@ -244,19 +244,6 @@ class LeftOutView:
     """Reprojection error of this view's corners under the camera of the other views; only its pose is fitted."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CrossValidation:
-    """Sensitivity of the result to the selection of views: split halves and jackknife."""
-
-    split_half_px: Float64[Array, "map_row map_column"]
-    """Displacement between the cameras of the even and the odd views; NaN where a half does not determine a camera."""
-    left_out: tuple[LeftOutView, ...]
-    """Empty if there are too few views to hold one out."""
-    jackknife_px: Float64[Array, "map_row map_column"]
-    """Projection uncertainty, scaled by the ratio of the jackknife displacements to those expected from noise: includes
-    the errors that the corners of a view have in common; NaN if no view can be held out."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFit:
     """One distortion model on the same views."""
@@ -285,7 +272,10 @@ class CameraAssessment:
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with
     corners."""
-    validation: CrossValidation
+    left_out: tuple[LeftOutView, ...]
+    """The results of leaving out each view; empty if there are too few views."""
+    split_half_px: Float64[Array, "map_row map_column"]
+    """Displacement between the cameras of the even and the odd views; NaN if a half does not determine a camera."""
     disagreement: float
     """Ratio of the projection uncertainties by jackknife and by the noise of the corners, medians over the image: 1 if
     noise explains the differences of the views; NaN for too few views."""

@@ -120,8 +120,8 @@ class Study:
     rig: Rig | None = None
     """The rig that measures; that of the scene if None."""
     run: ShotRun = ShotRun()
-    limits: Mapping[str, float] = field(default_factory=dict)
-    """Limits of `LIMITS` on the first method."""
+    limits: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
+    """Limits of `LIMITS` on the first method; some of them by the name of the case."""
     files: tuple[Path, ...] = ()
     """The files that it was read from."""
     sha256: str = ""
@@ -151,9 +151,10 @@ LIMITS: Mapping[str, str] = {
     "min_available_share": "available",
     "max_no_pose_share": "no_pose",
     "max_wrong": "wrong",
+    "max_ok_wrong_share": "ok_wrong",
 }
-"""Limits of a study, each with what it applies to: root mean square errors, shares of the shots with a ring, and the
-number of wrong quantities."""
+"""Limits of a study, each with what it applies to: root mean square errors, shares of the shots with a ring, the number
+of wrong quantities, and the share of all shots that have the status `ok` and a wrong quantity."""
 
 ERRORS = (
     "center_x_m", "center_y_m", "center_z_m", "center_m", "normal_rad", "pitch_rad", "yaw_rad",

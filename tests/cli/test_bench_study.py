@@ -178,6 +178,7 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("light: dim", "light: dim, sequence: 'off,9'", "sequence"),
         ("light: dim", "light: dim, wavelength: 1", "wavelength"),
         ("methods:", "limits: {max_center: 1}\nmethods:", "max_center"),
+        ("methods:", "limits: {max_wrong: {turned: 1}}\nmethods:", "turned"),
         ("methods:", "table: hue\nmethods:", "hue"),
         ("level: features", "level: images\ncalibrate: 1", "calibrate"),
         ("level: features", "level: features\ncalibrate: true", "calibrate"),

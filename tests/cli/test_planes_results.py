@@ -64,11 +64,7 @@ def test_the_rig_file_has_the_true_planes_with_their_quality_and_provenance(run)
     beside = found["quality"]["paper"]
     assert [laser["name"] for laser in beside] == ["left", "middle", "right"]
     assert max(np.degrees(laser["angle_rad"]) for laser in beside) < 0.1
-
-
-def test_the_rig_is_read_back_with_its_covariance(run):
     covariance = read_rig(run.folder / "rig.yaml").covariance
-
     assert covariance.data.shape == (9, 9)
     assert covariance.parameters[:2] == ("left.tilt_1", "left.tilt_2")
     assert np.linalg.eigvalsh(covariance.data).min() > 0

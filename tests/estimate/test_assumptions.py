@@ -6,14 +6,30 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import Scene, pixels_of
+from ring_scenes import Scene, nees, pixels_of
 
-from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
+from ringpose.estimate.explanation import explain
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.pose_errors import mahalanobis_squared
+from ringpose.estimate.residuals import Prior
+from ringpose.files.scenes.scene import read_scene
+from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.ring import motion_derivatives, ring_arcs
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.pose.pipeline import pose_result
-from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, MotionPrior, RigStability, motion_prior
+from ringpose.pose.pipeline import pose_line, pose_result
+from ringpose.simulate.features import drawn_features
+from ringpose.types.assumptions import (
+    NOISE_ONLY,
+    TYPICAL_STABILITY,
+    USUAL,
+    Assumptions,
+    MotionPrior,
+    RigStability,
+    motion_prior,
+)
 from ringpose.types.pose import NoPose, PoseFlag
+from ringpose.types.scene import Approach
+from ringpose.types.target import RingForm
 
 PERIOD_S = 1 / 30
 STAMPS_S = 100.0 + PERIOD_S * np.arange(3)
@@ -109,13 +125,10 @@ def test_errors_of_a_moving_ring_are_as_stated(scene_of, face_points, visible_ed
         pose, velocity = result.pose, result.velocity
         assert not isinstance(pose, NoPose)
         truth = moved(scene.ring, result.stamp_s - STAMPS_S[1], *motion)
-        tilt_error = tilt_error_rad(pose.normal, truth.normal)
-        errors["normal"].append(mahalanobis_squared(tilt_error, pose.covariance[:2, :2]) / 2)
-        axes, across_m = circle_error(pose.grasp_m, truth.center_m, truth.normal, truth.radius_m.mean())
-        errors["grasp"].append(mahalanobis_squared(across_m, axes @ pose.covariance_grasp_m2 @ axes.T) / 2)
-        if not result.flags & (PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN):
-            error_m = pose.center_m - truth.center_m
-            errors["center"].append(mahalanobis_squared(error_m, pose.covariance_center_m2) / 3)
+        weak = result.flags & (PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN)
+        for name, value in nees(pose, truth).items():
+            if name != "center" or not weak:
+                errors[name].append(value)
         if velocity is not None:
             rates = tilt_basis(pose.normal) @ (velocity.rate_rad_s - motion[1])
             error = np.concatenate([velocity.center_m_s - motion[0], rates])
@@ -142,8 +155,7 @@ def test_a_fast_target_of_unknown_radius_has_no_wrong_grasp_point_without_a_flag
         result = pose_result(points, scene.rig, assumptions=Assumptions(motion=fast))
         if not isinstance(result.pose, NoPose) and PoseFlag.GRASP_WEAK not in result.flags:
             truth = moved(scene.ring, result.stamp_s - STAMPS_S[1], *motion)
-            axes, across_m = circle_error(result.pose.grasp_m, truth.center_m, truth.normal, truth.radius_m.mean())
-            errors.append(mahalanobis_squared(across_m, axes @ result.pose.covariance_grasp_m2 @ axes.T) / 2)
+            errors.append(nees(result.pose, truth)["grasp"])
 
     assert len(errors) > 40
     assert max(errors) < 12
@@ -231,11 +243,8 @@ def test_a_ring_within_its_tolerance_has_errors_as_stated(scene_of, face_points,
 
         result = pose_result(points, scene.rig, assumptions=Assumptions(ring_tolerance_m=tolerance_m))
 
-        pose = result.pose
-        tilt_error = tilt_error_rad(pose.normal, scene.ring.normal)
-        errors["normal"].append(mahalanobis_squared(tilt_error, pose.covariance[:2, :2]) / 2)
-        axes, across_m = circle_error(pose.grasp_m, scene.ring.center_m, scene.ring.normal, scene.ring.radius_m.mean())
-        errors["grasp"].append(mahalanobis_squared(across_m, axes @ pose.covariance_grasp_m2 @ axes.T) / 2)
+        for name, values in errors.items():
+            values.append(nees(result.pose, scene.ring)[name])
 
     for name, values in errors.items():
         assert np.mean(values) < 1.5, name
@@ -268,6 +277,64 @@ def test_a_wave_of_the_edge_beyond_the_tolerance_is_flagged(scene_of, face_point
     )
 
 
+def with_form(distance_m, light, seed, amplitude_m=0.0, phase_rad=0.0):
+    """A drawn detection of a ring whose edges have waves of order 4 in opposite phase, and its rig and truth."""
+    scene, wave = read_scene(PRESETS / "paper-physical-scene.yaml"), np.array([np.cos(phase_rad), np.sin(phase_rad)])
+    radial_m = np.zeros((2, 3, 2))
+    radial_m[:, 2] = amplitude_m * np.outer([-1.0, 1.0], wave)
+    view = Approach(count=1, distances_m=(distance_m,), lights=(light,), seed=seed, name="r", tilt_rad=0.15)
+    ring = replace(scene.ring, form=RingForm(radial_m=radial_m, axial_m=np.zeros((3, 2))))
+    (shot,) = drawn_features(replace(scene, ring=ring, seed=seed, views=(), approaches=(view,)))
+    return shot, scene.rig
+
+
+def test_waves_of_the_edges_beyond_the_tolerance_are_flagged_and_in_the_covariance():
+    for seed, phase_rad in enumerate((0.0, 0.7, 1.4, 2.1)):
+        shot, rig = with_form(0.5, "normal", seed, 1e-3, phase_rad)
+
+        line = pose_line(shot.detection, rig)
+
+        assert "ring_form" in line.flag_names
+        error_m = line.pose.center_m - shot.truth.center_m
+        assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 25.0
+
+
+def test_edges_of_a_round_ring_are_not_flagged():
+    """Chi-squared of the stripes has more degrees of freedom beside edges, which determine a part of the ring."""
+    chi2, expected = [], []
+    for seed in range(12):
+        shot, rig = with_form(0.7, "strong", seed)
+
+        result = pose_result(shot.detection.break_points, rig, ring_edges=shot.detection.ring_edges)
+
+        assert not result.flags & (PoseFlag.RING_FORM | PoseFlag.INCONSISTENT | PoseFlag.MOTION)
+        best = explain(
+            measurements_of(shot.detection.break_points, rig, shot.detection.ring_edges),
+            Prior(),
+            labelled=True,
+            edges_named=True,
+        )
+        chi2.append(best.estimate.chi2)
+        expected.append(best.estimate.expected_chi2)
+        assert best.estimate.expected_chi2 > 1.2 * best.estimate.degrees_of_freedom
+    assert sum(chi2) == pytest.approx(sum(expected), rel=0.45)
+
+
+def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():
+    """0.2 mm at 0.5 m; with a perfect ring they contradict the stripes."""
+    shot, rig = with_form(0.5, "normal", 0)
+    edges = shot.detection.ring_edges
+    beside = replace(edges, position_px=edges.position_px + 0.7 * edges.normal)
+    detection = replace(shot.detection, ring_edges=beside)
+
+    line, strict = (pose_line(detection, rig, options=each) for each in (USUAL, NOISE_ONLY))
+
+    assert line.status == "ok"
+    error_m = line.pose.center_m - shot.truth.center_m
+    assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 11.3
+    assert "edge_rejected" in strict.flag_names
+
+
 # Stability of the rig
 
 
@@ -283,12 +350,8 @@ def test_errors_with_a_rig_that_has_changed_within_its_stability_are_as_stated(s
 
         pose = pose_result(points, said, assumptions=Assumptions(stability=TYPICAL_STABILITY)).pose
 
-        tilt_error = tilt_error_rad(pose.normal, scene.ring.normal)
-        errors["normal"].append(mahalanobis_squared(tilt_error, pose.covariance[:2, :2]) / 2)
-        axes, across_m = circle_error(pose.grasp_m, scene.ring.center_m, scene.ring.normal, scene.ring.radius_m.mean())
-        errors["grasp"].append(mahalanobis_squared(across_m, axes @ pose.covariance_grasp_m2 @ axes.T) / 2)
-        error_m = pose.center_m - scene.ring.center_m
-        errors["center"].append(mahalanobis_squared(error_m, pose.covariance_center_m2) / 3)
+        for name, value in nees(pose, scene.ring).items():
+            errors[name].append(value)
 
     for name, values in errors.items():
         assert 0.65 < np.mean(values) < 1.45, name

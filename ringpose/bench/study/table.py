@@ -12,7 +12,7 @@ import numpy as np
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import aligned, number
-from ringpose.types.study import BOUNDS, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
+from ringpose.types.study import BOUNDS, CASE, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
 
 Key = tuple[Value, ...]
 
@@ -33,6 +33,8 @@ class Statistics:
     failed: int = 0
     """Shots that could not be computed."""
     wrong: int = 0
+    ok_wrong: int = 0
+    """Shots with the status `ok` and a wrong quantity."""
     judged: int = 0
     gross: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
@@ -52,6 +54,7 @@ class Statistics:
         self.false_poses += has_pose and row["expect"] == "no_target"
         wrong = len(names_in(row["wrong"]))
         self.wrong += wrong
+        self.ok_wrong += wrong > 0 and row["status"] == "ok"
         self.judged += wrong + len(names_in(row["correct"]))
         self.gross += len(names_in(row["gross"]))
         if not has_pose and (has_target or row["outcome"] == "error"):
@@ -267,19 +270,30 @@ def failure_rows(summary: StudySummary) -> list[list[str]]:
 def exceeded_limits(study: Study, summary: StudySummary) -> list[str]:
     """A message for each limit that the first method misses in a cell, or that applies to nothing."""
     method, found = summary.methods[0], []
-    own = {key: each for (of_method, key), each in summary.cells.items() if of_method == method}
-    for name, limit in study.limits.items():
-        what = LIMITS[name]
-        values = {key: _limited(each, what) for key, each in own.items()}
-        for key, value in values.items():
+    for name, stated in study.limits.items():
+        what, applies = LIMITS[name], False
+        for (of_method, key), each in summary.cells.items():
+            limit = _limit_in(stated, summary, key)
+            if of_method != method or limit is None:
+                continue
+            value = _limited(each, what)
+            applies = applies or value == value
             place = ", ".join(f"{by} {value_text(by, v)}" for by, v in zip(summary.by, key, strict=True)) or "all shots"
             if value < limit if name.startswith("min_") else value > limit:
                 relation = "is below" if name.startswith("min_") else "exceeds"
                 found.append(f"{name}: {what} {value:.4g} of {place} ({method}) {relation} {limit:.4g}")
-        if not any(value == value for value in values.values()):
-            found.append(f"{name}: no shot of {method} has {what}, limit {limit:.4g}")
+        if not applies:
+            found.append(f"{name}: no shot of {method} has {what}, limit {stated}")
     failed = summary.all(method).failed
     return [*found, *([f"{failed} shots could not be computed"] if failed else [])]
+
+
+def _limit_in(stated: float | Mapping[str, float], summary: StudySummary, key: Key) -> float | None:
+    """The limit in a cell; None if it is stated for other cases only."""
+    if not isinstance(stated, Mapping):
+        return stated
+    case = str(key[summary.by.index(CASE)]) if CASE in summary.by else next(iter(stated), "")
+    return stated.get(case)
 
 
 def _limited(each: Statistics, what: str) -> float:
@@ -287,6 +301,8 @@ def _limited(each: Statistics, what: str) -> float:
         return each.available / each.targets if each.targets else nan
     if what == "no_pose":
         return 1.0 - each.answers / each.targets if each.targets else nan
+    if what == "ok_wrong":
+        return each.ok_wrong / each.shots if each.shots else nan
     return float(each.wrong) if what == "wrong" else each.rms(what)
 
 

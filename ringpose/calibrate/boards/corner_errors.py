@@ -43,8 +43,8 @@ _MIN_VARIATION = 1e-9
 
 _POSE_PARAMETERS = 6
 
-
 _SAMPLES = 33
+"""Points along a marker's side or a circle at which distortion is evaluated."""
 
 
 def whiten(rows: Float64[Array, "coordinate *column"], view: BoardView) -> Float64[Array, "coordinate *column"]:
@@ -118,7 +118,7 @@ def endpoint_correlation(left_out: float) -> float:
 
 
 def endpoint_for_correlation(correlation: float) -> float:
-    """The inverse: position x of a side's end, with the parabola fitted from -1 to 1.
+    """The inverse of `endpoint_correlation`: position x of a side's end, with the parabola fitted from -1 to 1.
 
     With u = x^2, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
     """
@@ -236,7 +236,10 @@ def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: 
 
 
 def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
-    """The view with marker corners or circle centres corrected for the bias; chessboard corners have none."""
+    """The view without the systematic errors that distortion causes in marker corners and circle centres.
+
+    Chessboard corners have none: their views are returned unchanged.
+    """
     if not view.circle_radius_m and not view.end_correlation:
         return view
     pose = board_pose(view, camera)
@@ -253,19 +256,14 @@ def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
 def _circle_offsets(
     points_m: Float64[Array, "corner xyz=3"], axes_m: Float64[Array, "xyz=3 axis=2"], camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
-    """Centroid of each projected circle minus the projection of its centre."""
+    """Centroid of each projected circle (of a polygon, by the shoelace formula) minus the projection of its centre."""
     angle = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
     rims_m = points_m[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes_m.T
-    return _centroids(project(rims_m, camera)) - project(points_m, camera)
-
-
-def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, "corner xy=2"]:
-    """Centroids of polygons (shoelace formula)."""
-    middle = outlines.mean(axis=1, keepdims=True)
-    here = outlines - middle
+    centers_px = project(points_m, camera)
+    here = project(rims_m, camera) - centers_px[:, None]
     after = np.roll(here, -1, axis=1)
     twice = here[..., 0] * after[..., 1] - here[..., 1] * after[..., 0]
-    return middle[:, 0] + np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
+    return np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
 
 
 def _corrected_corners(

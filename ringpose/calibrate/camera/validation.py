@@ -34,7 +34,6 @@ from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import (
     CameraCalibration,
-    CrossValidation,
     LeftOutView,
     ModelComparison,
     ModelFit,
@@ -70,22 +69,33 @@ def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> l
     return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
 
 
-def cross_validation(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> CrossValidation:
-    """Displacements between the cameras of half of the views, of all views but one, and of all views."""
-    without_one = cameras_without_one(used, whole, model)
+def leave_one_out(
+    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel
+) -> tuple[tuple[LeftOutView, ...], MapValues]:
+    """Results of leaving out each view in turn, and the projection uncertainty that they show (jackknife).
+
+    The uncertainty includes the errors that the corners of a view have in common. There are no results, and it is NaN,
+    if there are too few views.
+    """
+    others = cameras_without_one(used, whole, model)
     unknown = np.full(map_points_px(whole.camera).shape[:2], np.nan)
-    shifts = [unknown if other is None else displacement_px(whole.camera, other) for other in without_one]
-    left_out = [
-        LeftOutView(name=view.name, shift_px=float(np.median(shift)), rms_px=held_out_rms_px(view, others))
-        for view, others, shift in zip(used, without_one, shifts, strict=False)
-    ]
-    # Odd against even views: neighbours in a series are similar.
-    odd, even = (_camera(used[first::2], whole.camera, model, whole.poses[first::2]) for first in (0, 1))
-    return CrossValidation(
-        split_half_px=unknown if odd is None or even is None else displacement_px(odd, even),
-        left_out=tuple(left_out),
-        jackknife_px=_jackknife_px(shifts, whole, model) if shifts else unknown,
+    shifts = [unknown if other is None else displacement_px(whole.camera, other) for other in others]
+    left_out = tuple(
+        LeftOutView(name=view.name, shift_px=float(np.median(shift)), rms_px=held_out_rms_px(view, other))
+        for view, other, shift in zip(used, others, shifts, strict=False)
     )
+    return left_out, _jackknife_px(shifts, whole, model) if shifts else unknown
+
+
+def split_half_px(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> MapValues:
+    """Displacement between the cameras of the even and the odd views; NaN if a half does not determine a camera.
+
+    Neighbours in a series are similar, so that every other one belongs to the same half.
+    """
+    odd, even = (_camera(used[first::2], whole.camera, model, whole.poses[first::2]) for first in (0, 1))
+    if odd is None or even is None:
+        return np.full(map_points_px(whole.camera).shape[:2], np.nan)
+    return displacement_px(odd, even)
 
 
 def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:

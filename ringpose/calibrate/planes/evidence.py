@@ -128,16 +128,12 @@ def _check_all_lasers_seen(views: Sequence[StripeView], names: Sequence[str]) ->
     unseen = [laser for laser in range(len(names)) if not any(len(view.stripes_px[laser]) for view in views)]
     if not unseen:
         return
-    most = max((view.max_stripes for view in views), default=0)
-    if len(unseen) == len(names) and not 0 < most < len(names):
-        remedy = "see that the lasers are lit and cross the board; --overlay shows the searched images"
-        raise DataError("calibrate-planes", "no shot shows a stripe on the board", remedy)
     if len(unseen) == len(names):
+        most = max((view.max_stripes for view in views), default=0)
         found = (
-            f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {len(names)} lasers "
-            f"({', '.join(names)})"
+            f"no frame shows more than {most} stripes on the board, there are {len(names)} lasers: {', '.join(names)}"
         )
-        remedy = "see which laser is not lit or misses the board, or name fewer (--laser-names)"
+        remedy = "see by --overlay which laser is not lit or misses the board, or name fewer (--laser-names)"
         raise DataError("calibrate-planes", found, remedy)
     lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
     lasers = lit or unseen

@@ -22,8 +22,8 @@ from ringpose.calibrate.planes.plane_fit import (
     FittedPlane,
     Points,
     determined_without,
-    downward,
     fitted_plane,
+    oriented,
     plane_without,
 )
 from ringpose.calibrate.planes.stripes.extraction import triangulated
@@ -166,7 +166,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         excess = variance_excess(fixed, state)
         planes = zip(state.normal, state.distance_m.tolist(), start, strict=True)
         return PlaneSolution(
-            planes=tuple(FittedPlane(*downward(normal, distance), old.condition) for normal, distance, old in planes),
+            planes=tuple(FittedPlane(*oriented(normal, distance), old.condition) for normal, distance, old in planes),
             poses=state.poses,
             camera=state.camera,
             corner_points=points,

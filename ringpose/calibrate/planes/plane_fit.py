@@ -87,7 +87,7 @@ def condition(points: Float64[Array, "n xyz=3"], weights: Float64[Array, "n"]) -
 
 
 def light_plane(points: Float64[Array, "n xyz=3"], method: PlanesMethod) -> FittedPlane:
-    """The plane through points by one of the methods, determined or not: see its condition number."""
+    """The plane through points by one of the methods; its condition number is large if the points are collinear."""
     if method is PlanesMethod.PAPER:
         return FittedPlane(*paper_plane(points), condition(points, np.ones(len(points))))
     normal, distance_m, weights = robust_plane(points)
@@ -111,7 +111,7 @@ def robust_plane(
         if np.abs(updated - weights).max() < 1e-6:
             break
         weights = updated
-    return *downward(normal, distance_m), weights
+    return *oriented(normal, distance_m), weights
 
 
 def paper_plane(points: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"], float]:
@@ -121,10 +121,10 @@ def paper_plane(points: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"],
     """
     scaled, _, _, _ = np.linalg.lstsq(points, np.ones(len(points)), rcond=None)
     length = float(np.linalg.norm(scaled))
-    return downward(scaled / length, 1 / length)
+    return oriented(scaled / length, 1 / length)
 
 
-def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Array, "3"], float]:
+def oriented(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Array, "3"], float]:
     """The plane with the largest component of its normal positive, so that calibrations can be compared."""
     if normal[np.argmax(np.abs(normal))] < 0:
         return -normal, -distance_m

@@ -44,10 +44,6 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
         "remarks": (*calibration.contradicting, *calibration.remarks),
         "without_board": assessment.without_board,
     }
-    neighbours = [
-        {"lasers": [angle.first, angle.second], "angle_rad": angle.angle_rad, "sd_rad": angle.sd_rad}
-        for angle in plane_angles(calibration)
-    ]
     quality: dict[str, Any] = {
         "verdict": verdict_values(assessment.verdict),
         "method": calibration.method,
@@ -55,8 +51,8 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
         "variance_excess": float(calibration.excess),
         "lasers": [_laser_quality(laser) for laser in calibration.lasers],
     }
-    if neighbours:
-        quality["angles"] = {"neighbours": neighbours}
+    if angles := plane_angles(calibration):
+        quality["angles"] = {"neighbours": angles}
     if covariance is not None:
         rig = calibrated_rig(calibration)
         planes = {name: sd for name, sd in covariance.standard_deviations.items() if "." in name}
@@ -126,8 +122,8 @@ def planes_summary(assessment: PlanesAssessment) -> list[str]:
     for laser in quality["lasers"]:
         lines += _laser_lines(laser, quality["standard_deviations"])
     for angle in plane_angles(assessment.calibration):
-        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
-        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
+        sd = f" ± {np.degrees(angle['sd_rad']):.4f}" if np.isfinite(angle["sd_rad"]) else ""
+        lines.append(f"{' to '.join(angle['lasers'])}: {np.degrees(angle['angle_rad']):.3f}{sd} deg")
     for laser in quality.get("depth_sd_m", {"lasers": []})["lasers"]:
         text = _by_distance_text(laser["depth_sd_m"])
         lines += [f"{laser['name']}: standard deviation of depths: {text}"] if text else []
@@ -169,27 +165,18 @@ def _by_distance_text(sd_m: Sequence[float]) -> str:
     return ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlaneAngle:
-    """The angle between two neighbouring light planes."""
+def plane_angles(calibration: PlanesCalibration) -> list[dict[str, Any]]:
+    """Angles between neighbouring planes in the order of the lasers: entries of the key `quality.angles.neighbours`.
 
-    first: str
-    second: str
-    angle_rad: float
-    sd_rad: float
-    """Standard deviation of the angle; NaN without covariance."""
-
-
-def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
-    """Angles between neighbouring planes, in the order of the lasers; empty for one laser."""
+    Each has the names of its `lasers`, `angle_rad`, and the standard deviation `sd_rad`, NaN without covariance.
+    """
     names, normals = calibration.planes.names, calibration.planes.normal
     return [
-        PlaneAngle(
-            first=names[first],
-            second=names[first + 1],
-            angle_rad=float(angle_between(normals[first], normals[first + 1])),
-            sd_rad=_angle_sd_rad(calibration, first, first + 1),
-        )
+        {
+            "lasers": [names[first], names[first + 1]],
+            "angle_rad": float(angle_between(normals[first], normals[first + 1])),
+            "sd_rad": _angle_sd_rad(calibration, first, first + 1),
+        }
         for first in range(len(names) - 1)
     ]
 

@@ -128,7 +128,7 @@ def _angle_checks(calibration: PlanesCalibration, expected_rad: Sequence[float])
     )
     angles = zip(plane_angles(calibration), expected_rad, strict=False)
     return [
-        check(PLANES_LIMITS, "angle_error_rad", abs(one.angle_rad - expected), advice, f"{one.first} to {one.second}")
+        check(PLANES_LIMITS, "angle_error_rad", abs(one["angle_rad"] - expected), advice, " to ".join(one["lasers"]))
         for one, expected in angles
     ]
 

@@ -36,7 +36,10 @@ def number_option(
 
 
 def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
-    """An option that takes a file, which is checked when it is read, with exit statuses of its own."""
+    """An option that names a file or folder.
+
+    A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
+    """
     return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
 
 
@@ -54,32 +57,19 @@ def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, flo
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
-Inputs = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-OptionalInputs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-# readable=False: an unreadable file is reported when it is read, with its own exit status; Typer would report usage.
-RigFile = Annotated[Path, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")]
-OptionalRigFile = Annotated[
-    Path | None, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
-]
-BoardFile = Annotated[
-    Path, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
-]
+_INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line.")
+Inputs = Annotated[list[str], _INPUTS]
+OptionalInputs = Annotated[list[str] | None, _INPUTS]
+_RIG = file_option("--rig", meaning="The calibrated rig (rig.yaml).")
+RigFile = Annotated[Path, _RIG]
+OptionalRigFile = Annotated[Path | None, _RIG]
+_BOARD = file_option("--board", meaning="The board file: its kind and its sizes.")
+BoardFile = Annotated[Path, _BOARD]
+OptionalBoard = Annotated[Path | None, _BOARD]
 Overlay = Annotated[
-    Path | None,
-    typer.Option("--overlay", readable=False, metavar="DIR", help="Draw what was found into PNG files in this folder."),
+    Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
 ]
-Report = Annotated[
-    Path | None,
-    typer.Option(
-        "--report", readable=False, metavar="FILE", help="Write an HTML page with pictures (needs matplotlib)."
-    ),
-]
+Report = Annotated[Path | None, file_option("--report", meaning="Write an HTML page with pictures (needs matplotlib).")]
 
 
 def check_report(report: Path | None, force: bool) -> None:
@@ -92,9 +82,9 @@ def check_report(report: Path | None, force: bool) -> None:
         reject_existing(report, force)
 
 
-OutputFile = Annotated[
-    Path, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
-]
+_OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
+OutputFile = Annotated[Path, _OUTPUT]
+OptionalOutput = Annotated[Path | None, _OUTPUT]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]

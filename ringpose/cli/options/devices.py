@@ -97,7 +97,10 @@ class ShotOptions:
     ] = None
 
     def request(self, camera: str, rig: "Rig | None", **more: Any) -> "CaptureRequest":
-        """The capture that is asked for, of a camera and the rig to which it belongs; with `more` of its attributes."""
+        """The request for a capture with these options, by the URI of a camera and the rig that it belongs to.
+
+        `more` are further attributes of the request.
+        """
         from ringpose.capture.source import CaptureRequest
 
         return CaptureRequest(

@@ -57,7 +57,7 @@ _UNCHANGED = "give the output of ringpose pose unchanged"
 
 
 def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
-    """The record of one shot; the writer replaces NaN and infinity by null.
+    """The record of one shot, for `ringpose.files.records.line_of` or `plain`, which replace NaN and infinity by null.
 
     With `brief`, without `measurement` and `plane_evidence`.
     """
@@ -310,7 +310,7 @@ def _moved_planes(fields: Fields) -> dict[str, PlaneCorrection]:
 
 
 def motion_prior(fields: Fields) -> MotionPrior | None:
-    """The key `motion`; None if the target is assumed to be still."""
+    """The prior in the key `motion`; None if the target is assumed to be still."""
     if isinstance(fields.raw("motion"), str):
         fields.choice("motion", (STILL,))
         return None

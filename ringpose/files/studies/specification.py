@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
@@ -75,7 +76,6 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     methods = tuple(StudyMethod(_alone(fields, "methods", each).choice("methods", StudyMethod)) for each in names)
     if not methods or len(set(methods)) < len(methods):
         raise fields.problem("methods", "must name each method once, and at least one")
-    limits = fields.fields("limits", tuple(LIMITS)) if fields.has("limits") else None
     study = Study(
         title=fields.text("title"),
         scene=scene,
@@ -89,7 +89,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         assumed=_assumed(fields) if "assume" in fields.values else None,
         calibrate=bool(fields.optional("calibrate", fields.boolean)),
         run=_run(fields, methods),
-        limits={} if limits is None else {name: limits.number(name, least=0) for name in limits.values},
+        limits=_limits(fields, cases),
     )
     _check(fields, study)
     files = (path, scene_file, scene_file.parent / read_yaml(scene_file).text("rig"))
@@ -126,6 +126,20 @@ def _assumed(fields: Fields) -> AssumptionOptions:
     if "max_rate_rad_s" in given:
         given["max_rate_deg_s"] = degrees(given.pop("max_rate_rad_s"))
     return AssumptionOptions(still=still, **given)
+
+
+def _limits(fields: Fields, cases: Iterable[str]) -> dict[str, float | Mapping[str, float]]:
+    """The limits; one that is a mapping has a value for each of the cases that it names."""
+    if not fields.has("limits"):
+        return {}
+    limits, found = fields.fields("limits", tuple(LIMITS)), dict[str, float | Mapping[str, float]]()
+    for name in map(str, limits.values):
+        if isinstance(limits.raw(name), dict):
+            by_case = limits.fields(name, tuple(cases))
+            found[name] = {str(case): by_case.number(str(case), least=0) for case in by_case.values}
+        else:
+            found[name] = limits.number(name, least=0)
+    return found
 
 
 def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:

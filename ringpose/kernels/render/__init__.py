@@ -91,16 +91,6 @@ def render(
     _kernels.render(*view.target, *view[1:], pixels, samples, step, *image)
 
 
-def crossed(view: View, code: Int32[Array, "pixel"], pixels: Int64[Array, "chosen"]) -> Bool[Array, "chosen"]:
-    """Whether an edge of a surface, or of the shadow in a laser's light, may cross each of the chosen pixels.
-
-    It may if not all four corners, at the first and the last pose, have the code that the image has in the middle.
-    """
-    result = np.empty(len(pixels), np.uint8)
-    _kernels.crossed(*view.target, *view[1:], pixels, code, result)
-    return result.astype(np.bool_)
-
-
 def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
     """2 if one of the eight neighbours shows another surface, 1 if only the shadow of sun or Earth differs, else 0."""
     edge = np.empty(code.shape, np.uint8)

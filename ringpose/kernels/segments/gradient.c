@@ -120,27 +120,17 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
     return maximum;
 }
 
-/* 1 where the magnitude is a maximum down the column or along the row; of two equal ones the earlier in raster
-   order. */
+/* 1 where the magnitude is a maximum down the column or, in rows in which upright edges have anchors, along the row; of
+   two equal ones the earlier in raster order. */
 VECTOR_LOOP
 static void mark_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to,
-                        int16_t upper) {
-    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict minimum = rows->minimum;
-    uint8_t *restrict is_anchor = rows->is_anchor;
-    for (size_t x = from; x < to; x++) {
-        int flat = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
-        int upright = (here[x] >= upper) & (here[x] > *(here + x - 1)) & (here[x] >= here[x + 1]);
-        is_anchor[x] = (uint8_t)(flat | upright);
-    }
-}
-
-/* The same in rows in which upright edges have no anchors. */
-VECTOR_LOOP
-static void mark_flat_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to) {
+                        int16_t upper, int crosses) {
     const int16_t *restrict up = here - width, *restrict down = here + width, *restrict minimum = rows->minimum;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++)
         is_anchor[x] = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
+    for (size_t x = from; crosses && x < to; x++)
+        is_anchor[x] |= (here[x] >= upper) & (here[x] > *(here + x - 1)) & (here[x] >= here[x + 1]);
 }
 
 /* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. Branches would be mispredicted. */
@@ -201,10 +191,7 @@ static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, 
     for (size_t from = MARGIN + 1; from < last; from += BLOCK) {
         size_t to = last - from < BLOCK ? last : from + BLOCK;
         if (strongest(here, from, to) < upper) continue;
-        if (row % ANCHOR_SPACING == 0)
-            mark_maxima(rows, here, width, from, to, upper);
-        else
-            mark_flat_maxima(rows, here, width, from, to);
+        mark_maxima(rows, here, width, from, to, upper, row % ANCHOR_SPACING == 0);
         append_maxima(rows, row, width, from, to, anchors);
     }
     if (anchors->index.used > first) keep_anchors(rows, here, row, width, first, anchors);

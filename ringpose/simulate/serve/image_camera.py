@@ -1,10 +1,10 @@
 """The camera of the image server: settings of the clients, and exposures of the shots of a scene."""
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -259,28 +259,20 @@ class RenderedShots:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="scene shots")
-        self._kept: OrderedDict[int, tuple[RingView, Future[RenderedShot]]] = OrderedDict()
-        """By the identity of the view, which is kept so that it remains unique; the one used last is at the end."""
-        camera = scene.rig.camera
-        layers = 1 + len(scene.rig.lasers.names)
-        self._capacity = max(2, KEPT_BYTES // (4 * layers * camera.image_width * camera.image_height))
+        camera, layers = scene.rig.camera, 1 + len(scene.rig.lasers.names)
+        kept = max(2, KEPT_BYTES // (4 * layers * camera.image_width * camera.image_height))
+        self._requested = lru_cache(kept)(lambda view, number: self._worker.submit(self._render, view, number))
 
     def shot(self, views: tuple[RingView, ...], number: int) -> Future[RenderedShot]:
         """View `number` of a trajectory that begins again after its last one; the next view is rendered after it."""
-        shown, _ = (self._requested(views[each % len(views)], each) for each in (number, number + 1))
-        while len(self._kept) > self._capacity:
-            self._kept.popitem(last=False)
-        return shown
+        shown, following = number % len(views), (number + 1) % len(views)
+        shot: Future[RenderedShot] = self._requested(views[shown], shown)
+        self._requested(views[following], following)
+        return shot
 
     def close(self) -> None:
         """Stop rendering."""
         self._worker.shutdown(wait=True, cancel_futures=True)
-
-    def _requested(self, view: RingView, number: int) -> Future[RenderedShot]:
-        kept = self._kept.get(id(view)) or (view, self._worker.submit(self._render, view, number))
-        self._kept[id(view)] = kept
-        self._kept.move_to_end(id(view))
-        return kept[1]
 
     def _render(self, view: RingView, number: int) -> RenderedShot:
         illuminated = illuminated_ring(self._scene, view)

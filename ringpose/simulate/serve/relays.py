@@ -10,7 +10,7 @@ import threading
 import time
 import tty
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -56,14 +56,12 @@ class ServedRelays:
         codec: RelayCodec,
         relays: Sequence[int] = (0, 1, 2),
         faults: RelayFaults | None = None,
-        changed: Callable[[int], None] | None = None,
     ) -> None:
         self.relays = tuple(relays)
         self.contacts = RelayContacts(len(self.relays), faults)
         self.port = ""
         """Path of the pseudo-terminal, once the board is served."""
         self._codec = codec
-        self._changed = changed
         self._coils_until_s = [0.0] * BOARD_RELAYS
         """Time until which each coil is on (monotonic clock)."""
         self._thread: threading.Thread | None = None
@@ -72,10 +70,6 @@ class ServedRelays:
     def channels(self) -> str:
         """The parameter `ch=` of the laser URI: the relays by the board's own numbers."""
         return ",".join(str(relay + self._codec.first) for relay in self.relays)
-
-    def mask_at(self, time_s: float) -> int:
-        """Mask of the lasers that are on at a time (monotonic clock); bit i is laser i of the rig."""
-        return self.contacts.mask_at(time_s)
 
     def __enter__(self) -> "ServedRelays":
         self._master, self._slave = os.openpty()
@@ -114,7 +108,6 @@ class ServedRelays:
     def _execute(self, command: Command) -> None:
         """Switch the coils and contacts of a command, and answer it."""
         now_s = time.monotonic()
-        before = self._coil_mask(now_s)
         on, off = row_of(command)
         until_s = now_s + command.duration_s if isinstance(command, Pulse) else None
         for relay in range(BOARD_RELAYS):
@@ -124,14 +117,9 @@ class ServedRelays:
             self._coils_until_s[relay] = 0.0 if not is_on else float("inf") if until_s is None else until_s
             if relay in self.relays:
                 self.contacts.command(self.relays.index(relay), is_on, now_s, until_s)
-        coils = self._coil_mask(now_s)
+        coils = sum(1 << relay for relay, end_s in enumerate(self._coils_until_s) if end_s > now_s)
         with suppress(BlockingIOError):  # the client does not read its answers
             os.write(self._master, self._codec.answer(command, coils, BOARD_RELAYS))
-        if self._changed is not None and not isinstance(command, Read) and coils != before:
-            self._changed(coils)
-
-    def _coil_mask(self, now_s: float) -> int:
-        return sum(1 << relay for relay, until_s in enumerate(self._coils_until_s) if until_s > now_s)
 
 
 def _has_valid_relays(command: Command) -> bool:

@@ -129,6 +129,35 @@ def test_limits_are_checked_in_every_cell(study, rows):
     assert exceeded_limits(replace(study, limits={"max_center_m": 1.0}), summarized(study, rows)) == []
 
 
+def test_limits_on_wrong_shots_with_the_status_ok_are_stated_by_case(study):
+    cases = {"none": (), "turned": (Factor(name="plane_tilt_rad", values=(0.002,)),)}
+    by_case = replace(
+        study,
+        factors=(Factor(name="case", values=tuple(cases)), *study.factors[:2]),
+        cases=cases,
+        limits={"max_ok_wrong_share": {"none": 0.0, "turned": 0.4}},
+    )
+    row = dict.fromkeys(columns(by_case)) | {"method": "ml", "expect": "pose", "distance_m": 0.3, "light": "dim"}
+    wrong = {"outcome": "pose", "status": "ok", "wrong": "normal"}
+    right = {"outcome": "pose", "status": "ok", "correct": "normal"}
+    flagged = wrong | {"status": "degraded"}
+    rows = [row | {"case": "turned"} | each for each in (wrong, right, flagged)]
+
+    kept = exceeded_limits(by_case, summarized(by_case, [*rows, row | {"case": "none"} | right]))
+    missed = exceeded_limits(by_case, summarized(by_case, [row | {"case": "none"} | wrong, *rows, *rows[:1]]))
+
+    assert kept == []
+    assert len(missed) == 2
+    assert "none" in missed[0]
+    assert "turned" in missed[1]
+
+
+def test_the_violated_assumptions_have_a_limit_each():
+    study = read_study(study_path("violations")).study
+
+    assert set(study.limits["max_ok_wrong_share"]) == set(study.cases)
+
+
 def test_the_worst_shots_are_those_with_the_largest_errors(study, rows):
     worst = worst_shots(rows, "ml", 3)
 

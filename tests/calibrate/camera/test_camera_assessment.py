@@ -149,13 +149,9 @@ def test_images_without_a_board_lower_the_verdict(ten):
 
 def test_a_view_on_which_the_result_depends_is_named(ten):
     boards, found, assessed = ten
-    left_out = tuple(
-        replace(view, shift_px=4.0) if view.name == "v2" else view for view in assessed.validation.left_out
-    )
+    left_out = tuple(replace(view, shift_px=4.0) if view.name == "v2" else view for view in assessed.left_out)
 
-    verdict = camera_verdict(
-        found, replace(assessed, validation=replace(assessed.validation, left_out=left_out)), len(boards)
-    )
+    verdict = camera_verdict(found, replace(assessed, left_out=left_out), len(boards))
 
     assert any("the result depends mainly on v2" in sentence for sentence in verdict.advice)
 
@@ -166,7 +162,7 @@ def test_three_views_can_be_assessed_but_not_left_out(views):
 
     assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
 
-    assert assessed.validation.left_out == ()
+    assert assessed.left_out == ()
     assert np.isnan(assessed.disagreement)
     verdict = camera_verdict(found, assessed, 3)
     assert verdict.grade is Grade.REDO

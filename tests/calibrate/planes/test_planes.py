@@ -54,9 +54,9 @@ UNSEEN = {
         {0, 1, 2},
         0,
         {"max_stripes": 2},
-        r"no frame shows more than 2 stripes on the board, there are 3 lasers \(left, mid",
+        "no frame shows more than 2 stripes on the board, there are 3 lasers: left, mid",
     ),
-    "no stripe": (set(), 0, {}, "no shot shows a stripe on the board; see that the lasers are lit"),
+    "no stripe": (set(), 0, {}, "no frame shows more than 0 stripes on the board, there are 3 lasers"),
 }
 
 

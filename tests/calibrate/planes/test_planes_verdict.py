@@ -76,23 +76,16 @@ def test_a_view_whose_board_moved_by_a_fifth_of_a_millimetre_is_named(rng):
 
 
 def test_lasers_at_unexpected_angles_are_reported(good):
-    expected = np.radians([10.3, 14.0]).tolist()
+    verdict = planes_verdict(good, np.radians([10.3, 14.0]).tolist())
 
-    verdict = planes_verdict(good, expected)
-
-    poor = [finding for finding in verdict.findings if finding.grade is not Grade.GOOD]
-    assert [(finding.name, finding.place) for finding in poor] == [("angle_error_rad", "middle to right")]
+    poor = [(finding.name, finding.place) for finding in verdict.findings if finding.grade is not Grade.GOOD]
+    assert poor == [("angle_error_rad", "middle to right")]
 
 
-def test_angles_are_those_between_the_normals(good):
-    found = [angle.angle_rad for angle in plane_angles(good)]
-
+def test_an_angle_is_that_between_the_normals_with_the_deviation_of_drawn_planes(good, rng):
+    (angle, other) = plane_angles(good)
     wanted = [np.arccos(NORMALS[i] @ NORMALS[i + 1]) for i in range(2)]
-    assert found == pytest.approx(wanted, abs=1e-4)
-
-
-def test_an_angles_deviation_is_that_of_drawn_planes(good, rng):
-    (angle, _) = plane_angles(good)
+    assert [angle["angle_rad"], other["angle_rad"]] == pytest.approx(wanted, abs=1e-4)
     covariance = good.covariance
     places = [covariance.parameters.index(f"{name}.tilt_{i}") for name in ("left", "middle") for i in (1, 2)]
     drawn = rng.multivariate_normal(np.zeros(4), covariance.data[np.ix_(places, places)], 2000)
@@ -100,7 +93,7 @@ def test_an_angles_deviation_is_that_of_drawn_planes(good, rng):
     normals = good.planes.normal
     angles = [np.arccos(tilted(normals[0], each[:2]) @ tilted(normals[1], each[2:])) for each in drawn]
 
-    assert np.std(angles) == pytest.approx(angle.sd_rad, rel=0.1)
+    assert np.std(angles) == pytest.approx(angle["sd_rad"], rel=0.1)
 
 
 def test_depth_deviations_are_those_of_drawn_rigs(good, rng):

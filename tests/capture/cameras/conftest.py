@@ -3,10 +3,10 @@
 from contextlib import ExitStack
 
 import pytest
+from fake_camera import camera_of
 from served_scene import small_scene
 
 from ringpose.capture.cameras.aravis import AravisCamera
-from ringpose.capture.uri import DeviceUri
 from ringpose.simulate.serve.faults import parsed_faults
 from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice, virtual_device
 from ringpose.types.options import AdvancePolicy
@@ -29,10 +29,6 @@ def camera(loopback_address):
     """Creates a driver with an address and parameters."""
 
     def driver(address: str = loopback_address, **parameters: str) -> AravisCamera:
-        return AravisCamera(
-            DeviceUri(
-                text=f"aravis:{address}", option="--camera", scheme="aravis", address=address, parameters=parameters
-            )
-        )
+        return camera_of(f"aravis:{address}", **parameters)
 
     return driver

@@ -103,7 +103,10 @@ def updated_rig(rig: Rig, evidence: RigEvidence, moved: list[int]) -> Rig:
 
 
 def evidence_lines(evidence: RigEvidence, moved: list[int] | None, depth_m: float) -> list[str]:
-    """For each laser, by how much the evidence contradicts its plane, those that have moved set aside."""
+    """For each laser the normalised error of its plane by the evidence, if the planes in `moved` may be anywhere.
+
+    `moved` is None if a plane has moved and it is not known which.
+    """
     alone, beside = evidence.chi2_of_planes(), evidence.chi2_of_planes(moved or ())
     limit, lines = sqrt(evidence.limit / len(PLANE_PARAMETERS)), []
     for laser, name in enumerate(evidence.rig.lasers.names):

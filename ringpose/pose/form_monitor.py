@@ -1,0 +1,92 @@
+"""The form of the ring over a stream of shots (ringpose-method(7), section 12).
+
+On the arc that one shot sees, a ring that is not round looks like a round one with another radius. Seen from elsewhere
+it has yet another one: the radii of a stream of shots differ by more than their errors. A wave of order k and amplitude
+a changes the radius that a short arc shows by up to (k^2 - 1) a: 8 a for order 3.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import log, sqrt
+
+import numpy as np
+
+from ringpose.estimate.explanation import chi2_quantile
+from ringpose.pose.drift import FALSE_ALARM_SIGMAS, SHOTS_KEPT, STREAM_SHOTS
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import PoseFlag, PoseLine
+
+SAME_RING = 0.1
+"""Relative difference of the mean radii up to which shots show the same ring: rings of other types differ by more."""
+
+MIN_SHOTS = 4
+"""Number of shots from which their radii are compared."""
+
+_LIMIT_SIGMAS = sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * log(STREAM_SHOTS))
+"""Of the test after each shot (Bonferroni, as for the planes)."""
+
+_EDGES = 2
+
+
+class FormMonitor:
+    """Compares the radii of the last shots of a ring, and flags the following ones if they differ."""
+
+    def __init__(self) -> None:
+        self._shots: list[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]] = []
+        self._reason = ""
+
+    def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
+        """The line with the flags of a form that earlier shots have shown, and a warning where one is detected.
+
+        Radii that are given, or assumed from the catalogue, show nothing; nor do shots that have a flag of their own.
+        """
+        pose = line.pose
+        if pose is None or pose.covariance is None or line.priors is None or line.priors.radius is not None:
+            return line, None
+        radius_m = np.array([pose.radius_inner_m, pose.radius_outer_m])
+        flagged = self._flagged(line)
+        if line.status != "ok" or not bool(np.isfinite(radius_m).all()):
+            return flagged, None
+        to_curvature = -1.0 / radius_m**2  # the errors of curvatures are Gaussian even where those of radii are not
+        covariance = pose.covariance[5:7, 5:7] * to_curvature[:, None] * to_curvature
+        same = [each for each in self._shots if abs(each[0] * radius_m - 1.0).max() < SAME_RING]
+        self._shots = [*(same if same else []), (1.0 / radius_m, covariance)][-SHOTS_KEPT:]
+        known, self._reason = self._reason, self._finding()
+        return flagged, self._reason if self._reason and not known else None
+
+    def _flagged(self, line: PoseLine) -> PoseLine:
+        if not self._reason or line.pose is None:
+            return line
+        flags = line.flags | PoseFlag.RING_FORM | PoseFlag.INCONSISTENT
+        reason = "; ".join(filter(None, [line.reason, self._reason]))
+        return replace(line, flags=flags, pose=replace(line.pose, flags=line.pose.flags | flags), reason=reason)
+
+    def _finding(self) -> str:
+        """The reason why the ring is not round; empty if the radii agree.
+
+        The shot that deviates most is left out, as a single one may be wrong.
+        """
+        if len(self._shots) < MIN_SHOTS:
+            return ""
+        worst = int(np.argmax(_squared_deviations(self._shots)))
+        shots = [*self._shots[:worst], *self._shots[worst + 1 :]]
+        if sum(_squared_deviations(shots)) <= chi2_quantile(_EDGES * (len(shots) - 1), _LIMIT_SIGMAS):
+            return ""
+        spread_mm = 1e3 * float(np.std([1.0 / curvature[1] for curvature, _ in self._shots]))
+        return (
+            f"the ring's radius differs between shots by {spread_mm:.2g} mm (standard deviation), more than its errors "
+            "allow: the ring is not round (give --ring-tolerance), or the rig has changed"
+        )
+
+
+def _squared_deviations(
+    shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]],
+) -> list[float]:
+    """Squared deviations of the curvatures from their weighted mean, in their covariances."""
+    information = [np.linalg.inv(covariance) for _, covariance in shots]
+    weighted = sum(each @ curvature for each, (curvature, _) in zip(information, shots, strict=True))
+    mean = np.linalg.solve(np.sum(information, axis=0), weighted)
+    return [
+        float((curvature - mean) @ each @ (curvature - mean))
+        for each, (curvature, _) in zip(information, shots, strict=True)
+    ]
