@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from ringpose.capture.ambient import lost_attempts_dn
 from ringpose.detect.difference_images import LaserImage
+from ringpose.types.arrays import Array
 from ringpose.types.detection import Stripes
 from ringpose.types.image import Frame, Shot
 
@@ -114,13 +115,11 @@ class EarlyStripes:
 
     def add(self, frame: Frame, saturation_dn: int) -> None:
         """Start the search in a frame that has just arrived."""
-        from ringpose.detect.stripes import find_stripes  # slow to import, and not needed to record shots
-
         if not frame.lasers:
             self._dark = frame
         elif frame.lasers.bit_count() == 1:
             dark, dark_stamp_s = (None, None) if self._dark is None else (self._dark.image, self._dark.mid_exposure_s)
-            search = self._thread.submit(find_stripes, frame.image, dark, saturation_dn=saturation_dn)
+            search = self._thread.submit(_stripes_in, frame.image, dark, saturation_dn)
             self._searches[frame.mid_exposure_s, dark_stamp_s, saturation_dn] = search
             if len(self._searches) > MAX_SEARCHED:
                 del self._searches[next(iter(self._searches))]
@@ -130,6 +129,12 @@ class EarlyStripes:
         dark_stamp_s = None if image.dark is None else image.dark_stamp_s
         search = self._searches.get((image.stamp_s, dark_stamp_s, image.threshold_scale_dn))
         return None if search is None else search.result()
+
+
+def _stripes_in(image: Array, dark: Array | None, saturation_dn: int) -> Stripes:
+    from ringpose.detect.stripes import find_stripes  # slow to import: not while a laser is on for the next frame
+
+    return find_stripes(image, dark, saturation_dn=saturation_dn)
 
 
 Item = TypeVar("Item")

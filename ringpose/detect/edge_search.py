@@ -196,22 +196,6 @@ POOLED = 9
 """Number of neighbouring profiles whose noise is pooled."""
 
 
-class ProfileParams(NamedTuple):
-    """Sampling of intensity profiles across an edge, every pixel from `reach_px` + `inside_px` inside the point on."""
-
-    reach_px: float
-    inside_px: float
-    """Samples from which the intensity and noise of the surface are estimated."""
-    outside_px: float
-    along_px: float
-    """Number of samples along the edge that are averaged."""
-    noise_dn: float
-    """Lower bound of the noise of a sample."""
-    pooled: float
-    """Neighbouring profiles over which the noise variance is averaged."""
-    saturation_dn: float
-
-
 class StepParams(NamedTuple):
     """Parameters of the step fit in a profile."""
 
@@ -269,7 +253,8 @@ def edge_profiles(
 
     Grey values are interpolated bilinearly; a sample is saturated if one of the averaged values is.
     """
-    params = ProfileParams(reach_px, INSIDE_PX, OUTSIDE_PX, ALONG_PX, NOISE_DN, POOLED, saturation_dn)
+    # samples are taken every pixel, from `reach_px` + `INSIDE_PX` inside the place to `reach_px` + `OUTSIDE_PX` beyond
+    params = (reach_px, INSIDE_PX, OUTSIDE_PX, ALONG_PX, NOISE_DN, POOLED, saturation_dn)
     value = np.empty((len(position_px), 2 * reach_px + INSIDE_PX + OUTSIDE_PX + 1))
     saturated, noise = np.empty(value.shape, dtype=np.bool_), np.empty(len(value))
     image, position_px, normal = (np.ascontiguousarray(each) for each in (image, position_px, normal))

@@ -146,18 +146,14 @@ def _shift_across(
     An edge does not show its displacement along itself, which is of no use here.
     """
     start = (position / 2).astype(np.float32)
-    halves = [cv2.convertScaleAbs(cv2.pyrDown(each), alpha=_to_bytes(before)) for each in (before, after)]
+    to_bytes = 1.0 if before.dtype == np.uint8 else 255.0 / max(int(before.max()), 255)
+    halves = [cv2.convertScaleAbs(cv2.pyrDown(each), alpha=to_bytes) for each in (before, after)]
     flow: Any = cv2.calcOpticalFlowPyrLK  # OpenCV's stubs do not allow None for points without a guess
     moved, found, _ = flow(
         halves[0], halves[1], start, None, winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS, minEigThreshold=1e-5
     )
     shift: Float64[Array, "n"] = ((2.0 * (moved.astype(np.float64) - start)) * normal).sum(axis=1)
     return shift, found.ravel() > 0
-
-
-def _to_bytes(image: UInt[Array, "row column"]) -> float:
-    """Factor that brings the grey values into 8 bits."""
-    return 1.0 if image.dtype == np.uint8 else 255.0 / max(int(image.max()), 255)
 
 
 def _fitted(

@@ -105,7 +105,10 @@ def detect(
         found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found = with_repetition(found, images, shot, rig, on_ring.motion)
-    missing = ring_edges is None and edges and source is StripeSource.CENTERS
+    rejected: tuple[Rejection, ...] = on_ring.rejected if isinstance(found, BreakPoints) else ()
+    sought = edges and source is StripeSource.CENTERS
+    if sought and ring_edges is None and isinstance(found, BreakPoints) and edges_lit(found, shot):
+        rejected = (*rejected, Rejection(what="edge"))  # ambient light should show them
     return replace(
         nothing,
         break_points=found,
@@ -113,7 +116,7 @@ def detect(
         segments=segments,
         ring_edges=ring_edges if edges else None,
         ring=on_ring.ring if _named_alike(found, on_ring.break_points) else None,
-        rejected=(*on_ring.rejected, *_missing_edges(found, shot, missing)) if isinstance(found, BreakPoints) else (),
+        rejected=rejected,
         advice=exposure_advice(found, shot, images),
     )
 
@@ -289,11 +292,6 @@ def _named_alike(found: BreakPoints | NoBreakPoints, judged: BreakPoints | NoBre
     if not isinstance(found, BreakPoints) or not isinstance(judged, BreakPoints):
         return False
     return np.array_equal(found.flags, judged.flags)
-
-
-def _missing_edges(points: BreakPoints, shot: Shot, missing: bool) -> tuple[Rejection, ...]:
-    """The rejection of the ring's edges, if they were not found although ambient light should show them."""
-    return (Rejection(what="edge"),) if missing and edges_lit(points, shot) else ()
 
 
 LIT_SHARE = 8 / 255

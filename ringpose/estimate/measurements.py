@@ -11,11 +11,11 @@ correlation remains in the residuals raises the points' standard deviations (`in
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,8 +62,7 @@ MAX_SHARE_OF_LENGTH = 3
 """Largest lag as a fraction 1 / 3 of the number of points; longer lags have too few pairs."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lines:
+class Lines(NamedTuple):
     """Lines of the stripes on the ring's face, given by the ordinates at their two ends."""
 
     laser: Int64[Array, "line"]
@@ -77,8 +76,7 @@ class Lines:
     """Mid exposure of the stripe's frame; NaN if unknown."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Points:
+class Points(NamedTuple):
     """Break points."""
 
     laser: Int64[Array, "point"]
@@ -207,21 +205,23 @@ class Measurements:
     def once(self) -> "Measurements":
         """The measurements with each stripe and each break point once: repetitions in later frames are dropped."""
         first = np.unique(2 * self.points.laser + self.points.edge, return_index=True)[1]
-        kept = np.unique(self.lines.laser, return_index=True)[1]
-        lines = {each.name: getattr(self.lines, each.name)[kept] for each in fields(Lines)}
-        points = {each.name: getattr(self.points, each.name)[first] for each in fields(Points)}
-        return replace(self, points=Points(**points), lines=Lines(**lines))
+        return self._selected(np.unique(self.lines.laser, return_index=True)[1], first)
+
+    def _selected(self, lines: Array, points: Array) -> "Measurements":
+        """The measurements with these lines and break points only, given by indices or by which to keep."""
+        return replace(
+            self,
+            lines=Lines(*(values[lines] for values in self.lines)),
+            points=Points(*(values[points] for values in self.points)),
+        )
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """The measurements with these break points only."""
-        points = {each.name: getattr(self.points, each.name)[keep] for each in fields(Points)}
-        return replace(self, points=Points(**points))
+        return self._selected(np.arange(len(self.lines.laser)), keep)
 
     def without_laser(self, laser: int) -> "Measurements":
         """The measurements without a laser's line and break points."""
-        keep = self.lines.laser != laser
-        lines = {each.name: getattr(self.lines, each.name)[keep] for each in fields(Lines)}
-        return replace(self.with_points(self.points.laser != laser), lines=Lines(**lines))
+        return self._selected(self.lines.laser != laser, self.points.laser != laser)
 
     def without_edges(self) -> "Measurements":
         """The measurements without visible edges."""
@@ -230,7 +230,8 @@ class Measurements:
     def with_edges_exchanged(self) -> "Measurements":
         """The measurements with inner edges taken for outer ones and the reverse."""
         points, edges = self.points, self.edges
-        return replace(self, points=replace(points, edge=1 - points.edge), edges=replace(edges, edge=1 - edges.edge))
+        edges = replace(edges, edge=1 - edges.edge)
+        return replace(self, points=points._replace(edge=1 - points.edge), edges=edges)
 
     @cached_property
     def lasers(self) -> list[int]:
@@ -241,7 +242,7 @@ class Measurements:
         """The measurements with stripes assigned to other lasers."""
         lines = np.array([laser_of[laser] for laser in self.lines.laser.tolist()], dtype=np.int64)
         points = np.array([laser_of[laser] for laser in self.points.laser.tolist()], dtype=np.int64)
-        return replace(self, lines=replace(self.lines, laser=lines), points=replace(self.points, laser=points))
+        return replace(self, lines=self.lines._replace(laser=lines), points=self.points._replace(laser=points))
 
 
 def measurements_of(
@@ -323,24 +324,18 @@ similar, so that two measurements determine the ring no better than one. Only th
 
 
 def _repeated_lines(first: Lines, again: Lines) -> Lines:
-    joined = _joined(first, again)
-    twice = np.isin(joined["laser"], first.laser) & np.isin(joined["laser"], again.laser)
-    joined["whitening"] = joined["whitening"] / np.sqrt(np.where(twice, REPEATED, 1.0))[:, None, None]
-    return Lines(**joined)
+    joined = Lines(*map(np.concatenate, zip(first, again, strict=True)))
+    twice = np.isin(joined.laser, first.laser) & np.isin(joined.laser, again.laser)
+    return joined._replace(whitening=joined.whitening / np.sqrt(np.where(twice, REPEATED, 1.0))[:, None, None])
 
 
 def _repeated_points(first: Points, again: Points) -> Points:
-    joined = _joined(first, again)
-    ends = [2 * points.laser + points.edge for points in (first, again)]
-    every = np.concatenate(ends)
-    variances = np.where(np.isin(every, ends[0]) & np.isin(every, ends[1]), REPEATED, 1.0)
-    joined["covariance"] = joined["covariance"] * variances[:, None, None]
-    joined["sigma_x"] = joined["sigma_x"] * np.sqrt(variances)
-    return Points(**joined)
-
-
-def _joined(first: Lines | Points, again: Lines | Points) -> dict[str, Any]:
-    return {each.name: np.concatenate([getattr(first, each.name), getattr(again, each.name)]) for each in fields(first)}
+    joined = Points(*map(np.concatenate, zip(first, again, strict=True)))
+    of_first, of_again, of_joined = (2 * each.laser + each.edge for each in (first, again, joined))
+    variances = np.where(np.isin(of_joined, of_first) & np.isin(of_joined, of_again), REPEATED, 1.0)
+    return joined._replace(
+        covariance=joined.covariance * variances[:, None, None], sigma_x=joined.sigma_x * np.sqrt(variances)
+    )
 
 
 def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:

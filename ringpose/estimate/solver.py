@@ -39,6 +39,7 @@ from ringpose.geometry.ring import (
     MIN_RATE,
     TILT_ALONG,
     TILT_INWARD,
+    TINY,
     TURN,
     EdgeDistances,
     MovingRing,
@@ -249,12 +250,12 @@ class _Steps:
         """
         sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
         # after a long step, or one that was extrapolated, a step is shorter than the next ones show
-        shrinkage = sigmas / max(last_sigmas, np.finfo(float).tiny) if isfinite(last_sigmas) else 1.0
+        shrinkage = sigmas / max(last_sigmas, TINY) if isfinite(last_sigmas) else 1.0
         self.sigmas, self.distance_sigmas = sigmas, sigmas * min(max(shrinkage, self._ratio, MIN_RATIO), 1.0)
         last, self._last, self._ratio = self._last, step, 0.0
         if last is None or not extrapolate or not 0.0 < sigmas < MAX_EXTRAPOLATED * last_sigmas:
             return 1.0
-        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, np.finfo(float).tiny)
+        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, TINY)
         if not abs(ratio) < MAX_EXTRAPOLATED:
             return 1.0
         self._last, self._ratio = None, abs(ratio)
@@ -364,10 +365,8 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     rates = rates if len(sds) else STILL
     stripes, every_edge = predicted_view(arcs, view, rates if len(sds) else None)
     ends, samples, visible = view.ends, len(view.rays), len(view.visible_rays)
-    points, edges = (
-        EdgeDistances(*(each[part] for each in every_edge))
-        for part in (slice(samples - ends), slice(samples - ends, None))
-    )
+    points = EdgeDistances(*(each[: samples - ends] for each in every_edge))
+    edges = EdgeDistances(*(each[samples - ends :] for each in every_edge))
     stripe_rows = samples + observations.isolated
     data_rows = stripe_rows + visible
     of_prior = _prior_rows(arcs, prior)
@@ -393,7 +392,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         rows[samples:stripe_rows] = scale_y[:, None] * (lines[which] - share[:, None] * along[which])
 
     # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    edge_scale = 1.0 / np.maximum(np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1)), np.finfo(float).tiny)
+    edge_scale = 1.0 / np.maximum(np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1)), TINY)
     if visible:
         rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
         rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
@@ -403,7 +402,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         arcs=arcs,
         rates=rates,
         rate_sds=sds,
-        rate_deviations=_in_sds(rates_along(arcs, rates), sds) if len(sds) else sds,
+        rate_deviations=np.divide(rates_along(arcs, rates), sds, out=np.zeros(5), where=sds > 0) if len(sds) else sds,
         system=rows[:, : 1 + PARAMETERS],
         residual=rows[:, 0],
         jacobian=rows[:, 1 : 1 + PARAMETERS],
@@ -420,12 +419,6 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         distance_scale=scale,
         ordinates=ordinates,
     )
-
-
-def _in_sds(rates: Float64[Array, "rate"], sds: Float64[Array, "rate"]) -> Float64[Array, "rate"]:
-    """The rates in their standard deviations; 0 for one that is assumed to be 0 exactly."""
-    deviations: Float64[Array, "rate"] = np.divide(rates, sds, out=np.zeros_like(rates), where=sds > 0)
-    return deviations
 
 
 def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:

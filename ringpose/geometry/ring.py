@@ -39,6 +39,9 @@ MAX_LEVER_M = 5.0
 Larger rings do not exist; where the visible arc looks straight, the centre would be kilometres away.
 """
 
+TINY = float(np.finfo(float).tiny)
+"""Smallest positive number of full precision, instead of a division by 0."""
+
 MIN_RATE = 1e-12
 """Smallest rate at which a distance changes along a line or a ray; a smaller one counts as grazing."""
 
@@ -148,7 +151,7 @@ IDENTITY = np.eye(3)
 
 def rotation_by(vector_rad: Float64[Array, "*shape 3"]) -> Float64[Array, "*shape 3 3"]:
     """Rotation matrices of rotation vectors (Rodrigues)."""
-    half = np.maximum(0.5 * np.sqrt((vector_rad * vector_rad).sum(axis=-1)), np.finfo(float).tiny)[..., None, None]
+    half = np.maximum(0.5 * np.sqrt((vector_rad * vector_rad).sum(axis=-1)), TINY)[..., None, None]
     skew = (vector_rad @ GENERATORS).reshape(*vector_rad.shape, 3)
     sinc = np.sin(half) / half  # sin(a)/a = sinc(a/2) cos(a/2), (1 - cos(a))/a^2 = sinc(a/2)^2 / 2: regular at 0
     rotation: Float64[Array, "*shape 3 3"] = IDENTITY + sinc * (np.cos(half) * skew + 0.5 * sinc * (skew @ skew))
@@ -356,11 +359,8 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
 
 def polar_angles(arcs: RingArcs, rays: Float64[Array, "n xyz=3"]) -> Float64[Array, "n"]:
     """Angles about the ring's centre of the rays' points on its plane, in radians from the arcs' origin."""
-    inward, along, normal = arcs.axes
-    points_m = rays * (float(arcs.origin @ normal) / (rays @ normal))[:, None] - arcs.origin
-    angles: Float64[Array, "n"] = np.arctan2(
-        arcs.curvature * (points_m @ along), 1.0 - arcs.curvature * (points_m @ inward)
-    )
+    _, _, (x, y, _) = _on_plane(arcs, rays)
+    angles: Float64[Array, "n"] = np.arctan2(arcs.curvature * y, 1.0 - arcs.curvature * x)
     return angles
 
 
@@ -475,7 +475,7 @@ def _linearized_on_edges(
     step = np.zeros((len(rays), 2))
     step[-len(view.visible_step) :] = view.visible_step
     rate = (measured.wrt_ray * step).sum(axis=1)
-    offset = np.divide(measured.distance_m, rate, out=np.zeros(len(rays)), where=np.abs(rate) > np.finfo(float).tiny)
+    offset = np.divide(measured.distance_m, rate, out=np.zeros(len(rays)), where=np.abs(rate) > TINY)
     on_edge = rays.copy()
     on_edge[:, :2] -= offset[:, None] * step
     predicted = edge_distances(arcs, on_edge, view.edge_sign)

@@ -92,7 +92,7 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
     scene = scene_of("B", distance_m=0.5, side=side)
     measured = measurements_of(face_points(scene, 0.3, 0.01), scene.rig)
     if not ends_seen:
-        measured = replace(measured, points=replace(measured.points, x=measured.points.middle_x.copy()))
+        measured = replace(measured, points=measured.points._replace(x=measured.points.middle_x.copy()))
 
     start = initial_guess(measured.observations, Prior())
 
