@@ -246,7 +246,17 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
     first, second = sorted((best, other), key=_side_score)
     clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
     side_known = clear and not (edges_named and first.edges_exchanged)
-    return replace(first, side_known=side_known, other_side=None if clear else second.estimate)
+    if clear:
+        return replace(first, side_known=side_known)
+    same = _left_out(first) == _left_out(second)
+    competing = first.competing if same else (*first.competing, second.estimate)
+    return replace(first, side_known=side_known, other_side=second.estimate, competing=competing)
+
+
+def _left_out(explanation: Explanation) -> frozenset[tuple[str, str | None, bool]]:
+    """What an explanation rejects, with the edges as they were given: either side may leave out other ends."""
+    other = "inner" if explanation.edges_exchanged else "outer"
+    return frozenset((each.what, each.laser, each.edge in (other, None)) for each in explanation.rejected)
 
 
 def _is_unique(best: Explanation) -> bool:
