@@ -1,12 +1,15 @@
-"""Worker processes: work in any order by a pool that survives killed workers, and results in order."""
+"""Worker processes: a pool that survives killed workers, and results in the order of the items."""
 
-import multiprocessing
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import partial
-from multiprocessing.connection import Connection, wait
+from threading import Thread
 from time import perf_counter
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 Result = TypeVar("Result")
 
@@ -14,49 +17,88 @@ MIN_ITEMS_PER_PROCESS = 4
 """Fewer items than this take less time than starting a process."""
 
 
-def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[Result]:
-    """work(0), work(1), ... work(count - 1), computed by several processes; an exception in `work` is raised here.
+class WorkerKilled(RuntimeError):
+    """The process that worked on an item was killed."""
 
-    At most two results for each process wait until they are fetched, which limits the memory.
+    def __init__(self, item: object) -> None:
+        self.item = item
+        super().__init__("a worker process was killed, perhaps for lack of memory")
+
+
+def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[Result]:
+    """work(0), work(1), ... work(count - 1), computed by several processes; an exception in `work` is raised here."""
+    for outcome in outcomes(work, range(count), max(1, min(jobs, count // MIN_ITEMS_PER_PROCESS))):
+        if isinstance(outcome, Exception):
+            raise outcome
+        yield outcome
+
+
+def outcomes(work: Callable[[Any], Result], items: Iterable[Any], jobs: int) -> Iterator[Result | Exception]:
+    """What `work` returns for each item, or the exception that it raises, in the order of the items.
+
+    With several processes `work` must be a function that they can import. Items may come slowly: a thread awaits them,
+    and no result waits for a later item. At most three results for each process are computed ahead.
     """
-    jobs = min(jobs, count // MIN_ITEMS_PER_PROCESS)
-    if jobs <= 1:
-        yield from map(work, range(count))
+    if jobs == 1:
+        yield from (_outcome(work, numbered) for numbered in enumerate(items))
         return
-    pool, items = Pool(partial(_result, work)), iter(range(count))
+    from multiprocessing import Pipe  # slow to import
+
+    arriving, sending = Pipe(duplex=False)
+    Thread(target=_send, args=(items, sending), daemon=True).start()
+    pool = Pool(partial(_outcome, work))
     finished: dict[int, Any] = {}
+    wanted = given = 0
+    ended = False
     try:
-        for wanted in range(count):
-            while True:
-                while len(pool.busy) < jobs and len(finished) < 2 * jobs and (item := next(items, None)) is not None:
-                    pool.give([item])
-                if wanted in finished:
-                    break
-                finished |= _collected(pool)
-            result = finished.pop(wanted)
-            if isinstance(result, Exception):
-                raise result
-            yield result
+        while True:
+            while wanted in finished:
+                yield finished.pop(wanted)
+                wanted += 1
+            if ended and not pool.busy:
+                return
+            is_ready = not ended and len(pool.busy) < jobs and given < wanted + 3 * jobs
+            if is_ready and arriving.poll():
+                item = _received(arriving)
+                ended = item is None
+                if item is not None:
+                    pool.give([(given, *item)])
+                    given += 1
+                continue
+            for chunk, found, _ in pool.collected(*([arriving] if is_ready else [])):
+                number, item = chunk[0]
+                finished[number] = WorkerKilled(item) if found is None else found[0]
     finally:
+        arriving.close()
         pool.close()
 
 
-def _collected(pool: "Pool") -> dict[int, Any]:
-    """Results by their items, after waiting for at least one."""
-    results = {}
-    for chunk, found, _ in pool.collected():
-        if found is None:
-            raise RuntimeError("a worker process was killed, perhaps for lack of memory")
-        results[chunk[0]] = found[0]
-    return results
-
-
-def _result(work: Callable[[int], Result], item: int) -> Result | Exception:
+def _outcome(work: Callable[[Any], Result], numbered: tuple[int, Any]) -> Result | Exception:
     """The result, or the exception as a value, which can be sent between processes."""
     try:
-        return work(item)
+        return work(numbered[1])
     except Exception as error:
         return error
+
+
+def _send(items: Iterable[Any], connection: "Connection[Any, Any]") -> None:
+    """In a thread: send what `_received` receives, until nobody does."""
+    with connection, suppress(OSError):
+        try:
+            for item in items:
+                connection.send((item,))
+        except Exception as error:
+            connection.send(error)
+        else:
+            connection.send(None)
+
+
+def _received(connection: "Connection[Any, Any]") -> tuple[Any] | None:
+    """The next item, in a tuple; None at their end. An error of their source is raised."""
+    received: tuple[Any] | Exception | None = connection.recv()
+    if isinstance(received, Exception):
+        raise received
+    return received
 
 
 class _Worker(NamedTuple):
@@ -68,6 +110,8 @@ class Pool:
     """Worker processes; unlike those of an executor they have no threads or locks that a kill could leave behind."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:
+        import multiprocessing
+
         self._work = work
         self._context = multiprocessing.get_context("spawn")
         self._idle: list[_Worker] = []
@@ -87,10 +131,13 @@ class Pool:
             return
 
     def collected(self, *others: "Connection[Any, Any]") -> Iterator[tuple[list[Any], list[Any] | None, float]]:
-        """Wait for results: chunks with theirs (None if the worker was killed) and their duration.
+        """Wait until workers have finished; yields each finished chunk, its results and the seconds that it took.
 
-        Returns without any if one of the other connections can be read first.
+        The results are None if the worker was killed. Nothing is yielded if one of the other connections can be read
+        before a worker has finished.
         """
+        from multiprocessing.connection import wait
+
         for connection in wait([*self.busy, *others]):
             if connection in others:
                 continue

@@ -1,10 +1,9 @@
 """A textured surface under a blinking lamp with three laser lines, and a clock that only the devices advance."""
 
 import numpy as np
+from fake_camera import FakeCamera
 
-from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.errors import DeviceError
 from ringpose.types.image import Frame
 
 HEIGHT, WIDTH = 120, 160
@@ -15,7 +14,7 @@ FRAME_S = 0.013
 """From one trigger to the next, at least."""
 
 
-class BlinkingScene(CameraDriver, LaserDriver):
+class BlinkingScene(FakeCamera, LaserDriver):
     """Camera and lasers in one; 8-bit images of 5 DN without light, lines of `line_dn`, a lamp of up to `lamp_dn`.
 
     The lamp is on from `phase_s` on for `on_s`, then off for `off_s`, and lights the `patch` of the image. Lasers
@@ -24,6 +23,7 @@ class BlinkingScene(CameraDriver, LaserDriver):
 
     count = 3
     settle_s = 0.05
+    image_width, image_height = WIDTH, HEIGHT
 
     def __init__(
         self, rng, lamp_dn=60.0, on_s=0.45, off_s=0.45, phase_s=0.0, line_dn=120.0, speed_px_s=0.0, patch=np.s_[:, :]
@@ -32,32 +32,13 @@ class BlinkingScene(CameraDriver, LaserDriver):
         self.line_dn, self.speed_px_s = line_dn, speed_px_s
         self.welded = self.sticking = self.dead = 0
         self.now_s, self.taken, self._mask = 100.0, 0, 0
-        texture = np.kron(rng.uniform(0.5, 1.0, (HEIGHT // 5, WIDTH // 5)), np.ones((5, 5)))
-        self.surface = texture
+        self.surface = np.kron(rng.uniform(0.5, 1.0, (HEIGHT // 5, WIDTH // 5)), np.ones((5, 5)))
         self.lamp = np.zeros((HEIGHT, WIDTH))
         self.lamp[patch] = lamp_dn
 
     def is_on(self, time_s):
         """Whether the lamp is on at a time."""
         return (time_s - self.phase_s) % (self.on_s + self.off_s) < self.on_s
-
-    def open(self):
-        pass
-
-    def close(self):
-        pass
-
-    def describe(self):
-        return CameraDescription(name="blinking", image_width=WIDTH, image_height=HEIGHT, saturation_dn=255)
-
-    def bounds(self, feature):
-        return None
-
-    def set(self, feature, value):
-        raise DeviceError("camera", "has no settings")
-
-    def arm(self, exposure_s):
-        pass
 
     def set_mask(self, lasers):
         self.now_s += 0.002

@@ -1,62 +1,30 @@
 """Tracks of a true ring among random ones, and the parameters of the search for its faces."""
 
+from typing import NamedTuple
+
 import numpy as np
 from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import CandidateParams, FaceParams, RingParams, UnionParams
+from ringpose.kernels.lines import CandidateParams, RingParams, UnionParams
 
-RULES = FaceParams(
-    UnionParams(
-        min_beyond_ends=5.0,
-        max_gap=0.5,
-        separation_px=1.0,
-        separation_sigmas=3.0,
-        max_separation_px=6.0,
-        rounds=2.0,
-        fit_dof=5.0,
-        min_columns=0.5,
-    ),
-    CandidateParams(
-        min_depth_m=0.05,
-        max_depth_m=3.0,
-        min_length_m=0.003,
-        max_length_m=0.1,
-        typical_scatter_px=0.3,
-        max_counted_columns=120.0,
-        spill_penalty=15.0,
-        coincidence_penalty=3.0,
-        min_behind_m=0.01,
-        max_behind_m=0.3,
-        clipped_penalty=4.0,
-        union_penalty=3.0,
-        most=20.0,
-    ),
-    RingParams(
-        focal_x=1781.0,
-        focal_y=1780.0,
-        principal_x=803.0,
-        principal_y=596.0,
-        image_height=1200.0,
-        border_px=15.0,
-        along_sigma_px=2.0,
-        across_sigma_px=0.4,
-        plane_limit=8.0,
-        circle_limit=6.0,
-        dropped_end_penalty=6.0,
-        unseen_penalty=6.0,
-        max_tilt_rad=1.3,
-        min_radius_m=0.1,
-        min_band_m=0.003,
-    ),
-)
+
+class Rules(NamedTuple):
+    """Parameters of `ring_faces`."""
+
+    ring: RingParams
+    unions: UnionParams = UnionParams()
+    candidates: CandidateParams = CandidateParams()
+
+
+RULES = Rules(RingParams(focal_x=1781.0, focal_y=1780.0, principal_x=803.0, principal_y=596.0, image_height=1200.0))
 ANY = 0b111
 
 
 def with_rules(**changed):
     """The rules with some changed."""
     parts = [part._replace(**{k: v for k, v in changed.items() if k in part._fields}) for part in RULES]
-    return FaceParams(*parts)
+    return Rules(*parts)
 
 
 def rules_of(rig):

@@ -3,8 +3,8 @@
 import time
 
 import numpy as np
+from fake_camera import FakeCamera
 
-from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import DeviceError
 from ringpose.types.image import Frame
@@ -12,11 +12,13 @@ from ringpose.types.image import Frame
 HEIGHT, WIDTH = 130, 200
 
 
-class DrawnCamera(CameraDriver):
+class DrawnCamera(FakeCamera):
     """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails.
 
     In the frames that `hidden` numbers something stands before the lasers. Once it is `away` it has to be opened anew.
     """
+
+    image_width, image_height = WIDTH, HEIGHT
 
     def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True):
         self.contacts, self.rng, self.brightness_dn = contacts, rng, brightness_dn
@@ -29,18 +31,6 @@ class DrawnCamera(CameraDriver):
         if self.opened > 1 and not self.reopens:
             raise DeviceError("camera", "is gone")
         self.away = False
-
-    def close(self):
-        pass
-
-    def describe(self):
-        return CameraDescription(name="drawn", image_width=WIDTH, image_height=HEIGHT, saturation_dn=255)
-
-    def bounds(self, feature):
-        return None
-
-    def set(self, feature, value):
-        raise DeviceError("camera", "has no settings")
 
     def arm(self, exposure_s):
         if self.away:

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from ring_scenes import Ring, make_rig, pixels_of
+from scipy.special import ndtr
 
 from ringpose.types.image import Shot
-from ringpose.types.rig import Camera, LaserPlanes, Rig
+from ringpose.types.rig import Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06
@@ -30,22 +32,9 @@ class DrawnScene:
 def drawn_rig() -> Rig:
     """Three lasers at +-10 degrees about a camera with an 8 mm lens, as in the paper's physical set-up."""
     tilt = math.radians(10)
-    normals = np.array([[0.0, math.cos(tilt), -math.sin(tilt)], [0.0, 1.0, 0.0], [0.0, math.cos(tilt), math.sin(tilt)]])
-    camera = Camera(
-        camera_name="drawn",
-        image_width=1600,
-        image_height=1200,
-        camera_matrix=np.array([[1781.0, 0.0, 803.0], [0.0, 1780.0, 596.0], [0.0, 0.0, 1.0]]),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.array([-0.1, 0.11, 0.0005, -0.0004, 0.0]),
-    )
-    lasers = LaserPlanes(
-        names=("left", "middle", "right"),
-        normal=normals,
-        distance_m=np.array([-0.0394, -0.07, -0.0394]),
-        projector_m=np.full((3, 3), np.nan),
-    )
-    return Rig(camera=camera, lasers=lasers)
+    normals = [[0.0, math.cos(tilt), -math.sin(tilt)], [0.0, 1.0, 0.0], [0.0, math.cos(tilt), math.sin(tilt)]]
+    lens = [-0.1, 0.11, 0.0005, -0.0004, 0.0]
+    return make_rig((1781.0, 1780.0), (803.0, 596.0), lens, normals, [-0.0394, -0.07, -0.0394])
 
 
 def line_of(rig: Rig, laser: int, normal: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -56,42 +45,21 @@ def line_of(rig: Rig, laser: int, normal: np.ndarray, distance: float) -> tuple[
     return np.linalg.solve(system, np.array([rig.lasers.distance_m[laser], distance, 0.0])), direction
 
 
-def crossings(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
-    """Intersections of the light plane with the inner and outer edge, left of the centre, in the camera frame."""
-    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
-    center = np.array(scene.center_m)
-    point, direction = line_of(rig, laser, normal, float(normal @ center))
-    offset = point - center
-    b = direction @ offset
-    steps = [-b - math.sqrt(b * b - offset @ offset + radius**2) for radius in RADII_M]
-    return np.array([point + step * direction for step in steps])
-
-
-def pixels(points: np.ndarray, rig: Rig) -> np.ndarray:
-    """Pixels of points in the camera frame, by cv2.projectPoints."""
-    origin = np.zeros(3)
-    flat, _ = cv2.projectPoints(points, origin, origin, rig.camera.camera_matrix, rig.camera.distortion_coefficients)
-    return flat.reshape(-1, 2)
-
-
 def true_break_points(scene: DrawnScene, rig: Rig) -> np.ndarray:
     """True break points (laser, edge, xy) in distorted pixels."""
-    return np.array([pixels(crossings(scene, rig, laser), rig) for laser in range(len(rig.lasers.names))])
-
-
-def _normal_cdf(values: np.ndarray) -> np.ndarray:
-    return np.array([0.5 * (1 + math.erf(value / math.sqrt(2))) for value in values])
+    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
+    ring = Ring(center_m=np.array(scene.center_m), normal=normal, radius_m=np.array(RADII_M))
+    return pixels_of(ring.break_points_m(rig.lasers), rig.camera)
 
 
 def _draw(image: np.ndarray, curve: np.ndarray, peak: np.ndarray, sigma: float) -> None:
     """Add a stripe whose centre runs along a curve (n, 2) and whose peak is given in each column."""
-    x = np.arange(image.shape[1])
-    y = np.interp(x, curve[:, 0], curve[:, 1], left=np.nan, right=np.nan)
-    for column in np.flatnonzero(np.isfinite(y) & (peak > 0.01)):
-        first, last = max(int(y[column]) - 12, 0), min(int(y[column]) + 14, image.shape[0])
-        rows = np.arange(first, last)
-        if len(rows):
-            image[first:last, column] += peak[column] * np.exp(-0.5 * ((rows - y[column]) / sigma) ** 2)
+    y = np.interp(np.arange(image.shape[1]), curve[:, 0], curve[:, 1], left=np.nan, right=np.nan)
+    column = np.flatnonzero(np.isfinite(y) & (peak > 0.01))
+    row = y[column].astype(int) + np.arange(-12, 14)[:, None]
+    stripe = peak[column] * np.exp(-0.5 * ((row - y[column]) / sigma) ** 2)
+    inside = (row >= 0) & (row < image.shape[0])
+    image[row[inside], np.broadcast_to(column, row.shape)[inside]] += stripe[inside]
 
 
 def light(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
@@ -103,8 +71,8 @@ def light(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
     x = np.arange(image.shape[1], dtype=float)
     for behind in (0.0, BODY_BEHIND_M):
         point, direction = line_of(rig, laser, normal, distance - behind)
-        curve = pixels(point + np.linspace(-0.5, 0.5, 400)[:, None] * direction, rig)
-        face = _normal_cdf((x - outer) / scene.edge_sigma_px) * _normal_cdf((inner - x) / scene.edge_sigma_px)
+        curve = pixels_of(point + np.linspace(-0.5, 0.5, 400)[:, None] * direction, rig.camera)
+        face = ndtr((x - outer) / scene.edge_sigma_px) * ndtr((inner - x) / scene.edge_sigma_px)
         share = face if behind == 0.0 else np.where((x < outer - 12) | (x > inner + 12), 0.6, 0.0)
         _draw(image, curve, scene.peaks_dn[laser] * share, scene.stripe_sigma_px)
     return image

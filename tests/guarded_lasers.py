@@ -56,7 +56,7 @@ def lasers_at(uri: str) -> WatchdogLasers:
 
 def on_mask(relays: ServedRelays) -> int:
     """Mask of the lasers that are on now."""
-    return relays.mask_at(time.monotonic())
+    return relays.contacts.mask_at(time.monotonic())
 
 
 def wait_for(condition: Callable[[], bool]) -> None:

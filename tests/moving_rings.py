@@ -54,7 +54,19 @@ class Motion:
         return self.rate_rad_s - (self.rate_rad_s @ normal) * normal
 
 
-class Pushed:
+class Pieces:
+    """A motion in pieces; `_piece` returns the piece of a time, and the time since that piece began."""
+
+    def at(self, time_s: float) -> Ring:
+        piece, rest_s = self._piece(time_s)
+        return piece.at(rest_s)
+
+    def velocity_at(self, time_s: float) -> np.ndarray:
+        piece, rest_s = self._piece(time_s)
+        return piece.velocity_at(rest_s)
+
+
+class Pushed(Pieces):
     """A motion whose velocity and angular velocity change at once."""
 
     def __init__(self, motion: Motion, time_s: float, change_m_s, change_rad_s=(0.0, 0.0, 0.0)) -> None:
@@ -69,16 +81,8 @@ class Pushed:
     def _piece(self, time_s: float) -> tuple[Motion, float]:
         return (self.before, time_s) if time_s < self.time_s else (self.after, time_s - self.time_s)
 
-    def at(self, time_s: float) -> Ring:
-        piece, rest_s = self._piece(time_s)
-        return piece.at(rest_s)
 
-    def velocity_at(self, time_s: float) -> np.ndarray:
-        piece, rest_s = self._piece(time_s)
-        return piece.velocity_at(rest_s)
-
-
-class Wandering:
+class Wandering(Pieces):
     """Motion with white acceleration of the centre and of the angular velocity across the normal."""
 
     STEP_S = 1 / 120
@@ -98,16 +102,6 @@ class Wandering:
     def _piece(self, time_s: float) -> tuple[Motion, float]:
         number = max(int(time_s / self.STEP_S), 0)
         return self._pieces[number], time_s - number * self.STEP_S
-
-    def at(self, time_s: float) -> Ring:
-        piece, rest_s = self._piece(time_s)
-        return piece.at(rest_s)
-
-    def velocity_at(self, time_s: float) -> np.ndarray:
-        return self._piece(time_s)[0].velocity_m_s
-
-    def rates_at(self, time_s: float) -> np.ndarray:
-        return self._piece(time_s)[0].rate_rad_s
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -193,6 +193,45 @@ def face_points_of(scene, sigma_px, line_px, rng=None):
     return replace(points, face_start_px=lines[:, 0], face_end_px=lines[:, 1], face_sigma_px=sigma)
 
 
+def without(points, *places):
+    """Without these break points, each a laser and an edge."""
+    position, covariance = points.position_px.copy(), points.covariance_px2.copy()
+    for place in places:
+        position[place], covariance[place] = np.nan, np.nan
+    return replace(points, position_px=position, covariance_px2=covariance)
+
+
+def with_stripes(points, *lasers):
+    """Only these lasers' break points and lines."""
+    others = [laser for laser in range(len(points.flags)) if laser not in lasers]
+    parts = {}
+    for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
+        parts[name] = getattr(points, name).copy()
+        parts[name][others] = np.nan
+    return replace(points, **parts)
+
+
+def nees(pose, ring):
+    """Squared errors over their covariance, by degree of freedom: of normal, grasp point (axial and radial), centre."""
+    first = np.cross([0.0, 0.0, 1.0], pose.normal)
+    first /= np.linalg.norm(first)
+    tilt_rad = np.stack([first, np.cross(pose.normal, first)]) @ ring.normal / (pose.normal @ ring.normal)
+    from_center = pose.grasp_m - ring.center_m
+    axial_m = from_center @ ring.normal
+    outward = from_center - axial_m * ring.normal
+    radius_m = np.linalg.norm(outward)
+    axes = np.stack([ring.normal, outward / radius_m])
+    errors = {
+        "normal": (tilt_rad, pose.covariance[:2, :2]),
+        "grasp": (np.array([axial_m, radius_m - ring.radius_m.mean()]), axes @ pose.covariance_grasp_m2 @ axes.T),
+        "center": (pose.center_m - ring.center_m, pose.covariance_center_m2),
+    }
+    return {
+        name: np.nan if covariance is None else float(error @ np.linalg.solve(covariance, error)) / len(error)
+        for name, (error, covariance) in errors.items()
+    }
+
+
 def visible_edges_of(scene, count, sigma_px, rng=None):
     """Points of both edges within 11 degrees of the middle stripe, seen across the edge."""
     ring = scene.ring

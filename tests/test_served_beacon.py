@@ -13,7 +13,7 @@ from ringpose.cli.main import main
 from ringpose.files.images.shots import read_shot
 from ringpose.simulate.serve.faults import InjectedFaults
 from ringpose.simulate.serve.relays import RelayFaults
-from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+from ringpose.simulate.serve.virtual_device import Setup, virtual_device
 from ringpose.types.options import AdvancePolicy, Relay
 from ringpose.types.scene import Beacon, Light
 
@@ -49,7 +49,7 @@ def served_beside_beacon(tmp_path, monkeypatch, loopback_address):
         beacon = FrameBeacon(ambient_w_m2=8.0, on_s=1.0, off_s=1.0)
         lit = replace(scene, lights={"dim": Light(name="dim", ambient_w_m2=0.5, beacon=beacon)})
         faults = InjectedFaults(contacts=contacts or RelayFaults())
-        return VirtualDevice(
+        return virtual_device(
             lit, Setup(address=loopback_address, relay=Relay.LCUS, move=AdvancePolicy.NEVER, faults=faults)
         )
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.estimate.pose_errors import distance_to_circle_m
+from ringpose.estimate.pose_errors import circle_error
 from ringpose.files.records.truths import read_truths
 from ringpose.geometry.rotations import angle_between
 
@@ -78,7 +78,7 @@ def errors_by_view(lines: list[dict], views: list[str | None]) -> dict[str, np.n
             continue
         middle_m = (truth.radius_inner_m + truth.radius_outer_m) / 2
         grasp_m, normal = np.array(line["pose"]["grasp_m"]), np.array(line["pose"]["normal"])
-        off_m = distance_to_circle_m(grasp_m, truth.center_m, truth.normal, middle_m)
+        off_m = np.hypot(*circle_error(grasp_m, truth.center_m, truth.normal, middle_m)[1])
         tilt_sd_rad = np.sqrt(np.trace(np.array(line["pose"]["covariance"]["full"])[:2, :2]))
         errors.setdefault(truth.shot, []).append((off_m, angle_between(normal, truth.normal) / tilt_sd_rad))
     return {view: np.mean(found, axis=0) for view, found in errors.items()}

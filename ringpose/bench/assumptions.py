@@ -1,15 +1,14 @@
 """What poses assume about motion, ring and rig: results are compared only if they assume the same."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from math import isfinite
+from math import degrees, isfinite
 from typing import Any, Literal
 
 from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.options import Method
-from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior
+from ringpose.types.pose import PoseFlag, PoseLine
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,23 +45,18 @@ def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
         return None
     if line.priors is None:
         return StatedAssumptions()
-    assumed = line.priors.assumptions
+    assumed, prior, radii = line.priors.assumptions, line.priors.radius, None
+    if line.pose.ring_posterior is not None or (prior is not None and prior.source != "given"):
+        radii = AssumedRadii(source="catalogue")
+    elif prior is not None:
+        inner_m, outer_m = (radius_m if isfinite(radius_m) else None for radius_m in (prior.inner_m, prior.outer_m))
+        radii = AssumedRadii(source="given", inner_m=inner_m, outer_m=outer_m, sd_m=prior.sd_m)
     return StatedAssumptions(
         motion=assumed.motion,
-        radii=_assumed_radii(line.priors.radius, catalogue=line.pose.ring_posterior is not None),
+        radii=radii,
         ring_tolerance_m=assumed.ring_tolerance_m,
         stability=assumed.stability,
     )
-
-
-def _assumed_radii(prior: RadiusPrior | None, *, catalogue: bool) -> AssumedRadii | None:
-    """A catalogue counts as one assumption, whichever of its rings a shot is found to show."""
-    if catalogue or (prior is not None and prior.source != "given"):
-        return AssumedRadii(source="catalogue")
-    if prior is None:
-        return None
-    inner_m, outer_m = (radius_m if isfinite(radius_m) else None for radius_m in (prior.inner_m, prior.outer_m))
-    return AssumedRadii(source="given", inner_m=inner_m, outer_m=outer_m, sd_m=prior.sd_m)
 
 
 def counted(assumptions: Iterable[StatedAssumptions | None]) -> list[tuple[StatedAssumptions, int]]:
@@ -70,8 +64,15 @@ def counted(assumptions: Iterable[StatedAssumptions | None]) -> list[tuple[State
     return list(Counter(each for each in assumptions if each is not None).items())
 
 
-def assumptions_record(assumptions: StatedAssumptions) -> dict[str, Any]:
+def counted_records(assumptions: Iterable[StatedAssumptions | None]) -> list[dict[str, Any]]:
+    """The different assumptions as plain values, each with the number of shots."""
+    return [{**(assumptions_record(each) or {}), "shots": shots} for each, shots in counted(assumptions)]
+
+
+def assumptions_record(assumptions: StatedAssumptions | None) -> dict[str, Any] | None:
     """The assumptions with the keys of `priors` in a pose record."""
+    if assumptions is None:
+        return None
     motion = assumptions.motion
     return {
         "motion": "still" if motion is None else asdict(motion),
@@ -83,29 +84,20 @@ def assumptions_record(assumptions: StatedAssumptions) -> dict[str, Any]:
 
 def assumptions_text(assumptions: StatedAssumptions) -> str:
     """The assumptions in one line."""
-    motion, stability = assumptions.motion, assumptions.stability
-    moving = (
-        "still target"
-        if motion is None
-        else f"speed {motion.speed_sd_m_s:g} m/s and rate {math.degrees(motion.rate_sd_rad_s):.3g} deg/s (1 sd)"
-    )
-    drift = (
-        f"plane tilt {1e3 * stability.plane_tilt_rad:g} mrad, plane distance {1e3 * stability.plane_distance_m:g} mm, "
-        f"focal ratio {stability.focal_ratio:g}"
-    )
-    rig = "stable rig" if stability == RigStability() else f"rig stability {drift}"
-    return (
-        f"{moving}, {_radii_text(assumptions.radii)}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
-    )
-
-
-def _radii_text(radii: AssumedRadii | None) -> str:
-    if radii is None:
-        return "radii unknown"
-    if radii.source == "catalogue":
-        return "radii of a catalogue"
-    given = "/".join("-" if radius_m is None else f"{1e3 * radius_m:g}" for radius_m in (radii.inner_m, radii.outer_m))
-    return f"radii {given} mm" + ("" if radii.sd_m is None else f" (1 sd {1e3 * radii.sd_m:g} mm)")
+    motion, radii, stability = assumptions.motion, assumptions.radii, assumptions.stability
+    target, rings, rig = "still target", "radii unknown", "stable rig"
+    if motion is not None:
+        target = f"speed {motion.speed_sd_m_s:g} m/s and rate {degrees(motion.rate_sd_rad_s):.3g} deg/s (1 sd)"
+    if radii is not None and radii.source == "catalogue":
+        rings = "radii of a catalogue"
+    elif radii is not None:
+        given = ("-" if radius_m is None else f"{1e3 * radius_m:g}" for radius_m in (radii.inner_m, radii.outer_m))
+        rings = f"radii {'/'.join(given)} mm" + ("" if radii.sd_m is None else f" (1 sd {1e3 * radii.sd_m:g} mm)")
+    if stability != RigStability():
+        tilt_mrad, distance_mm = 1e3 * stability.plane_tilt_rad, 1e3 * stability.plane_distance_m
+        rig = f"rig stability plane tilt {tilt_mrad:g} mrad, plane distance {distance_mm:g} mm, "
+        rig += f"focal ratio {stability.focal_ratio:g}"
+    return f"{target}, {rings}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
 
 
 def assumption_lines(assumptions: Sequence[StatedAssumptions | None]) -> list[str]:

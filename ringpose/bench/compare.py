@@ -15,16 +15,16 @@ with the mean: there the permutation test shows that something changed, and the 
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ringpose.bench.score import Score
-from ringpose.bench.summary import group_key, sortable
+from ringpose.bench.summary import Value, grouped
 from ringpose.types.arrays import Array, Float64, UInt8
 
 FALSE_DISCOVERY_RATE = 0.05
@@ -112,20 +112,14 @@ def _nees(name: str) -> Quantity:
     )
 
 
+ERRORS = ("center_m", "normal_rad", "grasp_m", "radius_inner_m", "radius_outer_m", "velocity_m_s", "rate_rad_s")
+
 COMPARED: Mapping[str, Quantity] = {
-    "center_m": _squared_error("center_m"),
-    "normal_rad": _squared_error("normal_rad"),
-    "grasp_m": _squared_error("grasp_m"),
-    "radius_inner_m": _squared_error("radius_inner_m"),
-    "radius_outer_m": _squared_error("radius_outer_m"),
-    "velocity_m_s": _squared_error("velocity_m_s"),
-    "rate_rad_s": _squared_error("rate_rad_s"),
+    **{name: _squared_error(name) for name in ERRORS},
     "center_typical_m": _typical_error("center_m"),
     "normal_typical_rad": _typical_error("normal_rad"),
     "grasp_typical_m": _typical_error("grasp_m"),
-    "center_nees": _nees("center_nees"),
-    "normal_nees": _nees("normal_nees"),
-    "velocity_nees": _nees("velocity_nees"),
+    **{name: _nees(name) for name in ("center_nees", "normal_nees", "velocity_nees")},
     "available": Quantity(
         score=lambda shot: float(shot.status == "ok") if shot.has_target else None,
         figure=_itself,
@@ -162,7 +156,7 @@ class Row:
 
     method: str
     """`a -> b` where the methods differ."""
-    group: Mapping[str, str | float | int | bool]
+    group: Mapping[str, Value]
     """Empty for all shots."""
     quantity: str
     shots: int
@@ -199,25 +193,18 @@ def pairs(scores_a: Sequence[Score], scores_b: Sequence[Score]) -> list[tuple[st
     If each result has one method and they differ, these two are compared; otherwise methods that only one result has
     are left out.
     """
-    by_method_a, by_method_b = _by_method(scores_a), _by_method(scores_b)
-    if len(by_method_a) == len(by_method_b) == 1:
-        (a, of_a), (b, of_b) = *by_method_a.items(), *by_method_b.items()
-        return [(a if a == b else f"{a or '-'} -> {b or '-'}", _joined(of_a, of_b))]
-    return [
-        (method, _joined(by_method_a[method], by_method_b[method])) for method in by_method_a if method in by_method_b
-    ]
-
-
-def _by_method(scores: Iterable[Score]) -> dict[str, dict[str, Score]]:
-    found: dict[str, dict[str, Score]] = {}
-    for score in scores:
-        found.setdefault(score.method, {})[score.shot] = score
+    methods_a, methods_b = ({score.method: None for score in scores} for scores in (scores_a, scores_b))
+    compared = {method: (method, method) for method in methods_a if method in methods_b}
+    if len(methods_a) == len(methods_b) == 1 and not compared:
+        (a,), (b,) = methods_a, methods_b
+        compared = {f"{a or '-'} -> {b or '-'}": (a, b)}
+    found = []
+    for name, (method_a, method_b) in compared.items():
+        of_a = {score.shot: score for score in scores_a if score.method == method_a}
+        of_b = {score.shot: score for score in scores_b if score.method == method_b}
+        both = [(of_a[shot], of_b[shot]) for shot in of_a if shot in of_b]
+        found.append((name, [(a, b) for a, b in both if not a.status == b.status == "lost"]))
     return found
-
-
-def _joined(scores_a: Mapping[str, Score], scores_b: Mapping[str, Score]) -> list[Pair]:
-    both = [(scores_a[shot], scores_b[shot]) for shot in scores_a if shot in scores_b]
-    return [(a, b) for a, b in both if not a.status == b.status == "lost"]
 
 
 def compare(
@@ -231,17 +218,17 @@ def compare(
     from scipy.stats import false_discovery_control
 
     samples = [
-        _Sample(method=method, group=group, name=name, a=scores[0], b=scores[1])
+        _Sample(method, group, name, *scores)
         for method, members in paired
-        for group, of_group in _groups(members, by)
+        for group, of_group in grouped(members, by, lambda pair: pair[0])
         for name, quantity in COMPARED.items()
         if len((scores := paired_scores(of_group, quantity))[0])
     ]
     rows: list[Row] = []
     for decides in (True, False):
-        family = [sample for sample in samples if COMPARED[sample.name].judged is decides]
-        p_values = np.array([permutation_p_value(sample.a, sample.b, COMPARED[sample.name].loss) for sample in family])
-        testable = np.array([testable_shots(int(np.sum(sample.a != sample.b))) for sample in family], dtype=bool)
+        family = [sample for sample in samples if COMPARED[sample.quantity].judged is decides]
+        p_values = np.array([permutation_p_value(each.a, each.b, COMPARED[each.quantity].loss) for each in family])
+        testable = np.array([testable_shots(int(np.sum(each.a != each.b))) for each in family], dtype=bool)
         adjusted = np.ones(len(family))
         if testable.any():  # rows of the same shots are positively dependent, for which Benjamini-Hochberg is valid
             adjusted[testable] = false_discovery_control(p_values[testable])
@@ -252,25 +239,14 @@ def compare(
     return rows
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sample:
+class _Sample(NamedTuple):
     """The scores of one row."""
 
     method: str
-    group: Mapping[str, str | float | int | bool]
-    name: str
+    group: Mapping[str, Value]
+    quantity: str
     a: Float64[Array, "n"]
     b: Float64[Array, "n"]
-
-
-def _groups(
-    members: Sequence[Pair], by: Sequence[str]
-) -> Iterator[tuple[Mapping[str, str | float | int | bool], Sequence[Pair]]]:
-    """The pairs of each group, sorted, then all of them."""
-    keys = sorted({group_key(a, by) for a, _ in members}, key=sortable) if by else []
-    for key in keys:
-        yield dict(zip(by, key, strict=True)), [pair for pair in members if group_key(pair[0], by) == key]
-    yield {}, members
 
 
 def paired_scores(members: Iterable[Pair], quantity: Quantity) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
@@ -320,7 +296,7 @@ def _random_permutations(shots: int, permutations: int) -> UInt8[Array, "permuta
 
 
 def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance: float, resamples: int) -> Row:
-    quantity, a, b = COMPARED[sample.name], sample.a, sample.b
+    quantity, a, b = COMPARED[sample.quantity], sample.a, sample.b
     loss_a, loss_b = float(quantity.loss(a.mean())), float(quantity.loss(b.mean()))
     difference, scale = loss_b - loss_a, loss_a if quantity.relative else 1.0
     interval = bootstrap_interval(a, b, quantity.loss, resamples) if resamples and len(a) > 1 else None
@@ -336,7 +312,7 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
     return Row(
         method=sample.method,
         group=sample.group,
-        quantity=sample.name,
+        quantity=sample.quantity,
         shots=len(a),
         changed=int(np.sum(a != b)),
         a=float(quantity.figure(a.mean())),

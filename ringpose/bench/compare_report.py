@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ringpose.bench.assumptions import assumption_lines, assumptions_record, counted
+from ringpose.bench.assumptions import assumption_lines, counted_records
 from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
 from ringpose.bench.score import Judgement
 from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
-from ringpose.bench.table import COLUMNS, NEES, aligned
+from ringpose.bench.table import COLUMNS, NEES, aligned, group_cells
 
 SCHEMA = "bench_compare/1"
 
@@ -63,11 +63,12 @@ def no_longer_correct(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tupl
     This verdict does not compare means, so that one wrong quantity can change it; if all covariances are correct, it
     changes in less than 1 % of comparisons.
     """
-    judged = [
-        (method, wrong_quantities([a for a, _ in members]), wrong_quantities([b for _, b in members]))
+    return [
+        (method, wrong)
         for method, members in paired
+        if not (wrong := wrong_quantities([b for _, b in members])).none_wrong
+        and wrong_quantities([a for a, _ in members]).none_wrong
     ]
-    return [(method, b) for method, a, b in judged if a.none_wrong and not b.none_wrong]
 
 
 def comparison_text(
@@ -108,13 +109,11 @@ def _named(title: str, findings: Sequence[str]) -> list[str]:
 def _cells(row: Row, by: Sequence[str]) -> list[str]:
     heading, factor = UNITS[row.quantity]
     low_high = ABSENT if row.interval is None else " .. ".join(f"{end * factor:+.3g}" for end in row.interval)
-    group = [str(row.group.get(name, ABSENT)) if row.group else "all" for name in by]
     verdict = str(row.verdict)
     if row.verdict is Verdict.WORSE and not row.beyond_tolerance:
         verdict = "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
     return [
-        row.method or ABSENT,
-        *group,
+        *group_cells(row.method, row.group, by),
         heading,
         str(row.shots),
         f"{row.a * factor:.3g}",
@@ -151,10 +150,7 @@ def comparison_record(
     return {
         "ringpose": SCHEMA,
         "tolerance": tolerance,
-        "assumptions": [
-            {**assumptions_record(each), "shots": shots}
-            for each, shots in counted(b.assumptions or a.assumptions for _, members in paired for a, b in members)
-        ],
+        "assumptions": counted_records(b.assumptions or a.assumptions for _, members in paired for a, b in members),
         "matched": dict(matched),
         "changed": not nothing_changed(rows),
         "worse": sum(row.beyond_tolerance for row in rows),

@@ -9,7 +9,7 @@ from ringpose.bench.assumptions import (
     StatedAssumptions,
     assumptions_record,
     assumptions_text,
-    counted,
+    counted_records,
 )
 from ringpose.bench.score import QUANTITIES, Judgement, Matching, Outcome, Score
 from ringpose.bench.summary import Summary
@@ -39,14 +39,14 @@ def report(
     """
     return {
         "ringpose": SCHEMA,
-        "assumptions": [
-            {**assumptions_record(each), "shots": shots}
-            for each, shots in counted(score.assumptions for score in scores)
-        ],
+        "assumptions": counted_records(score.assumptions for score in scores),
         "truths": sorted(truths),
         "matching": None if matched is None else asdict(matched),
         "groups": [_group_record(line) for line in summaries],
-        "shots": [_shot_record(score) for score in scores],
+        "shots": [
+            {**asdict(each), "assumptions": assumptions_record(each.assumptions), "rig": each.rig or None}
+            for each in scores
+        ],
         "missed": list(missed),
     }
 
@@ -77,11 +77,6 @@ def _group_record(line: Summary) -> Mapping[str, Any]:
             "none_wrong": wrong.none_wrong,
         },
     }
-
-
-def _shot_record(score: Score) -> Mapping[str, Any]:
-    assumptions = None if score.assumptions is None else assumptions_record(score.assumptions)
-    return {**asdict(score), "assumptions": assumptions, "rig": score.rig or None}
 
 
 def recorded_scores(fields: Fields) -> list[Score]:
@@ -126,16 +121,15 @@ def _score_of(fields: Fields, assumptions: StatedAssumptions | None) -> Score:
 def _assumptions(fields: Fields) -> StatedAssumptions | None:
     if not fields.has("assumptions"):
         return None
-    values = fields.fields("assumptions")
+    values, radii = fields.fields("assumptions"), None
+    if values.has("radii"):
+        known = values.fields("radii")
+        numbers = known.given(("inner_m", "outer_m", "sd_m"), lambda key: known.number(key, least=0))
+        source = cast(Literal["given", "catalogue"], known.choice("source", ("given", "catalogue")))
+        radii = AssumedRadii(source=source, **numbers)
     return StatedAssumptions(
         motion=motion_prior(values),
-        radii=values.optional("radii", lambda key: _assumed_radii(values.fields(key))),
+        radii=radii,
         ring_tolerance_m=values.number("ring_tolerance_m", least=0),
         stability=rig_stability(values.fields("stability")),
     )
-
-
-def _assumed_radii(values: Fields) -> AssumedRadii:
-    numbers = values.given(("inner_m", "outer_m", "sd_m"), lambda key: values.number(key, least=0))
-    source = cast(Literal["given", "catalogue"], values.choice("source", ("given", "catalogue")))
-    return AssumedRadii(source=source, **numbers)

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
@@ -15,7 +16,6 @@ from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import (
     MAX_PROPAGATION_S,
     circle_error,
-    distance_to_circle_m,
     mahalanobis_squared,
     mid_radius_m,
     misses_band,
@@ -25,7 +25,7 @@ from ringpose.estimate.pose_errors import (
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose, Status
 from ringpose.types.rig import Camera
 from ringpose.types.scene import Truth
 
@@ -79,29 +79,24 @@ by degree of freedom."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseEstimate:
-    """The result of one method for one shot: a pose in the camera frame, or None."""
+    """The pose line of a shot by one method, in the camera frame, to be compared with the truth."""
 
+    line: PoseLine
     shot: str
+    """Name of the shot in the truth."""
     method: str
     """Empty if a record without a pose does not contain it."""
-    pose: RingPose | None
-    status: Status = "none"
-    """That of the record."""
-    flags: PoseFlag = PoseFlag(0)
-    stamp_s: float = math.nan
-    """The instant at which the pose holds; NaN if unknown."""
-    shot_stamp_s: float = math.nan
-    """That of the shot."""
-    velocity: RingVelocity | None = None
-    assumptions: StatedAssumptions | None = None
-    """None if nothing was estimated."""
-    latency_s: float = math.nan
-    rig: str = ""
-    """SHA-256 of the rig file, empty if unknown."""
+    status: Status
+    """That of the record, which may have flags that are not known."""
+
+    @property
+    def stamp_s(self) -> float:
+        """The instant at which the pose holds, by default that of the shot; NaN if unknown."""
+        return self.line.stamp_s if math.isnan(self.line.pose_stamp_s) else self.line.pose_stamp_s
 
 
 class Outcome(StrEnum):
-    """The outcome of a shot."""
+    """What a method gives for a shot, compared with what the truth expects."""
 
     OK = "ok"
     DEGRADED = "degraded"
@@ -181,25 +176,15 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
     """The estimate in a pose record; DataError unless it is in the camera frame, like the truth."""
     if line.pose is not None and line.frame is not PoseFrame.CAMERA:
         raise DataError(place, f"is in the {line.frame} frame", "give poses in the camera frame")
-    return PoseEstimate(
-        shot=line.shot,
-        method=line.pose.method if line.pose else "",
-        pose=line.pose,
-        status=line.status,
-        flags=line.flags,
-        stamp_s=line.stamp_s if math.isnan(line.pose_stamp_s) else line.pose_stamp_s,
-        shot_stamp_s=line.stamp_s,
-        velocity=line.velocity,
-        assumptions=assumptions_of(line),
-        latency_s=line.latency_s,
-        rig=line.rig,
-    )
+    method = line.pose.method if line.pose else ""
+    return PoseEstimate(line=line, shot=line.shot, method=method, status=line.status)
 
 
 def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -> list[PoseEstimate]:
-    """Estimates of a track under the names of the truths that are nearest in time; of several at one truth the nearest.
+    """Estimates of a track, each renamed to the shot of the truth that is nearest in time.
 
-    One that is more than `MAX_PROPAGATION_S` from all truths keeps its name.
+    Of several estimates at one truth the nearest is kept. An estimate that is more than `MAX_PROPAGATION_S` from all
+    truths keeps its name.
     """
     dated = [truth for truth in truths if truth.stamp_s is not None]
     stamps_s = np.array([truth.stamp_s for truth in dated])
@@ -217,13 +202,17 @@ def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -
 
 
 def scores(estimates: Iterable[PoseEstimate], truths: Sequence[Truth], camera: Camera | None) -> list[Score]:
-    """A score for each method and shot of the truth, in the order of the truth; a shot without a record is `lost`."""
-    by_method = _by_method(estimates)
-    return [
-        score(truth, by_shot.get(truth.shot), method, camera)
-        for method, by_shot in by_method.items()
-        for truth in truths
-    ]
+    """A score for each method and shot of the truth, in the order of the truth; a shot without a record is `lost`.
+
+    A record without a method, since it has no pose, counts for all methods.
+    """
+    every = list(estimates)
+    methods = list(dict.fromkeys(estimate.method for estimate in every if estimate.method)) or [""]
+    found = []
+    for method in methods:
+        by_shot = {each.shot: each for each in every if each.method in (method, "")}
+        found += [score(truth, by_shot.get(truth.shot), method, camera) for truth in truths]
+    return found
 
 
 def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matching:
@@ -241,52 +230,34 @@ def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matc
     )
 
 
-def _by_method(estimates: Iterable[PoseEstimate]) -> Mapping[str, Mapping[str, PoseEstimate]]:
-    """The estimates of each method by shot; a record without a method counts for all methods."""
-    every = list(estimates)
-    methods = list(dict.fromkeys(estimate.method for estimate in every if estimate.method)) or [""]
-    table: dict[str, dict[str, PoseEstimate]] = {method: {} for method in methods}
-    for estimate in every:
-        for method in [estimate.method] if estimate.method else methods:
-            table[method][estimate.shot] = replace(estimate, method=method)
-    return table
-
-
 def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Camera | None) -> Score:
-    """Score of an estimate (None for a shot without a record); without the camera the arc is not checked."""
+    """Score of an estimate (None for a shot without a record).
+
+    Without the camera it is not checked whether the grasp point lies on the arc that the stripes span.
+    """
     has_target = truth.expect != "no_target"
+    scored = partial(Score, shot=truth.shot, method=method, has_target=has_target, groups=truth.groups)
     if estimate is None:
-        return Score(
-            shot=truth.shot,
-            method=method,
-            outcome=Outcome.LOST,
-            status="lost",
-            has_target=has_target,
-            groups=truth.groups,
-        )
-    pose, truth_now = estimate.pose, truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
-    compared = {} if pose is None else dict(_compared(truth_now, pose, estimate.velocity))
+        return scored(outcome=Outcome.LOST, status="lost")
+    line, truth_now = estimate.line, truth_at(truth, estimate.stamp_s, estimate.line.stamp_s)
+    compared = _compared(truth_now, line)
     distances = {
         name: math.sqrt(mahalanobis_squared(error, covariance))
         for name, (error, covariance) in compared.items()
         if covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
     }
-    found = {} if pose is None else dict(_judgements(truth_now, estimate, pose, compared, distances, camera))
+    found = dict(_judgements(truth_now, line, compared, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in found.items()}
-    return Score(
-        shot=truth.shot,
-        method=method,
+    return scored(
         outcome=_outcome(truth, estimate.status, Judgement.WRONG in judgements.values()),
         status=estimate.status,
-        has_target=has_target,
-        groups=truth.groups,
-        errors={} if pose is None else _errors(truth_now, pose, compared, distances),
+        errors=_errors(truth_now, line.pose, compared, distances),
         judgements=judgements,
         distances=distances,
         gross=tuple(name for name, (_, gross) in found.items() if gross),
-        assumptions=estimate.assumptions,
-        latency_s=estimate.latency_s if math.isfinite(estimate.latency_s) else None,
-        rig=estimate.rig,
+        assumptions=assumptions_of(line),
+        latency_s=line.latency_s if math.isfinite(line.latency_s) else None,
+        rig=line.rig,
     )
 
 
@@ -300,102 +271,83 @@ def _outcome(truth: Truth, status: Status, wrong: bool) -> Outcome:
     return Outcome.OK if status == "ok" else Outcome.DEGRADED
 
 
-Compared = Mapping[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]
+Compared = dict[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]
 """Error of each reported quantity that has a truth, in the coordinates in which it is judged, and its covariance."""
 
 
-def _compared(
-    truth: Truth, pose: RingPose, velocity: RingVelocity | None
-) -> Iterator[tuple[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]]:
-    """The entries of `Compared`."""
-    center_m, normal = truth.center_m, truth.normal
-    if center_m is None or normal is None:
-        return
-    reported, radius_m = _reported(pose, velocity), mid_radius_m(truth)
+def _compared(truth: Truth, line: PoseLine) -> Compared:
+    pose, velocity, reported = line.pose, line.velocity, _reported(line)
+    center_m, normal, radius_m = truth.center_m, truth.normal, mid_radius_m(truth)
+    found: Compared = {}
+    if pose is None or center_m is None or normal is None:
+        return found
     full = np.full((7, 7), np.nan) if pose.covariance is None else pose.covariance
     if "center" in reported:
-        yield "center", (pose.center_m - center_m, pose.covariance_center_m2)
+        found["center"] = pose.center_m - center_m, pose.covariance_center_m2
     if "normal" in reported:
-        yield "normal", (tilt_error_rad(pose.normal, normal), full[:2, :2])
+        found["normal"] = tilt_error_rad(pose.normal, normal), full[:2, :2]
     if "grasp" in reported and radius_m is not None:
         axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
         grasp_m2 = pose.covariance_grasp_m2
-        yield "grasp", (beside_m, None if grasp_m2 is None else axes @ grasp_m2 @ axes.T)
-    radii = {
-        "radius_inner": (pose.radius_inner_m, truth.radius_inner_m),
-        "radius_outer": (pose.radius_outer_m, truth.radius_outer_m),
-    }
-    for row, (name, (found_m, true_m)) in enumerate(radii.items(), start=5):
-        if name in reported and true_m is not None:
-            yield name, (np.array([found_m - true_m]), full[row : row + 1, row : row + 1])
-    if velocity is not None and "velocity" in reported and _moves(truth):
-        yield "velocity", (_velocity_error(truth, velocity, pose.normal), velocity.covariance)
+        found["grasp"] = beside_m, None if grasp_m2 is None else axes @ grasp_m2 @ axes.T
+    if "radius_inner" in reported and truth.radius_inner_m is not None:
+        found["radius_inner"] = np.array([pose.radius_inner_m - truth.radius_inner_m]), full[5:6, 5:6]
+    if "radius_outer" in reported and truth.radius_outer_m is not None:
+        found["radius_outer"] = np.array([pose.radius_outer_m - truth.radius_outer_m]), full[6:7, 6:7]
+    moves = truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
+    if "velocity" in reported and velocity is not None and moves:
+        true_m_s = np.zeros(3) if truth.velocity_m_s is None else truth.velocity_m_s
+        true_rad_s = np.zeros(3) if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
+        rate_error_rad_s = tilt_basis(pose.normal) @ (velocity.rate_rad_s - true_rad_s)
+        found["velocity"] = np.concatenate([velocity.center_m_s - true_m_s, rate_error_rad_s]), velocity.covariance
+    return found
+
+
+def _reported(line: PoseLine) -> list[str]:
+    """Names of the quantities (`JUDGED`) that a pose line determines."""
+    pose, velocity = line.pose, line.velocity
+    if pose is None:
+        return []
+    velocity_m_s = np.array(np.nan) if velocity is None else velocity.center_m_s
+    values = (pose.center_m, pose.normal, pose.grasp_m, pose.radius_inner_m, pose.radius_outer_m, velocity_m_s)
+    return [name for name, value in zip(JUDGED, values, strict=True) if np.isfinite(value).all()]
 
 
 def _judgements(
-    truth: Truth,
-    estimate: PoseEstimate,
-    pose: RingPose,
-    compared: Compared,
-    distances: Mapping[str, float],
-    camera: Camera | None,
+    truth: Truth, line: PoseLine, compared: Compared, distances: Mapping[str, float], camera: Camera | None
 ) -> Iterator[tuple[str, tuple[Judgement, bool]]]:
     """Each reported quantity with its judgement, and whether its error is gross."""
-    for name in _reported(pose, estimate.velocity):
+    for name in _reported(line):
         if truth.expect != "no_target" and name not in compared:
             continue
-        if estimate.flags & FLAGS_OF_QUANTITY[name]:
+        if line.flags & FLAGS_OF_QUANTITY[name]:
             yield name, (Judgement.FLAGGED, False)
-        elif truth.expect == "no_target" or (name == "grasp" and misses_band(pose.grasp_m, truth, camera)):
+        elif truth.expect == "no_target" or (
+            name == "grasp" and line.pose is not None and misses_band(line.pose.grasp_m, truth, camera)
+        ):
             yield name, (Judgement.WRONG, True)
         elif name in distances:
             wrong = distances[name] > WRONG_SIGMAS
             yield name, (Judgement.WRONG if wrong else Judgement.CORRECT, distances[name] > GROSS_SIGMAS)
-        elif name == "grasp":
-            yield name, (Judgement.CORRECT, False)
-        else:
-            yield name, (Judgement.NO_COVARIANCE, False)
+        else:  # the limits of band and arc apply to a grasp point without a covariance, too
+            yield name, (Judgement.CORRECT if name == "grasp" else Judgement.NO_COVARIANCE, False)
 
 
-def _reported(pose: RingPose, velocity: RingVelocity | None) -> list[str]:
-    values: Mapping[str, Float64[Array, "3"] | float] = {
-        "center": pose.center_m,
-        "normal": pose.normal,
-        "grasp": pose.grasp_m,
-        "radius_inner": pose.radius_inner_m,
-        "radius_outer": pose.radius_outer_m,
-        "velocity": math.nan if velocity is None else velocity.center_m_s,
-    }
-    return [name for name, value in values.items() if np.isfinite(value).all()]
-
-
-def _moves(truth: Truth) -> bool:
-    """Whether the truth states a velocity, which may be zero."""
-    return truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
-
-
-def _velocity_error(truth: Truth, velocity: RingVelocity, normal: Float64[Array, "xyz=3"]) -> Float64[Array, "rate=5"]:
-    """Errors of velocity x, y, z and of the angular velocity along the tilt basis of the estimated normal."""
-    none = np.zeros(3)
-    true_velocity_m_s = none if truth.velocity_m_s is None else truth.velocity_m_s
-    true_rate_rad_s = none if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
-    rate_error_rad_s = tilt_basis(normal) @ (velocity.rate_rad_s - true_rate_rad_s)
-    return np.concatenate([velocity.center_m_s - true_velocity_m_s, rate_error_rad_s])
-
-
-def _errors(truth: Truth, pose: RingPose, compared: Compared, distances: Mapping[str, float]) -> dict[str, float]:
+def _errors(
+    truth: Truth, pose: RingPose | None, compared: Compared, distances: Mapping[str, float]
+) -> dict[str, float]:
     """Errors by the names of `QUANTITIES`; in a partial shot only those of normal and grasp point."""
-    if truth.center_m is None or truth.normal is None or truth.expect == "no_target":
+    if pose is None or truth.normal is None or truth.expect == "no_target":
         return {}
+    error = {name: vector for name, (vector, _) in compared.items()}
     errors = {}
-    if "normal" in compared:
+    if "normal" in error:
         errors["normal_rad"] = float(angle_between(pose.normal[None], truth.normal[None])[0])
-    if "grasp" in compared and (radius_m := mid_radius_m(truth)) is not None:
-        errors["grasp_m"] = distance_to_circle_m(pose.grasp_m, truth.center_m, truth.normal, radius_m)
+    if "grasp" in error:
+        errors["grasp_m"] = float(np.hypot(*error["grasp"]))
     nees = {f"{name}_nees": distances[name] ** 2 / JUDGED[name] for name in WITH_NEES if name in distances}
     if truth.expect == "partial":
         return errors | {name: value for name, value in nees.items() if name == "normal_nees"}
-    error = {name: error for name, (error, _) in compared.items()}
     if "center" in error:
         errors |= {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error["center"], strict=True)}
         errors["center_m"] = float(np.linalg.norm(error["center"]))

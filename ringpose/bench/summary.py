@@ -1,15 +1,21 @@
 """Statistics of the scores of each group of shots: outcomes, errors, wrong quantities; and limits on them."""
 
-import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from ringpose.bench.score import JUDGED, QUANTITIES, WRONG_SIGMAS, Judgement, Outcome, Score
 
-GroupKey = tuple[str | float | int | bool, ...]
+Value = str | float | int | bool
+"""Value of a group."""
+
+_Item = TypeVar("_Item")
+
+Grouped = tuple[Mapping[str, Value], Sequence[_Item]]
+"""The values that some items have in common, and these items."""
 
 ABSENT = "-"
 """Printed for a missing value, and the group of a shot whose truth does not contain it."""
@@ -72,10 +78,10 @@ class WrongQuantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """One group of shots, or all of them, of one method."""
+    """Figures of a group of shots, or of all of them, by one method."""
 
     method: str
-    group: Mapping[str, str | float | int | bool]
+    group: Mapping[str, Value]
     """Empty for all shots."""
     shots: int
     outcomes: Mapping[Outcome, int]
@@ -92,22 +98,26 @@ class Summary:
 
 def summaries(scores: Sequence[Score], by: Sequence[str]) -> list[Summary]:
     """For each method a summary of each group, sorted, and last one of all its shots."""
-    lines = []
-    for method in dict.fromkeys(score.method for score in scores):
-        own = [score for score in scores if score.method == method]
-        keys = sorted({group_key(score, by) for score in own}, key=sortable)
-        if by:
-            for key in keys:
-                members = [score for score in own if group_key(score, by) == key]
-                lines.append(_summary(method, dict(zip(by, key, strict=True)), members))
-        lines.append(_summary(method, {}, own))
-    return lines
+    return [
+        _summary(method, group, members)
+        for method in dict.fromkeys(score.method for score in scores)
+        for group, members in grouped([score for score in scores if score.method == method], by, lambda score: score)
+    ]
 
 
-def unknown_groups(scores: Sequence[Score], by: Sequence[str]) -> list[str]:
-    """Names that are not a group of any shot."""
-    known = {name for score in scores for name in score.groups}
-    return [name for name in by if name not in known]
+def grouped(items: Sequence[_Item], by: Sequence[str], score_of: Callable[[_Item], Score]) -> Iterator[Grouped[_Item]]:
+    """The items whose scores have the same values of the fields `by`, such as `light`; last, all with an empty group.
+
+    Groups are sorted: numbers by value, then texts. A shot whose truth lacks a field belongs to the group `ABSENT`.
+    """
+    members: dict[tuple[Value, ...], list[_Item]] = {}
+    for item in items if by else ():
+        values = (score_of(item).groups.get(name, ABSENT) for name in by)
+        key = tuple(value if isinstance(value, str | float | int) else str(value) for value in values)
+        members.setdefault(key, []).append(item)
+    for key in sorted(members, key=lambda key: [(isinstance(part, str), part) for part in key]):
+        yield dict(zip(by, key, strict=True)), members[key]
+    yield {}, items
 
 
 def error_statistics(errors: Iterable[float]) -> ErrorStatistics:
@@ -121,7 +131,7 @@ def error_statistics(errors: Iterable[float]) -> ErrorStatistics:
     )
 
 
-def _summary(method: str, group: Mapping[str, str | float | int | bool], scores: Sequence[Score]) -> Summary:
+def _summary(method: str, group: Mapping[str, Value], scores: Sequence[Score]) -> Summary:
     outcomes = Counter(score.outcome for score in scores)
     errors = {name: [s.errors[name] for s in scores if name in s.errors] for name in QUANTITIES}
     return Summary(
@@ -146,38 +156,18 @@ def wrong_quantities(scores: Sequence[Score]) -> WrongQuantities:
     )
 
 
-def group_key(score: Score, by: Sequence[str]) -> GroupKey:
-    """Values of the fields `by`, such as `light`, of a shot; shots with equal values are summarised together."""
-    values = (score.groups.get(name, ABSENT) for name in by)
-    return tuple(value if isinstance(value, str | float | int) else str(value) for value in values)
-
-
-def sortable(key: GroupKey) -> tuple[tuple[bool, float, str], ...]:
-    """Sort key: numbers by value, then texts alphabetically."""
-    return tuple((isinstance(part, str), 0.0 if isinstance(part, str) else float(part), str(part)) for part in key)
-
-
 # Limits
 
 
-def error_limits(
-    center_mm: float | None, normal_deg: float | None, radius_mm: float | None, grasp_mm: float | None
-) -> dict[str, float]:
-    """Limits on RMSEs by the names of `QUANTITIES`, in metres and radians, without those that are None."""
-    wanted = {
-        "center_m": (center_mm, 1e-3),
-        "normal_rad": (normal_deg, math.pi / 180),
-        "radius_inner_m": (radius_mm, 1e-3),
-        "radius_outer_m": (radius_mm, 1e-3),
-        "grasp_m": (grasp_mm, 1e-3),
-    }
-    return {name: value * unit for name, (value, unit) in wanted.items() if value is not None}
+def exceeded_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float | None]) -> list[str]:
+    """A message for each group whose RMSE exceeds a limit, and for each limit to which no group has an error.
 
-
-def exceeded_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float]) -> list[str]:
-    """A message for each group whose RMSE exceeds a limit, and for each limit to which no group has an error."""
+    `limits`: by the names of `QUANTITIES`, in metres and radians; None is no limit.
+    """
     sentences = []
     for name, limit in limits.items():
+        if limit is None:
+            continue
         held = [line for line in summaries if name in line.errors]
         if not held:
             sentences.append(f"{name}: no shot has such an error, limit {limit:.4g}")
@@ -192,9 +182,7 @@ def exceeded_error_limits(summaries: Sequence[Summary], limits: Mapping[str, flo
 def exceeded_count_limits(summaries: Sequence[Summary], missed: int | None, wrong: int | None) -> list[str]:
     """A message for each method with more missed and lost shots, or more wrong quantities, than the limits."""
     sentences = []
-    for line in summaries:
-        if line.group:
-            continue
+    for line in (line for line in summaries if not line.group):
         lost = line.outcomes[Outcome.MISSED] + line.outcomes[Outcome.LOST]
         if missed is not None and lost > missed:
             sentences.append(f"missed and lost: {lost} shots of {_group(line)} exceed {missed}")

@@ -5,18 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ringpose.bench.assumptions import StatedAssumptions, assumption_lines
 from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
-from ringpose.bench.summary import ABSENT, Summary
+from ringpose.bench.summary import ABSENT, Summary, Value
 
-OUTCOMES = {
-    Outcome.OK: "ok",
-    Outcome.DEGRADED: "degraded",
-    Outcome.MISSED: "missed",
-    Outcome.PARTIAL: "partial",
-    Outcome.PARTIAL_NONE: "part.none",
-    Outcome.NO_TARGET: "no target",
-    Outcome.WRONG: "wrong",
-    Outcome.LOST: "lost",
-}
+OUTCOMES = {outcome: outcome.value for outcome in Outcome}
+OUTCOMES |= {Outcome.PARTIAL_NONE: "part.none", Outcome.NO_TARGET: "no target"}
 
 _MM = 1e3
 _DEG = 180 / math.pi
@@ -55,7 +47,7 @@ def table(
     and truths that match.
     """
     blocks = [
-        _block("shots", summaries, by, _shots),
+        _block("shots", summaries, by, _outcomes),
         _block("errors, root mean square", summaries, by, _rmse),
         _block("errors, median and maximum", summaries, by, _median_and_max),
         _block("wrong quantities of those judged", summaries, by, _wrong),
@@ -70,23 +62,21 @@ def table(
 def _block(
     title: str, summaries: Sequence[Summary], by: Sequence[str], cells: Callable[[Summary], Mapping[str, str]]
 ) -> str:
-    names = ["method", *by]
     of_lines = [cells(line) for line in summaries]
     shown = [
         heading
         for heading in (of_lines[0] if of_lines else ())
         if heading not in OPTIONAL or any(of_line[heading] not in (ABSENT, "0/0") for of_line in of_lines)
     ]
-    rows = [
-        [
-            line.method or ABSENT,
-            *(str(line.group.get(name, ABSENT)) if line.group else "all" for name in by),
-            *(of_line[heading] for heading in shown),
-        ]
-        for line, of_line in zip(summaries, of_lines, strict=True)
-    ]
-    heading = [*names, *shown]
-    return "\n".join([title, *aligned([heading, *rows], left=len(names))])
+    rows = [["method", *by, *shown]]
+    for line, of_line in zip(summaries, of_lines, strict=True):
+        rows.append([*group_cells(line.method, line.group, by), *(of_line[heading] for heading in shown)])
+    return "\n".join([title, *aligned(rows, left=1 + len(by))])
+
+
+def group_cells(method: str, group: Mapping[str, Value], by: Sequence[str]) -> list[str]:
+    """The cells of a method and of the values of a group; `all` for the empty one."""
+    return [method or ABSENT, *(str(group.get(name, ABSENT)) if group else "all" for name in by)]
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
@@ -101,7 +91,7 @@ def aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
     ]
 
 
-def _shots(line: Summary) -> Mapping[str, str]:
+def _outcomes(line: Summary) -> Mapping[str, str]:
     return {"shots": str(line.shots)} | {name: str(line.outcomes[outcome]) for outcome, name in OUTCOMES.items()}
 
 

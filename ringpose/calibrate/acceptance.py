@@ -5,7 +5,7 @@ corners.
 """
 
 from collections.abc import Mapping
-from math import inf, radians
+from math import inf, isnan, radians
 from typing import Any
 
 from ringpose.types.calibration import Check, Grade, Verdict
@@ -54,7 +54,7 @@ PLANES_LIMITS: Limits = {
 
 
 def check(limits: Limits, name: str, value: float, advice: str, place: str = "", *, scale: float = 1.0) -> Check:
-    """The check of a value; limits that are relative are multiplied by `scale`."""
+    """The check of a value by its limits; those of a relative quantity are multiplied by `scale`."""
     pass_limit, fail_limit = (scale * limit for limit in limits[name])
     return Check(name=name, value=value, pass_limit=pass_limit, fail_limit=fail_limit, advice=advice, place=place)
 
@@ -72,14 +72,11 @@ def verdict_values(verdict: Verdict) -> dict[str, Any]:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Lines of text: the grade with the values that are not good, then the advice."""
-    poor = [finding for finding in verdict.findings if finding.grade is not Grade.GOOD]
-    reasons = "; ".join(finding_text(finding) for finding in poor) or "every number is within its limit"
+    """Lines of text: the grade with the values that are not good, `left views 3 (limit 5)`, then the advice."""
+    poor = []
+    for finding in verdict.findings:
+        if finding.grade is not Grade.GOOD:
+            value = "unknown" if isnan(finding.value) else f"{finding.value:.4g}"
+            poor.append(f"{finding.place} {finding.name} {value} (limit {finding.pass_limit:.4g})".lstrip())
+    reasons = "; ".join(poor) or "every number is within its limit"
     return [f"verdict: {verdict.grade}: {reasons}", *(f"advice: {sentence}" for sentence in verdict.advice)]
-
-
-def finding_text(finding: Check) -> str:
-    """A check as text: `left held_out_rms_m 0.0004 (limit 0.0002)`."""
-    place = f"{finding.place} " if finding.place else ""
-    value = "unknown" if finding.value != finding.value else f"{finding.value:.4g}"
-    return f"{place}{finding.name} {value} (limit {finding.pass_limit:.4g})"

@@ -104,7 +104,8 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
     scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
     stripes = list(_stripes_on_face(points, images, rig)) if rig is not None and isinstance(points, BreakPoints) else []
     if not stripes:
-        stripes = [(image, position_px) for image in images for position_px in _any_stripes(image)]
+        found = [(i, find_stripes(i.lit, i.dark, saturation_dn=i.threshold_scale_dn).position_px) for i in images]
+        stripes = [(image, position_px) for image, position_px in found if len(position_px) >= MIN_STRIPE_COLUMNS]
     if not stripes:
         return tuple(factor_without_stripes(shot) * each for each in exposures_of(shot))
     shortest_s = exposures_of(shot)[0]
@@ -126,13 +127,6 @@ def _stripes_on_face(
                 columns = np.arange(np.ceil(start[0]), end[0])
                 if len(columns) >= MIN_STRIPE_COLUMNS:
                     yield image, np.column_stack([columns, np.interp(columns, *np.stack([start, end], axis=1))])
-
-
-def _any_stripes(image: LaserImage) -> Iterator[Float64[Array, "column xy=2"]]:
-    """The places of all stripes in an image."""
-    found = find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
-    if len(found.position_px) >= MIN_STRIPE_COLUMNS:
-        yield found.position_px
 
 
 def _best_exposure_s(

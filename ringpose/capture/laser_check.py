@@ -39,38 +39,52 @@ MAX_WIDTHS_PER_IMAGE = 25
 MIN_STRIPE = 0.1
 """Minimum share of the columns of an image that a stripe crosses if its laser hits anything."""
 
-STRIPE_REMEDY = "cut the power; a line that stays then is not a laser's"
-"""Remedy for a stripe that shows while all lasers are off."""
-
 SAMPLED = 7
 """The noise is estimated from every SAMPLED-th row and column."""
 
 Image = UInt[Array, "row column"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LitPixels:
-    """The pixels that a laser lights."""
+    """The pixels that a laser lights, found by the difference of two images."""
 
     pixel: Int64[Array, "n"]
     """Indices into the flattened image."""
-    contrast_dn: Float32[Array, "n"]
-    """Grey value above the dark frame."""
-    dark_dn: Float32[Array, "n"]
-    """Grey value in the dark frame."""
+    lit: Image
+    """The image with the laser."""
+    dark: Image
+    """The image without it."""
+
+    @functools.cached_property
+    def dark_dn(self) -> Float32[Array, "n"]:
+        """Grey values in the dark image."""
+        return self.dark.ravel()[self.pixel].astype(np.float32)
+
+    @functools.cached_property
+    def contrast_dn(self) -> Float32[Array, "n"]:
+        """Grey values of the lit image above those of the dark one."""
+        return self.lit.ravel()[self.pixel] - self.dark_dn
 
     def are_lit_in(self, image: Image) -> bool:
-        """Whether the same laser lights another image."""
-        grey = image.ravel()[self.pixel].astype(np.float32)
-        bright = grey - self.dark_dn > MIN_CONTRAST_SHARE * self.contrast_dn
-        return bool(bright.mean() > MIN_LIT_SHARE)
+        """Whether the pixels are about as bright in another image in the same ambient light as with the laser."""
+        rise_dn = image.ravel()[self.pixel].astype(np.float32) - self.dark_dn
+        return bool((rise_dn > MIN_CONTRAST_SHARE * self.contrast_dn).mean() > MIN_LIT_SHARE)
 
-    def stand_out_in(self, image: Image) -> bool:
-        """Whether the laser that lit these pixels is on in `image`; the ambient light may differ from the dark frame's.
+    def are_on_in(self, image: Image, *, by_lamp: bool = True) -> bool:
+        """Whether the laser that lit these pixels is on in an image, whose ambient light may differ.
 
-        Brighter ambient light raises the surroundings of the pixels as well; a laser line is narrow.
+        Brighter ambient light raises the surroundings of the pixels as well; a laser line is narrow. `by_lamp`: whether
+        a lamp may have lit the pixels instead; if not, light that is not a line is recognised by its grey values.
         """
-        return bool((self._line_dn(image) > MIN_CONTRAST_SHARE * self.contrast_dn).mean() > MIN_LIT_SHARE)
+        if by_lamp or self._stand_out_in(self.lit):
+            return self._stand_out_in(image)
+        return self.are_lit_in(image)
+
+    def _stand_out_in(self, image: Image) -> bool:
+        """Whether the pixels are brighter than their surroundings, by more than they are in the dark image."""
+        rise_dn = self._line_dn(image) - self._line_dn(self.dark)
+        return bool((rise_dn > MIN_CONTRAST_SHARE * self.contrast_dn).mean() > MIN_LIT_SHARE)
 
     def share_of_line(self, image: Image) -> float:
         """Share of the pixels' rise above the dark frame, in another image, that is as narrow as a laser line."""
@@ -134,7 +148,9 @@ def lit_pixels(image: Image, without: Sequence[Image], saturation_dn: int) -> Li
 
 
 def diffuse_light_dn(shot: Shot, seen: UInt8[Array, "frame"], pixels: Mapping[int, LitPixels]) -> float:
-    """Rise in grey value of light that is not a laser line but was taken for one; 0 if any line shows out of turn.
+    """Rise in grey value of light that is not a line but was taken for a laser.
+
+    0 if there is none, or if a laser line shows in a frame in which its laser should be off.
 
     A lamp that lights part of the image in a laser's own frame and in others gives that laser pixels that are lit in
     the others, too.
@@ -167,7 +183,7 @@ def lasers_out_of_sequence(
     suspects = {
         laser: found
         for laser, found in pixels.items()
-        if any(found.stand_out_in(image) for image, mask in frames if not mask >> laser & 1)
+        if any(found.are_on_in(image) for image, mask in frames if not mask >> laser & 1)
     }
     return pixels, suspects
 
@@ -187,5 +203,4 @@ def _brighter_pixels(image: Image, than: Image, dark: Image, saturation_dn: int)
     pixel = np.flatnonzero(cv2.subtract(image, than) > min_contrast_dn)
     if not MIN_PIXELS <= len(pixel) <= MAX_SHARE_OF_IMAGE * image.size:
         return None
-    dark_dn = dark.ravel()[pixel].astype(np.float32)
-    return LitPixels(pixel=pixel, contrast_dn=image.ravel()[pixel] - dark_dn, dark_dn=dark_dn)
+    return LitPixels(pixel=pixel, lit=image, dark=dark)

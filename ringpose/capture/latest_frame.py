@@ -1,14 +1,17 @@
-"""Background acquisition with a one-element queue (a slow consumer skips shots), and pacing of shots."""
+"""Acquisition in the background: the newest shot, stripes of frames while the next ones are exposed, and pacing."""
 
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TypeVar
 
 from ringpose.capture.ambient import lost_attempts_dn
-from ringpose.types.image import Shot
+from ringpose.detect.difference_images import LaserImage
+from ringpose.types.detection import Stripes
+from ringpose.types.image import Frame, Shot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,6 +93,43 @@ class NewestShots:
 
 def _live_shot(shot: Shot) -> LiveShot:
     return LiveShot(shot=shot, dropped=len(lost_attempts_dn(shot.meta)), taken_s=time.perf_counter())
+
+
+MAX_SEARCHED = 8
+"""Number of frames whose stripes are kept: one for each laser of a shot."""
+
+
+class EarlyStripes:
+    """Searches each frame of a switched shot for its stripe while the camera exposes the next ones, in a thread.
+
+    The background is the last frame without lasers so far. For a frame that turns out to be nearer in time to a later
+    one, as for one that was not searched, `stripes_of` returns None.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stripes")
+        self._dark: Frame | None = None
+        self._searches: dict[tuple[float, float | None, int], Future[Stripes]] = {}
+        """By the mid exposures of a frame and of its background, and the saturation value."""
+
+    def add(self, frame: Frame, saturation_dn: int) -> None:
+        """Start the search in a frame that has just arrived."""
+        from ringpose.detect.stripes import find_stripes  # slow to import, and not needed to record shots
+
+        if not frame.lasers:
+            self._dark = frame
+        elif frame.lasers.bit_count() == 1:
+            dark, dark_stamp_s = (None, None) if self._dark is None else (self._dark.image, self._dark.mid_exposure_s)
+            search = self._thread.submit(find_stripes, frame.image, dark, saturation_dn=saturation_dn)
+            self._searches[frame.mid_exposure_s, dark_stamp_s, saturation_dn] = search
+            if len(self._searches) > MAX_SEARCHED:
+                del self._searches[next(iter(self._searches))]
+
+    def stripes_of(self, image: LaserImage) -> Stripes | None:
+        """The stripes of a frame of a shot that is complete, with the background that the shot has for it."""
+        dark_stamp_s = None if image.dark is None else image.dark_stamp_s
+        search = self._searches.get((image.stamp_s, dark_stamp_s, image.threshold_scale_dn))
+        return None if search is None else search.result()
 
 
 Item = TypeVar("Item")

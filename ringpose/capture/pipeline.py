@@ -78,6 +78,8 @@ class Procedure:
     """Whether every commanded laser must be seen in the images of a shot."""
     report: Callable[[str], None] = lambda _: None
     """Receives a message when the camera is lost."""
+    on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
+    """Receives each frame as soon as it has arrived, unless several exposures are merged, and its saturation value."""
 
     @property
     def exposures_s(self) -> tuple[float, ...]:
@@ -200,6 +202,8 @@ class _Sequencer:
         """One frame for each step; all lasers are off at the end."""
         frames, read_masks, switched_mask = [], [], -1
         controlled = None if self._control is None else self._control.exposures
+        is_bracketed = controlled is not None or any(step.exposure for step in self._procedure.steps)
+        saturation_dn = self._camera.describe().saturation_dn
         for step in self._steps:
             mask = step.mask(self._lasers.count)
             self._lasers.set_mask(mask)
@@ -209,10 +213,10 @@ class _Sequencer:
             for exposure_s in (step.exposure_s,) if controlled is None else controlled:
                 frames.append(self._frame(mask, exposure_s))
                 read_masks.append(self._lasers.read_mask())
+                if not is_bracketed:
+                    self._procedure.on_frame(frames[-1], saturation_dn)
         self._lasers.set_mask(0)
-        meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": settle_s}
-        shot = _shot(name, frames, read_masks, meta)
-        is_bracketed = controlled is not None or any(step.exposure for step in self._procedure.steps)
+        shot = _shot(name, frames, read_masks, {"saturation_dn": saturation_dn, "settle_s": settle_s})
         return merged_brackets(shot) if is_bracketed else shot
 
     def _exposure_control(self) -> ExposureControl:
@@ -307,31 +311,46 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
     )
 
 
-def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> float:
-    """Time from a command until frames no longer change, the longest of all lasers, with a margin.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaserResponse:
+    """What the images show of a laser that is switched on alone and off again."""
 
-    Every visible laser is switched off and on again while frames are triggered; all lasers are off at the end. Raises
-    `LaserSafetyError` before the next laser is switched on if one does not go off.
+    laser: int
+    pixels: LitPixels | None
+    """None if it is not seen."""
+    settle_s: float
+    """Time from a command, on or off, until frames no longer change."""
+
+
+def laser_responses(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> Iterator[LaserResponse]:
+    """The response of each laser in turn; all lasers are off in between and at the end.
+
+    Raises `LaserSafetyError` before the next laser is switched on if one does not go off.
     """
     saturation_dn = camera.describe().saturation_dn
     lasers.set_mask(0)
     lasers.wait(MAX_SETTLE_S)
     dark = camera.trigger(0, exposure_s).image
-    times_s = []
     for laser in range(lasers.count):
         lasers.set_mask(1 << laser)
         lasers.wait(MAX_SETTLE_S)
-        lit = camera.trigger(1 << laser, exposure_s).image
-        pixels = lit_pixels(lit, [dark], saturation_dn)
+        pixels = lit_pixels(camera.trigger(1 << laser, exposure_s).image, [dark], saturation_dn)
+        settle_s = 0.0
         if pixels is not None:
-            times_s += [steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (0, 1 << laser)]
-        dark = require_off(camera, lasers, laser, pixels, (dark, lit), MAX_SETTLE_S, exposure_s)
-    if not times_s:
+            settle_s = max(_steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (0, 1 << laser))
+        dark = require_off(camera, lasers, laser, pixels, MAX_SETTLE_S, exposure_s)
+        yield LaserResponse(laser=laser, pixels=pixels, settle_s=settle_s)
+
+
+def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> float:
+    """Time from a command until frames no longer change, the longest of all visible lasers, with a margin."""
+    responses = list(laser_responses(camera, lasers, exposure_s))
+    if all(response.pixels is None for response in responses):
         raise DeviceError("--settle auto", "no laser shows in the image", "give a time, such as --settle 0.05")
-    return SETTLE_MARGIN * max(times_s)
+    return SETTLE_MARGIN * max(response.settle_s for response in responses)
 
 
-def steady_after_s(
+def _steady_after_s(
     camera: CameraDriver, lasers: LaserDriver, mask: int, pixels: LitPixels, exposure_s: float | None
 ) -> float:
     """Time from switching to `mask` until the trigger of the first frame after which all frames are steady."""

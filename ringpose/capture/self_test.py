@@ -8,11 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from ringpose.capture.cameras.driver import CameraDriver
-from ringpose.capture.laser_check import Image, LitPixels, lit_pixels
+from ringpose.capture.laser_check import LitPixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
-from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, steady_after_s
-from ringpose.capture.shot_check import require_off
+from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
 
 Verdict = Literal["ok", "warning", "fault"]
 """From best to worst."""
@@ -51,18 +50,14 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     yield _check_frames(camera)
     dark = camera.trigger(0).image
     share = float(dark.mean()) / description.saturation_dn
-    verdict: Verdict = "warning" if share > 0.5 else "ok"
-    remedy = "darken, or expose shorter" if share > 0.5 else ""
     found = f"without lasers the image has {100 * share:.1f} % of the full grey value"
-    yield Check(check="ambient light", verdict=verdict, found=found, remedy=remedy)
+    yield _check("ambient light", found, share > 0.5, "warning", "darken, or expose shorter")
     slowest_s = 0.0
-    for laser in range(0 if isinstance(lasers, UncontrolledLasers) else lasers.count):
-        pixels, check = _check_laser(camera, lasers, laser, dark)
-        yield check
-        if pixels is not None:
-            times_s = [steady_after_s(camera, lasers, mask, pixels, exposure_s) for mask in (1 << laser, 0)]
-            slowest_s = max(slowest_s, *times_s)
-            yield _check_exposure(camera, lasers, laser, pixels)
+    for response in () if isinstance(lasers, UncontrolledLasers) else laser_responses(camera, lasers, exposure_s):
+        yield _check_laser(response, description.saturation_dn)
+        if response.pixels is not None:
+            slowest_s = max(slowest_s, response.settle_s)
+            yield _check_exposure(camera, lasers, response.laser, response.pixels)
     if slowest_s >= MAX_SETTLE_S:
         yield Check(check="settle", verdict="fault", found=f"a laser has not followed within {MAX_SETTLE_S} s")
     elif slowest_s:
@@ -84,30 +79,20 @@ def _check_frames(camera: CameraDriver) -> Check:
     rate_hz = FRAMES / (time.perf_counter() - began_s)
     again = sum(frame.attempts - 1 for frame in frames)
     found = f"{FRAMES} frames of {frames[0].exposure_s:g} s, {rate_hz:.1f} a second, {again} of them repeated"
-    if again:
-        return Check(check="frames", verdict="warning", found=found, remedy="look for lost packets: cable, switch")
-    return Check(check="frames", verdict="ok", found=found)
+    return _check("frames", found, again > 0, "warning", "look for lost packets: cable, switch")
 
 
-def _check_laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Image) -> tuple[LitPixels | None, Check]:
-    """Checks that a laser is seen when it is on and not seen when it is off; returns its pixels, too."""
-    full_dn, check = camera.describe().saturation_dn, f"laser {laser + 1}"
-    lasers.set_mask(1 << laser)
-    lasers.wait(MAX_SETTLE_S)
-    lit = camera.trigger(1 << laser).image
-    pixels = lit_pixels(lit, [dark], full_dn)
-    require_off(camera, lasers, laser, pixels, (dark, lit), MAX_SETTLE_S)
+def _check_laser(response: LaserResponse, full_dn: int) -> Check:
+    """Whether a laser is seen when it is on, and whether it saturates the image."""
+    check, pixels = f"laser {response.laser + 1}", response.pixels
     if pixels is None:
         remedy = "check that it shines on something in the image, and that the exposure is long enough"
-        return None, Check(check=check, verdict="fault", found="is not seen", remedy=remedy)
+        return Check(check=check, verdict="fault", found="is not seen", remedy=remedy)
     found = f"seen at {len(pixels.pixel)} pixels, {float(np.median(pixels.contrast_dn)):.0f} dn above the dark"
     full = float((pixels.contrast_dn + pixels.dark_dn >= full_dn).mean())
-    if full > 0.5:
-        remedy = "expose shorter: saturated pixels do not determine the centre of a stripe"
-        return pixels, Check(
-            check=check, verdict="warning", found=f"{found}, {100 * full:.0f} % saturated", remedy=remedy
-        )
-    return pixels, Check(check=check, verdict="ok", found=found)
+    found += f", {100 * full:.0f} % saturated"
+    remedy = "expose shorter: saturated pixels do not determine the centre of a stripe"
+    return _check(check, found, full > 0.5, "warning", remedy)
 
 
 def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> Check:
@@ -124,12 +109,13 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
     lasers.set_mask(0)
     usable = light_dn[0][1] < camera.describe().saturation_dn
     if usable.sum() < MIN_USABLE:
-        return Check(
-            check=check, verdict="warning", found="cannot be checked: all pixels are saturated", remedy="expose shorter"
-        )
+        return _check(check, "cannot be checked: all pixels are saturated", True, "warning", "expose shorter")
     whole, half = (float((bright - dark)[usable].mean()) for dark, bright in light_dn)
     found = f"half the exposure gives {100 * half / whole:.0f} % of the light"
-    if not 0.4 < half / whole < 0.65:
-        remedy = "a camera that applies exposures late needs skip=1 in its URI"
-        return Check(check=check, verdict="fault", found=found, remedy=remedy)
-    return Check(check=check, verdict="ok", found=found)
+    remedy = "a camera that applies exposures late needs skip=1 in its URI"
+    return _check(check, found, not 0.4 < half / whole < 0.65, "fault", remedy)
+
+
+def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> Check:
+    """A check with the verdict `ok`, or with this one and a remedy if the finding is bad."""
+    return Check(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")

@@ -4,7 +4,7 @@ A check has one of three results: the shot is good; it has a problem that anothe
 or a laser is on that should be off, which ends the capture at once (a `LaserSafetyError`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from ringpose.capture.ambient import LOST_SHARE_OF_FULL, AmbientChange, ambient_
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.hdr import scaled_like
 from ringpose.capture.laser_check import (
-    STRIPE_REMEDY,
+    Image,
     LitPixels,
     diffuse_light_dn,
     lasers_out_of_sequence,
@@ -22,7 +22,6 @@ from ringpose.capture.laser_check import (
 )
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.types.arrays import Array, UInt
 from ringpose.types.image import Frame, Shot
 
 TRIES = 3
@@ -92,8 +91,7 @@ class ShotChecker:
         self._pixels |= pixels
         suspects = {laser: lit for laser, lit in (pixels | remembered).items() if (extra | missing) >> laser & 1}
         if suspects:
-            image = self._dark_image(shot)
-            _reject_lit(k for k, lit in suspects.items() if lit.are_lit_in(image) and lit.stand_out_in(image))
+            _reject_lit(suspects, self._dark_image(shot))
         diffuse_dn = diffuse_light_dn(shot, seen, pixels)
         if diffuse_dn:
             share = diffuse_dn / shot.usual_full_dn
@@ -107,12 +105,14 @@ class ShotChecker:
         return checked, None
 
     def never_seen(self, shot: Shot, lost_attempts: int) -> int:
-        """The mask of lasers of a lost shot that were never seen; one lit in frames of others is a safety fault."""
+        """The mask of those lasers of a lost shot that no shot has shown, after `lost_attempts` attempts at it.
+
+        Raises a safety fault if a laser is on in frames in which it should be off, and remains on.
+        """
         same_light = same_ambient_light(shot.images, shot.usual_full_dn)
         self._pixels, suspects = lasers_out_of_sequence(shot, self._pixels, same_light)
         for _ in range(DARK_CHECKS if suspects else 0):
-            image = self._dark_image(shot)
-            _reject_lit(laser for laser, lit in suspects.items() if lit.stand_out_in(image))
+            _reject_lit(suspects, self._dark_image(shot))
         never_seen = self._not_remembered(int(np.bitwise_or.reduce(shot.lasers)))
         if never_seen and lost_attempts in (TRIES, MAX_LOST):
             # A stripe that is present in every frame, dark ones included, stays in the minimum over all of them.
@@ -142,7 +142,7 @@ class ShotChecker:
         if reported:
             raise LaserSafetyError("lasers", f"{laser_list(reported)} reported on while all are off", "cut the power")
 
-    def _dark_image(self, shot: Shot) -> UInt[Array, "row column"]:
+    def _dark_image(self, shot: Shot) -> Image:
         """An image with all lasers off, on the grey-value scale of a shot."""
         frame = _dark_frame(self._camera, self._lasers)
         return scaled_like(frame.image, frame.exposure_s, shot)
@@ -153,25 +153,19 @@ def require_off(
     lasers: LaserDriver,
     laser: int,
     pixels: LitPixels | None,
-    before: tuple[UInt[Array, "row column"], UInt[Array, "row column"]],
     wait_s: float,
     exposure_s: float | None = None,
-) -> UInt[Array, "row column"]:
-    """Switch all off, and check that a laser which was on alone goes off within `wait_s`; the image without it.
+) -> Image:
+    """An image with all lasers off, taken `wait_s` after they were switched off.
 
-    `before` are images without and with it; `pixels` are those that it lit, None if it was not seen. Raises
-    `LaserSafetyError` if it stays on, or may be on all the time. Ambient light may change meanwhile: a narrow line is
-    recognised by its surroundings.
+    Raises `LaserSafetyError` if it shows the laser that was on alone before, by the `pixels` that it lit; or, if that
+    laser was not seen (None), if it shows any stripe, as the laser may be on all the time. Ambient light may change.
     """
     image = _dark_frame(camera, lasers, wait_s, exposure_s).image
-    if pixels is None and shows_stripe(image):
-        found = "is not seen to go on or off, and a stripe shows while all are off"
-        raise LaserSafetyError(f"laser {laser + 1}", found, STRIPE_REMEDY)
-    if pixels is not None:
-        dark, lit = before
-        is_line = pixels.stand_out_in(lit) and not pixels.stand_out_in(dark)
-        if pixels.stand_out_in(image) if is_line else pixels.are_lit_in(image):
-            raise LaserSafetyError(f"laser {laser + 1}", "is seen after it was switched off", "cut the power")
+    if pixels is None:
+        _reject_stripe(1 << laser, image)
+    else:
+        _reject_lit({laser: pixels}, image, by_lamp=False)
     return image
 
 
@@ -194,14 +188,15 @@ def laser_list(mask: int) -> str:
     return f"laser {numbers[0]} was" if len(numbers) == 1 else f"lasers {', '.join(numbers)} were"
 
 
-def _reject_lit(lasers: Iterable[int]) -> None:
-    mask = sum(1 << laser for laser in lasers)
+def _reject_lit(pixels: Mapping[int, LitPixels], dark_image: Image, *, by_lamp: bool = True) -> None:
+    """Raise a safety fault if the dark image shows lasers by the pixels that they have lit (see `are_on_in`)."""
+    mask = sum(1 << laser for laser, lit in pixels.items() if lit.are_on_in(dark_image, by_lamp=by_lamp))
     if mask:
         raise LaserSafetyError("lasers", f"{laser_list(mask)} seen while all are off", "cut the power")
 
 
-def _reject_stripe(missing: int, dark_image: UInt[Array, "row column"]) -> None:
+def _reject_stripe(missing: int, dark_image: Image) -> None:
     """Lasers are missing and a stripe shows in the dark image: one of them may be on all the time."""
     if shows_stripe(dark_image):
         found = f"{laser_list(missing)} not seen to go on or off, and a stripe shows while all are off"
-        raise LaserSafetyError("lasers", found, STRIPE_REMEDY)
+        raise LaserSafetyError("lasers", found, "cut the power; a line that stays then is not a laser's")

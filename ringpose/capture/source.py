@@ -18,7 +18,7 @@ from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_swit
 from ringpose.capture.latest_frame import paced
 from ringpose.capture.uri import CAMERAS, LASERS, device_uri, driver
 from ringpose.errors import UsageError
-from ringpose.types.image import Shot
+from ringpose.types.image import Frame, Shot
 from ringpose.types.rig import Rig
 from ringpose.types.session import Capture, Step, written_sequence
 
@@ -58,6 +58,8 @@ class CaptureRequest:
     """Of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
     report: Callable[[str], None] = lambda _: None
     """Receives a message when the camera is lost."""
+    on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
+    """Receives each frame as soon as it has arrived, and its saturation value (`Procedure.on_frame`)."""
 
     @property
     def fixed_exposure_s(self) -> float | None:
@@ -71,7 +73,10 @@ class Source:
 
     capture: Capture
     shots: Callable[[OnRead, Container[str]], Iterator[Shot]]
-    """Takes the shots; those of a scene continue after the names that exist already."""
+    """Takes the shots, given what to call with each file that is read, and names of shots that exist already.
+
+    A scene continues after the views of these names.
+    """
     folders: frozenset[Path] = frozenset()
     """Folders of recorded shots, as far as they are known before reading."""
     devices: tuple[()] | tuple[CameraDriver, LaserDriver] = ()
@@ -141,7 +146,7 @@ def device_source(
     names: Callable[[Container[str]], Iterator[str]],
     scene_file: Path | None = None,
 ) -> Source:
-    """Shots by the steps of the request, under the names that `names` yields besides the existing ones."""
+    """The source of shots by the steps of the request; `names` yields their names, given those that exist already."""
     from ringpose.capture.pipeline import Procedure, captured_shots
 
     steps = request.steps or ()
@@ -161,6 +166,7 @@ def device_source(
         settle_s=None if settle_s == "auto" else settle_s,
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not request.allow_missing,
         report=request.report,
+        on_frame=request.on_frame,
     )
     # A frame that lasts longer than the watchdog waits would show lasers going off.
     on_s = (procedure.settle_s or 0.0) + max(step.exposure_s or procedure.exposure_s or 0.0 for step in steps)
@@ -195,7 +201,7 @@ def capture_record(request: CaptureRequest) -> Capture:
 
 
 def names_by_time() -> Iterator[str]:
-    """`20260101T000000Z_000001`, counted from 1: the names of two runs differ."""
+    """Names of shots: the time of the first and a number from 1, such as `20260101T000000Z_000001`."""
     began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     for number in count(1):
         yield f"{began}_{number:06d}"

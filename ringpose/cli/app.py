@@ -1,5 +1,9 @@
-"""The Typer application with which every subcommand registers."""
+"""The Typer application with which every subcommand registers, and options that are defined in groups."""
 
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import wraps
+from inspect import signature
 from typing import Annotated, Any
 
 import typer
@@ -28,6 +32,32 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """The command for Typer, in which a parameter whose type is a data class is replaced by one option for each field.
+
+    A group of options that several commands share is thus defined once, by its data class, whose fields have defaults
+    and are annotated with `typer.Option`. The command receives the group as one value.
+    """
+    groups: dict[str, Any] = {}
+    options = []
+    for parameter in signature(command).parameters.values():
+        if not is_dataclass(parameter.annotation):
+            options.append(parameter)
+            continue
+        groups[parameter.name] = parameter.annotation
+        for field in fields(parameter.annotation):
+            options.append(parameter.replace(name=field.name, default=field.default, annotation=field.type))
+
+    @wraps(command)
+    def called(**values: Any) -> None:
+        for name, group in groups.items():
+            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
+        command(**values)
+
+    called.__signature__ = signature(command).replace(parameters=options)  # type: ignore[attr-defined]
+    return called
 
 
 def _print_version(requested: bool) -> bool:

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -80,16 +79,16 @@ class Batch:
         With several jobs `work` must be a function that worker processes can import. The first result is yielded as
         soon as it is there, even if inputs are still awaited.
         """
-        valid = self.valid_inputs(items)
-        if jobs == 1:
-            found: Iterator[Any] = (_result(work, item) for item in valid)
-        else:
-            found = _in_order(partial(_result, work), valid, jobs)
-        for result in found:
+        from ringpose.processes import WorkerKilled, outcomes
+
+        for outcome in outcomes(work, self.valid_inputs(items), jobs):
             with self.guarded():
-                if isinstance(result, Exception):
-                    raise result
-                yield result
+                if isinstance(outcome, WorkerKilled):
+                    place = getattr(outcome.item, "location", outcome.item)
+                    raise DataError(str(place), "killed the process that computed it")
+                if isinstance(outcome, Exception):
+                    raise outcome
+                yield outcome
 
     def record_status(self, status: int) -> None:
         """Include one exit status in that of the batch."""
@@ -99,90 +98,3 @@ class Batch:
         """Exit the command with the highest status."""
         self._report_count()
         raise typer.Exit(self.status)
-
-
-def _result(work: "Callable[[Input], Result]", item: "Input") -> "Result | Exception":
-    """The result, or the error as a value, which can be sent between processes."""
-    try:
-        return work(item)
-    except Exception as error:
-        return error
-
-
-def _in_order(work: Callable[[Any], Any], items: Iterable[Any], jobs: int) -> Iterator[Any]:
-    """Results of processes in the order of the items."""
-    from ringpose.processes import Pool
-
-    source, pool = _Fetched(items, 2 * jobs), Pool(partial(_numbered, work))
-    finished: dict[int, Any] = {}
-    wanted = given = 0
-    try:
-        while True:
-            while wanted in finished:
-                yield finished.pop(wanted)
-                wanted += 1
-            while len(pool.busy) < jobs and given < wanted + 4 * jobs and source.ready:
-                pool.give([(given, source.next())])
-                given += 1
-            if source.ended and not pool.busy:
-                return
-            idle = len(pool.busy) < jobs and not source.ended
-            for chunk, found, _ in pool.collected(*([source.awakened] if idle else [])):
-                number, item = chunk[0]
-                finished[number] = DataError(_place(item), "killed the process that computed it")
-                if found is not None:
-                    finished[number] = found[0]
-    finally:
-        pool.close()
-
-
-class _Fetched:
-    """Items that a thread fetches, as they may come slowly, while results are awaited."""
-
-    def __init__(self, items: Iterable[Any], limit: int) -> None:
-        from multiprocessing import Pipe
-        from queue import Queue
-        from threading import Thread
-
-        self._queue: Queue[tuple[str, Any]] = Queue(maxsize=limit)
-        self.awakened, self._awaken = Pipe(duplex=False)
-        """Can be read whenever there is a further item, or the end."""
-        self.ended = False
-        self._head: list[Any] = []
-        Thread(target=self._fetch, args=(items,), daemon=True).start()
-
-    @property
-    def ready(self) -> bool:
-        """Whether `next` returns an item at once; an error of the source is raised."""
-        if not self._head and not self.ended and self.awakened.poll():
-            self.awakened.recv()
-            kind, value = self._queue.get()
-            if kind == "error":
-                raise value
-            self.ended = kind == "end"
-            self._head = [] if self.ended else [value]
-        return bool(self._head)
-
-    def next(self) -> Any:
-        """The next item, after `ready`."""
-        return self._head.pop()
-
-    def _fetch(self, items: Iterable[Any]) -> None:
-        try:
-            for item in items:
-                self._put("item", item)
-            self._put("end", None)
-        except Exception as error:
-            self._put("error", error)
-
-    def _put(self, kind: str, value: Any) -> None:
-        self._queue.put((kind, value))
-        self._awaken.send(None)
-
-
-def _numbered(work: Callable[[Any], Any], numbered: tuple[int, Any]) -> Any:
-    return work(numbered[1])
-
-
-def _place(item: Any) -> str:
-    return str(getattr(item, "location", item))

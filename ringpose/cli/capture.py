@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose
-from ringpose.cli.options.devices import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
+from ringpose.cli import messages
+from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.batch import Batch
+from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options.devices import ShotOptions
+from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
-    from ringpose.capture.source import CaptureRequest, Source
-    from ringpose.cli.batch import Batch
-    from ringpose.files.images.sessions import Existing, SessionWriter
+    from ringpose.capture.source import Source
+    from ringpose.files.images.sessions import SessionWriter
 
 
 def _list_devices(is_requested: bool) -> bool:
@@ -24,7 +26,6 @@ def _list_devices(is_requested: bool) -> bool:
         return is_requested
 
     from ringpose.capture import device_discovery
-    from ringpose.cli import messages
     from ringpose.files import records
 
     for line in device_discovery.remarks():
@@ -48,6 +49,9 @@ ListDevices = Annotated[
     bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=_list_devices, is_eager=True)
 ]
 TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
+Rate = Annotated[
+    float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")
+]
 HeldStill = Annotated[
     bool, typer.Option("--still", help="State in each shot that the target is held still while it is taken.")
 ]
@@ -55,17 +59,13 @@ Append = Annotated[bool, typer.Option("--append", help="Go on with a session tha
 
 
 @app.command()
+@with_option_groups
 def capture(
+    *,
     camera: CameraUri,
-    lasers: LasersUri = None,
-    sequence: Steps = None,
-    exposure: Exposure = None,
-    settle: Settle = None,
-    allow_missing: AllowUnseen = False,
-    rig: OptionalRigFile = None,
-    count: Count = None,
+    shots: ShotOptions,
     rate: Rate = None,
-    duration: Duration = None,
+    rig: OptionalRigFile = None,
     still: HeldStill = False,
     output: SessionFolder = None,
     force: ReplaceSession = False,
@@ -77,55 +77,40 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence; all lasers are off at the end."""
-    from ringpose.capture.source import CaptureRequest
     from ringpose.cli.acquisition import source_of
-    from ringpose.cli.batch import Batch
-    from ringpose.files.images.sessions import SessionWriter, folder_of_now
+    from ringpose.files.images.sessions import Existing, SessionWriter, folder_of_now
     from ringpose.files.rigs import read_rig
 
-    rig_of_shots = None if rig is None else read_rig(rig)
-    request = CaptureRequest(
-        camera=camera,
-        lasers=lasers,
-        steps=sequence,
-        exposure_s=exposure,
-        settle_s=settle,
-        allow_missing=allow_missing,
-        laser_names=None if rig_of_shots is None else rig_of_shots.lasers.names,
-        rig=rig_of_shots,
-        count=count,
-        rate_hz=rate,
-        duration_s=duration,
-        channel=channel,
-    )
-    existing, batch = _existing(force, append), Batch()
-    if test:
-        _check_devices(request, batch)
+    request = shots.request(camera, None if rig is None else read_rig(rig), rate_hz=rate, channel=channel)
+    if force and append:
+        raise UsageError("", "--force and --append contradict each other", "give one of them")
+    batch = Batch()
     source = source_of(request, batch)
+    if test:
+        _check_devices(source, request.fixed_exposure_s)
     folder = output or folder_of_now()
     if str(folder) == "-":
         raise UsageError("--output", "a session is a folder, not a stream", "name a folder")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
+    existing: Existing = "append" if append else "replace" if force else "refuse"
     _take(source, SessionWriter(folder, source.capture, existing), batch, still, verbose, quiet)
     batch.finish()
 
 
-def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
+def _check_devices(source: "Source", exposure_s: float | None) -> None:
     """Write one record for each check to stdout, the overall verdict last; ends the command."""
     from dataclasses import asdict
 
     from ringpose.capture.self_test import run_self_test, summary
-    from ringpose.cli.acquisition import source_of
     from ringpose.files import records
 
-    source = source_of(request, batch)
     if not source.devices:
         raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
     checks = []
     camera, lasers = source.devices
     with camera, lasers:
-        for check in run_self_test(camera, lasers, request.fixed_exposure_s):
+        for check in run_self_test(camera, lasers, exposure_s):
             checks.append(check)
             records.write({key: value for key, value in asdict(check).items() if value})
     overall = summary(checks)
@@ -133,19 +118,9 @@ def _check_devices(request: "CaptureRequest", batch: "Batch") -> None:
     raise typer.Exit(NO_POSE if overall.verdict == "fault" else 0)
 
 
-def _existing(force: bool, append: bool) -> "Existing":
-    if force and append:
-        raise UsageError("", "--force and --append contradict each other", "give one of them")
-    if append:
-        return "append"
-    return "replace" if force else "refuse"
-
-
-def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool, verbose: bool, quiet: bool) -> None:
+def _take(source: "Source", writer: "SessionWriter", batch: Batch, still: bool, verbose: bool, quiet: bool) -> None:
     """Write each shot when it is taken, and its name to stdout when its file is complete."""
     from ringpose.capture.ambient import lost_attempts_dn
-    from ringpose.cli import messages
-    from ringpose.cli.progress import with_progress
     from ringpose.files import records
 
     with ExitStack() as stack:
@@ -169,8 +144,6 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool
 
 def _report_lost(lost_dn: list[float]) -> None:
     """Report the number of shots that were repeated because ambient light changed."""
-    from ringpose.cli import messages
-
     if lost_dn:
         shots = "1 shot was" if len(lost_dn) == 1 else f"{len(lost_dn)} shots were"
         size = f"by up to {max(map(abs, lost_dn)):.0f} dn"

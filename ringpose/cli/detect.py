@@ -1,20 +1,17 @@
 """`ringpose detect`: images or shots -> break points."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.batch import Jobs
-from ringpose.cli.options.assumptions import (
-    MaxRate,
-    MaxSpeed,
-    RigStabilityFactor,
-    RingTolerance,
-    Still,
-    assumption_options,
-)
+from ringpose.cli import messages
+from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.batch import Batch, Jobs
+from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.common import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
+from ringpose.cli.progress import with_progress
+from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
@@ -45,7 +42,9 @@ Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments i
 
 
 @app.command()
+@with_option_groups
 def detect(
+    *,
     inputs: Inputs,
     rig: OptionalRigFile = None,
     output: Output = "-",
@@ -54,11 +53,7 @@ def detect(
     method: MethodName = SegmentMethod.REFINED,
     stripes: StripesFrom = StripeSource.CENTERS,
     track: Track = False,
-    still: Still = False,
-    max_speed: MaxSpeed = None,
-    max_rate: MaxRate = None,
-    ring_tolerance: RingTolerance = None,
-    rig_stability: RigStabilityFactor = 1.0,
+    assumed: Assumed,
     full: Full = False,
     jobs: Jobs = 1,
     channel: ImageChannel = None,
@@ -67,11 +62,7 @@ def detect(
     quiet: Quiet = False,
 ) -> None:
     """Find the laser stripes, and where they end on the ring."""
-    from ringpose.cli import messages
-    from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import OverlayFolder
-    from ringpose.cli.progress import with_progress
-    from ringpose.errors import NO_POSE, UsageError
     from ringpose.files.images.shots import SHOT_SUFFIXES
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.detections import DetectionSink
@@ -79,14 +70,21 @@ def detect(
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
-    options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     if track and jobs > 1:
         raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
     loaded_rig = None if rig is None else read_rig(rig)
     sink = DetectionSink(output, rig=rig, full=full or segments_only, force=force)
     overlays = None if overlay is None else OverlayFolder(overlay, force=force)
     batch = Batch()
-    work = DetectInput(None if segments_only else loaded_rig, loaded_rig, channel, method, stripes, track, options)
+    work = DetectInput(
+        rig=loaded_rig,
+        channel=channel,
+        segments_only=segments_only,
+        method=method,
+        stripes=stripes,
+        track=track,
+        options=assumed.options,
+    )
     found = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
     for path, shot, detection in with_progress(found, "shots", quiet):
         with batch.guarded():
@@ -103,33 +101,30 @@ def detect(
     batch.finish()
 
 
+@dataclass(slots=True, kw_only=True)
 class DetectInput:
-    """Path, shot and detection of an input; with `track` the search starts near the points of the previous one."""
+    """Reads inputs and searches them; with `track` the search starts near the break points of the previous one."""
 
-    def __init__(
-        self,
-        rig: "Rig | None",
-        rig_of_shots: "Rig | None",
-        channel: str | None,
-        method: SegmentMethod,
-        stripes: StripeSource,
-        track: bool,
-        options: "AssumptionOptions",
-    ) -> None:
-        """Without `rig` only segments are searched for; the shots must fit `rig_of_shots` if there is one."""
-        self.rig, self.rig_of_shots, self.channel = rig, rig_of_shots, channel
-        self.method, self.stripes, self.track, self.options = method, stripes, track, options
-        self.previous: BreakPoints | None = None
+    rig: "Rig | None"
+    """To which the shots must belong, if it is given."""
+    channel: str | None
+    segments_only: bool
+    """Whether only segments are searched for, by this method; else there must be a rig."""
+    method: SegmentMethod
+    stripes: StripeSource
+    track: bool
+    options: "AssumptionOptions"
+    previous: "BreakPoints | None" = None
 
     def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
-        """Read and search one input."""
+        """Path, shot and detection of an input."""
         from ringpose.files.images.shots import read_shot
         from ringpose.files.inputs import path_of_input
         from ringpose.types.detection import BreakPoints
 
         path = path_of_input(item)
-        shot = read_shot(path, self.channel, self.rig_of_shots)
-        if self.rig is None:
+        shot = read_shot(path, self.channel, self.rig)
+        if self.segments_only or self.rig is None:
             from ringpose.detect.line_segments import segments_only
 
             return path, shot, segments_only(shot, self.method)

@@ -4,8 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ringpose.cli.options.common import check_report
 from ringpose.errors import DataError
 from ringpose.files import atomic
+from ringpose.files.io import write_page
 
 if TYPE_CHECKING:
     from ringpose.report.page import Picture
@@ -47,25 +49,18 @@ class PosePictures:
     """Overlays and report of `ringpose pose`; a picture is drawn after the line of its shot has been written."""
 
     def __init__(self, rig: "Rig", folder: Path | None, report: Path | None, *, force: bool) -> None:
-        from ringpose.report.page import require_matplotlib
-
-        self._rig = rig
+        check_report(report, force)
+        self._rig, self._report, self._force = rig, report, force
         self._overlays = None if folder is None else OverlayFolder(folder, force=force)
-        self._report = report
-        self._force = force
-        self._source: Shot | None = None
+        self._source: Shot | Detection | None = None
         self._detection: Detection | None = None
         self._lines: list[PoseLine] = []
         self._worst: list[tuple[tuple[int, float], int, Picture]] = []
-        if report is not None:
-            require_matplotlib()
-            atomic.reject_existing(report, force)
+        """Badness, number and picture of the worst shots, the worst first."""
 
     def keep(self, source: "Shot | Detection", detection: "Detection") -> None:
         """Keep what the next line was computed from, for its picture."""
-        from ringpose.types.image import Shot
-
-        self._source, self._detection = source if isinstance(source, Shot) else None, detection
+        self._source, self._detection = source, detection
 
     def add(self, line: "PoseLine") -> None:
         """Draw the overlay of `line` on the shot last given to `keep`, and add the line to the report."""
@@ -87,31 +82,26 @@ class PosePictures:
             return
         from ringpose.report.poses import pose_report
 
-        worst = [picture for _, _, picture in sorted(self._worst, key=lambda each: each[:2], reverse=True)]
+        worst = [picture for _, _, picture in self._worst]
         html = pose_report(self._lines, worst, f"Poses of {len(self._lines)} shots")
-        with atomic.replacing(self._report, self._force) as stream:
-            stream.write(html.encode())
+        write_page(self._report, html, force=self._force)
 
     def _drawn(self, line: "PoseLine", detection: "Detection") -> "UInt8[Array, 'row column 3']":
         import numpy as np
 
         from ringpose.report.overlay import overlay, picture_of
+        from ringpose.types.image import Shot
 
         camera = self._rig.camera
-        if self._source is None:  # a detection has no image
-            image = np.zeros((camera.image_height, camera.image_width), np.uint8)
-        else:
-            image = picture_of(self._source)
-        return overlay(image, detection, line, self._rig)
+        dark = np.zeros((camera.image_height, camera.image_width), np.uint8)  # a detection has no image
+        return overlay(picture_of(self._source) if isinstance(self._source, Shot) else dark, detection, line, self._rig)
 
     def _is_among_worst(self, line: "PoseLine") -> bool:
         from ringpose.report.poses import badness
 
-        return len(self._worst) < WORST_SHOTS or badness(line) > self._worst[0][0]
+        return len(self._worst) < WORST_SHOTS or badness(line) > self._worst[-1][0]
 
     def _keep_worst(self, line: "PoseLine", picture: "UInt8[Array, 'row column 3']") -> None:
-        import heapq
-
         import cv2
 
         from ringpose.pose.pipeline import remarks_on
@@ -122,6 +112,4 @@ class PosePictures:
         small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         png = cv2.imencode(".png", small)[1].tobytes()
         entry = (badness(line), len(self._lines), Picture(png=png, caption=f"{line.shot}: {remarks_on(line)}"))
-        heapq.heappush(self._worst, entry)
-        if len(self._worst) > WORST_SHOTS:
-            heapq.heappop(self._worst)
+        self._worst = sorted([*self._worst, entry], key=lambda each: each[:2], reverse=True)[:WORST_SHOTS]

@@ -2,23 +2,17 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from time import perf_counter, time
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.batch import Jobs
-from ringpose.cli.options.assumptions import (
-    MaxRate,
-    MaxSpeed,
-    RigStabilityFactor,
-    RingTolerance,
-    Still,
-    assumption_options,
-)
+from ringpose.cli import messages
+from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.batch import Batch, Jobs
+from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.common import (
     Force,
     ImageChannel,
@@ -31,46 +25,32 @@ from ringpose.cli.options.common import (
     RigFile,
     Verbose,
 )
-from ringpose.cli.options.devices import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
-from ringpose.cli.options.known_ring import (
-    RadiusInner,
-    RadiusOuter,
-    RadiusSd,
-    RingName,
-    RingOptions,
-    RingsFile,
-    known_ring,
-)
+from ringpose.cli.options.devices import ShotOptions
+from ringpose.cli.options.known_ring import RingOptions, known_ring
 from ringpose.cli.options.track import (
     Format,
-    GripperRadial,
-    GripperTilt,
-    LostAfter,
     Newest,
     OutputFormat,
-    PredictFor,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
     record_writer,
     track_writer,
 )
-from ringpose.cli.pose_jobs import SingleShot, parallel_lines
-from ringpose.errors import UsageError
+from ringpose.cli.pose_jobs import SingleShot, recorded_lines
+from ringpose.cli.progress import with_progress
+from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN, Method
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ringpose.capture.source import TrackedSequence
-    from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
+    from ringpose.detect.difference_images import LaserImage
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.pipeline import Tracker
-    from ringpose.types.assumptions import AssumptionOptions
-    from ringpose.types.detection import Detection
+    from ringpose.types.detection import Detection, Stripes
     from ringpose.types.image import Shot
-    from ringpose.types.pose import KnownRadii, PoseLine, Ring
+    from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
 
 LiveCamera = Annotated[
@@ -87,35 +67,20 @@ Brief = Annotated[bool, typer.Option("--brief", help="Write lines without what o
 
 
 @app.command()
+@with_option_groups
 def pose(
+    *,
     rig: RigFile,
     inputs: OptionalInputs = None,
     method: PoseMethod = Method.ML,
     frame: Frame = PoseFrame.CAMERA,
-    radius_outer: RadiusOuter = None,
-    radius_inner: RadiusInner = None,
-    radius_sd: RadiusSd = None,
-    ring: RingName = None,
-    rings: RingsFile = None,
-    still: Still = False,
-    max_speed: MaxSpeed = None,
-    max_rate: MaxRate = None,
-    ring_tolerance: RingTolerance = None,
-    rig_stability: RigStabilityFactor = 1.0,
+    ring: RingOptions,
+    assumed: Assumed,
     channel: ImageChannel = None,
     camera: LiveCamera = None,
-    lasers: LasersUri = None,
-    sequence: Steps = None,
-    exposure: Exposure = None,
-    settle: Settle = None,
-    allow_missing: AllowUnseen = False,
-    count: Count = None,
-    duration: Duration = None,
+    shots: ShotOptions,
     track: Track = False,
-    predict_for: PredictFor = None,
-    lost_after: LostAfter = None,
-    gripper_radial_m: GripperRadial = None,
-    gripper_tilt_deg: GripperTilt = None,
+    settings: TrackSettings,
     robot_poses: RobotPosesFile = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
@@ -128,89 +93,69 @@ def pose(
     quiet: Quiet = False,
 ) -> None:
     """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
-    from ringpose.cli.batch import Batch
     from ringpose.files.rigs import read_rig, require_mount
 
-    _check_source(inputs, camera, lasers)
-    live = {"--sequence": sequence, "--exposure": exposure, "--settle": settle, "--count": count}
-    live |= {"--duration": duration, "--allow-unseen": allow_missing or None}
-    for option in (name for name, value in live.items() if value is not None and camera is None):
-        raise UsageError(option, "is of no use without --camera", "leave it out")
+    _check_source(inputs, camera, shots)
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
         raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
-    ring_options = RingOptions(radius_outer, radius_inner, radius_sd, ring, rings)
-    known = known_ring(ring_options, method, ring_tolerance)
-    assumed = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
-    settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
     _check_method(method, assumed, robot_poses)
     _check_track(track, method, frame, settings)
-    rig_of_shots, batch = read_rig(rig), Batch()
+    options, known = assumed.options, known_ring(ring, method, assumed.ring_tolerance)
+    loaded_rig, batch = read_rig(rig), Batch()
     if frame is PoseFrame.TOOL:
-        require_mount(rig_of_shots, rig)
+        require_mount(loaded_rig, rig)
     is_live_robot = camera is not None and robot_poses == STDIN
     motion = None if is_live_robot else camera_motion(robot_poses, rig, inputs)
-    tracker = settings.tracker(rig_of_shots, assumed, motion) if track else None
-    stream = _Stream(rig_of_shots, method, frame, known, assumed, tracker, motion)
+    single = SingleShot(loaded_rig, channel, method, frame, known, options, motion)
+    stream = _Stream(single, settings.tracker(loaded_rig, options, motion) if track else None)
     if is_live_robot:
         from ringpose.cli.live_input import live_camera_motion
 
         stream.motion_until = live_camera_motion(rig)
     lines: AbstractContextManager[Iterator[PoseLine]]
-    if jobs > 1:
-        single = SingleShot(rig_of_shots, channel, method, frame, known, assumed, motion)
-        lines = nullcontext(
-            parallel_lines(inputs or [], single, jobs, batch, lambda: stream.monitor.rig, stream.measured)
-        )
-    elif camera is None:
-        lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
+    if camera is None:
+        lines = nullcontext(recorded_lines(inputs or [], single, jobs, batch, lambda: stream.rig, stream.measured))
     else:
-        from ringpose.capture.source import CaptureRequest
+        from ringpose.capture.latest_frame import EarlyStripes
         from ringpose.cli.live_input import live_lines
 
-        request = CaptureRequest(
-            camera=camera,
-            lasers=lasers,
-            steps=sequence,
-            choose=stream.sequence if sequence is None else None,
-            exposure_s=exposure,
-            settle_s=settle,
-            allow_missing=allow_missing,
-            laser_names=rig_of_shots.lasers.names,
-            rig=rig_of_shots,
-            count=count,
-            duration_s=duration,
+        early = EarlyStripes()
+        stream.searched = early.stripes_of
+        request = shots.request(
+            camera, loaded_rig, choose=None if shots.sequence else stream.sequence, on_frame=early.add
         )
-        lines = live_lines(request, rig_of_shots, batch, stream.measured)
+        lines = live_lines(request, loaded_rig, batch, stream.measured)
     with ExitStack() as stack:
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures
 
-            stream.pictures = PosePictures(rig_of_shots, overlay, report, force=force)
+            stream.pictures = PosePictures(loaded_rig, overlay, report, force=force)
             stack.callback(stream.pictures.finish)  # also after an interrupt, which is how a live measurement ends
         write = _writer(stream, record_writer(stack, newest), output_format, brief, verbose, batch)
         _write(stack.enter_context(lines), stream, write, batch, verbose, quiet)
     batch.finish()
 
 
-def _check_source(inputs: list[str] | None, camera: str | None, lasers: str | None) -> None:
+def _check_source(inputs: list[str] | None, camera: str | None, shots: ShotOptions) -> None:
     """Shots come either from files or from a camera."""
     if not inputs and camera is None:
         raise UsageError("", "there is nothing to measure", "name an INPUT, or give --camera and --lasers")
     if inputs and camera is not None:
         raise UsageError("--camera", f"and the input {inputs[0]} exclude each other", "leave one of them out")
-    if lasers is not None and camera is None:
-        raise UsageError("--lasers", "is of no use without --camera")
     if camera is not None and camera.startswith("files:"):
         raise UsageError("--camera", "a recording is not a live camera", f"name {camera[6:]} as INPUT")
+    for field in fields(shots):
+        if camera is None and getattr(shots, field.name) != field.default:
+            raise UsageError(f"--{field.name.replace('_', '-')}", "is of no use without --camera", "leave it out")
 
 
-def _check_method(method: Method, assumed: "AssumptionOptions", robot_poses: str | None) -> None:
+def _check_method(method: Method, assumed: Assumed, robot_poses: str | None) -> None:
     """Reject options that the paper's methods do not use; they assume a perfect ring at rest, as a value of 0 does."""
     given = {
         "--robot-poses": robot_poses,
-        "--max-speed": assumed.max_speed_m_s,
-        "--max-rate": assumed.max_rate_deg_s,
-        "--ring-tolerance": assumed.ring_tolerance_m,
+        "--max-speed": assumed.max_speed,
+        "--max-rate": assumed.max_rate,
+        "--ring-tolerance": assumed.ring_tolerance,
     }
     for option, value in given.items():
         if method is not Method.ML and value:
@@ -230,81 +175,63 @@ def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackS
 class _Stream:
     """Measures shots one after the other: monitors the rig, and with a `tracker` uses the track in the next shot."""
 
-    def __init__(
-        self,
-        rig: "Rig",
-        method: Method,
-        frame: PoseFrame,
-        known: "KnownRadii | Sequence[Ring] | None",
-        assumed: "AssumptionOptions",
-        tracker: "Tracker | None",
-        camera: "CameraMotion | None",
-    ) -> None:
+    def __init__(self, single: SingleShot, tracker: "Tracker | None") -> None:
         from ringpose.pose.drift import DriftMonitor
         from ringpose.pose.form_monitor import FormMonitor
 
-        self.monitor, self.form = DriftMonitor(rig, rig.stability.scaled(assumed.rig_stability)), FormMonitor()
+        tolerance_m = getattr(single.known, "tolerance_m", None)  # of a ring of the catalogue
+        if tolerance_m is not None:
+            single = replace(single, options=replace(single.options, ring_tolerance_m=tolerance_m))
+        self._single, self._tracker = single, tracker
+        self.monitor = DriftMonitor(single.rig, single.rig.stability.scaled(single.options.rig_stability))
+        self.form = FormMonitor()
         self.pictures: PosePictures | None = None
         self.sequence: TrackedSequence | None = None
         self.shots = None
+        self.searched: Callable[[LaserImage], Stripes | None] = lambda _: None
+        """The stripes of a frame that were found before its shot was complete."""
         self.motion_until: Callable[[float], CameraMotion] | None = None
         """The motion of the camera up to a stamp, for robot poses that arrive meanwhile."""
-        tolerance_m = getattr(known, "tolerance_m", None)  # of a ring of the catalogue
-        if tolerance_m is not None:
-            assumed = replace(assumed, ring_tolerance_m=tolerance_m)
-        self._method, self._frame, self._known, self._assumed = method, frame, known, assumed
-        self._tracker, self._camera = tracker, camera
         if tracker is not None:
             from ringpose.capture import source
             from ringpose.track.shots import ShotTracker
 
             self.sequence, self.shots = source.TrackedSequence(), ShotTracker(tracker)
 
+    @property
+    def rig(self) -> "Rig":
+        """The rig, with the light planes that the stream has shown to have moved."""
+        return self.monitor.rig
+
     def measured(self, source: "Shot | Detection") -> "PoseLine":
         """The pose line of a shot or detection."""
-        from ringpose.pose.pipeline import pose_line
         from ringpose.types.image import Shot
 
-        if self.motion_until is not None and isinstance(source, Shot):
-            self._camera = self.motion_until(source.mid_exposure_s(-1))
+        single = replace(self._single, rig=self.rig)
+        if not isinstance(source, Shot):
+            return self._line(single, source, source)
+        if self.motion_until is not None:
+            single = replace(single, camera=self.motion_until(source.mid_exposure_s(-1)))
             if self._tracker is not None:
-                self._tracker.camera = self._camera
-        start_s, detect_s = perf_counter(), 0.0
-        detection = self._detected(source) if isinstance(source, Shot) else source
-        if isinstance(source, Shot):
-            detect_s = perf_counter() - start_s
-        if self.pictures is not None:
-            self.pictures.keep(source, detection)
-        line = pose_line(
-            detection, self.monitor.rig, self._method, self._frame, self._known, self._assumed, self._camera
-        )
-        stages_s = {"detect": detect_s, **line.stage_s} if isinstance(source, Shot) else line.stage_s
-        return replace(line, latency_s=line.latency_s + detect_s, stage_s=stages_s)
+                self._tracker.camera = single.camera
+        start_s = perf_counter()
+        detection = self._detected(source, single)
+        detect_s = perf_counter() - start_s
+        line = self._line(single, source, detection)
+        return replace(line, latency_s=line.latency_s + detect_s, stage_s={"detect": detect_s, **line.stage_s})
 
-    def _detected(self, shot: "Shot") -> "Detection":
+    def _detected(self, shot: "Shot", single: SingleShot) -> "Detection":
         from ringpose.detect.pipeline import detect
 
-        rig = self.monitor.rig
-        assumptions = self._assumed.about_shot(rig.stability, still=shot.still)
+        assumptions = single.options.about_shot(single.rig.stability, still=shot.still)
         if self.shots is not None:
-            return self.shots.detected(shot, rig, assumptions)
-        return detect(shot, rig, assumptions=assumptions, camera=self._camera)
+            return self.shots.detected(shot, single.rig, assumptions, self.searched)
+        return detect(shot, single.rig, assumptions=assumptions, camera=single.camera, searched=self.searched)
 
-
-def _recorded_lines(
-    inputs: list[str],
-    rig: "Rig",
-    channel: str | None,
-    batch: "Batch",
-    measure: "Callable[[Shot | Detection], PoseLine]",
-) -> "Iterator[PoseLine]":
-    """Pose lines of the inputs; bad ones are reported by the batch."""
-    from ringpose.files.inputs import inputs as named
-    from ringpose.files.sources import SUFFIXES, read_source
-
-    for item in batch.valid_inputs(named(inputs, SUFFIXES)):
-        with batch.guarded():
-            yield measure(read_source(item, rig, channel))
+    def _line(self, single: SingleShot, source: "Shot | Detection", detection: "Detection") -> "PoseLine":
+        if self.pictures is not None:
+            self.pictures.keep(source, detection)
+        return single.line(detection)
 
 
 def _writer(
@@ -313,10 +240,9 @@ def _writer(
     output_format: Format,
     brief: bool,
     verbose: bool,
-    batch: "Batch",
+    batch: Batch,
 ) -> "Callable[[PoseLine], None]":
     """Writes the record of a pose line, or of the track that it continues."""
-    from ringpose.errors import NO_POSE
     from ringpose.files.records.poses import pose_record
 
     record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
@@ -338,7 +264,7 @@ def _writer(
         with batch.guarded():
             track_written(shots.added(line, time()))
         if stream.sequence is not None:
-            stream.sequence.report(is_assigned=shots.assigns_lasers(stream.monitor.rig))
+            stream.sequence.report(is_assigned=shots.assigns_lasers(stream.rig))
 
     return track_of_pose_written
 
@@ -347,13 +273,11 @@ def _write(
     lines: "Iterator[PoseLine]",
     stream: _Stream,
     write: "Callable[[PoseLine], None]",
-    batch: "Batch",
+    batch: Batch,
     verbose: bool,
     quiet: bool,
 ) -> None:
     """Every line as it comes, with the health of the rig; then its picture."""
-    from ringpose.cli import messages
-    from ringpose.cli.progress import with_progress
     from ringpose.pose.pipeline import remarks_on
 
     for line in with_progress(lines, "shots", quiet):

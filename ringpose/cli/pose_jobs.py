@@ -1,4 +1,4 @@
-"""Poses of recorded shots by several processes (`ringpose pose --jobs`)."""
+"""Poses of recorded shots, by one process or several (`ringpose pose --jobs`)."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -31,40 +31,46 @@ class SingleShot:
 
     def __call__(self, item: "Input") -> "tuple[Input, PoseLine]":
         """The input with its pose line."""
+        return item, self.line(self.read(item))
+
+    def read(self, item: "Input") -> "Shot | Detection":
+        """The shot or detection in an input, which must fit the rig."""
         from ringpose.files.sources import read_source
+
+        return read_source(item, self.rig, self.channel)
+
+    def line(self, source: "Shot | Detection") -> "PoseLine":
+        """The pose line of a shot or detection."""
         from ringpose.pose.pipeline import pose_line
 
-        source = read_source(item, self.rig, self.channel)
-        line = pose_line(
-            source,
-            self.rig,
-            method=self.method,
-            frame=self.frame,
-            known=self.known,
-            options=self.options,
-            camera=self.camera,
-        )
-        return item, line
+        return pose_line(source, self.rig, self.method, self.frame, self.known, self.options, self.camera)
 
 
-def parallel_lines(
+def recorded_lines(
     inputs: Sequence[str],
-    work: SingleShot,
+    single: SingleShot,
     jobs: int,
     batch: "Batch",
     rig_now: "Callable[[], Rig]",
     measure: "Callable[[Shot | Detection], PoseLine]",
 ) -> "Iterator[PoseLine]":
-    """Pose lines in the order of the inputs, as one process gives them; bad inputs are reported by the batch.
+    """Pose lines in the order of the inputs, the same for any number of processes; the batch reports bad inputs.
 
-    A shot that follows the discovery of a moved light plane is measured again, by this process and with `rig_now`.
+    With several, each measures shots by itself; a shot that follows the discovery of a moved light plane is measured
+    again, as all are by one process: by `measure`, which knows the stream.
     """
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.sources import SUFFIXES, read_source
+    from ringpose.files.sources import SUFFIXES
 
-    for item, line in batch.results(work, named(inputs, SUFFIXES), jobs):
-        if rig_now() is work.rig:
+    items = named(inputs, SUFFIXES)
+    if jobs == 1:
+        for item in batch.valid_inputs(items):
+            with batch.guarded():
+                yield measure(single.read(item))
+        return
+    for item, line in batch.results(single, items, jobs):
+        if rig_now() is single.rig:
             yield line
         else:
             with batch.guarded():
-                yield measure(read_source(item, work.rig, work.channel))
+                yield measure(single.read(item))

@@ -8,72 +8,61 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.options.assumptions import MaxRate, MaxSpeed, assumption_options
-from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli import messages
+from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.batch import Batch
+from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
+from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, number_option
 from ringpose.cli.options.track import (
     Format,
-    GripperRadial,
-    GripperTilt,
-    LostAfter,
     Newest,
     OutputFormat,
-    PredictFor,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
     record_writer,
     track_writer,
 )
+from ringpose.cli.progress import with_progress
+from ringpose.errors import DataError, NoInputError
 
 if TYPE_CHECKING:
-    from ringpose.cli.batch import Batch
     from ringpose.files.inputs import Input
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
 
-Inputs = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="INPUT...",
-        help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        "--rate", metavar="HZ", min=0.01, max=1000, callback=finite, help="Lines a second, by this computer's clock."
-    ),
-]
-Brief = Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")]
-
 
 @app.command()
+@with_option_groups
 def track(
-    inputs: Inputs,
+    *,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUT...",
+            help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
+        ),
+    ],
     rig: OptionalRigFile = None,
-    rate: Rate = None,
-    predict_for: PredictFor = None,
-    lost_after: LostAfter = None,
+    rate: Annotated[
+        float | None, number_option("--rate", "HZ", "Lines a second, by this computer's clock.", 0.01, 1000)
+    ] = None,
+    settings: TrackSettings,
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
     robot_poses: RobotPosesFile = None,
-    gripper_radial_m: GripperRadial = None,
-    gripper_tilt_deg: GripperTilt = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
-    brief: Brief = False,
+    brief: Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Track a moving ring through pose records: one JSON record a measurement, or --rate a second."""
-    from ringpose.cli.batch import Batch
     from ringpose.files.inputs import RECORDS_SUFFIX
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
 
-    settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
-    assumed, motion = assumption_options(False, max_speed, max_rate, None, 1.0), camera_motion(robot_poses, rig, inputs)
+    assumed, motion = Assumed(max_speed=max_speed, max_rate=max_rate).options, camera_motion(robot_poses, rig, inputs)
     tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
@@ -87,13 +76,12 @@ def track(
 class _Records:
     """Adds records to a track; what concerns all records of a stream is reported once, on stderr."""
 
-    def __init__(self, tracker: "Tracker", batch: "Batch") -> None:
+    def __init__(self, tracker: "Tracker", batch: Batch) -> None:
         self._tracker, self._batch = tracker, batch
         self._reported: set[str] = set()
 
     def added(self, item: "Input", at_rate: bool = False) -> "Attempt | None":
-        """What became of a record; None if it is not a record of this track, which is reported."""
-        from ringpose.errors import DataError, NoInputError
+        """How a record was used; None if it does not belong to this track, which is reported."""
         from ringpose.files.records.poses import pose_line_of
 
         attempt = None
@@ -116,17 +104,13 @@ class _Records:
         return attempt
 
     def _report_once(self, found: str, remedy: str) -> None:
-        from ringpose.cli import messages
-
         if remedy not in self._reported:
             self._reported.add(remedy)
             messages.echo(f"{found}; {remedy} (reported once)")
 
 
-def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", quiet: bool) -> "Iterator[TrackLine]":
+def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, quiet: bool) -> "Iterator[TrackLine]":
     """A line after each record."""
-    from ringpose.cli.progress import with_progress
-
     records = _Records(tracker, batch)
     for item in with_progress(items, "records", quiet):
         attempt = records.added(item)
@@ -134,7 +118,7 @@ def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", quiet: 
             yield tracker.line_of(attempt)
 
 
-def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", rate_hz: float) -> "Iterator[TrackLine]":
+def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, rate_hz: float) -> "Iterator[TrackLine]":
     """Lines at a fixed rate of this computer's clock; a thread reads the records meanwhile."""
     from ringpose.cli.live_input import at_ticks
 

@@ -1,62 +1,47 @@
 """`ringpose view`: recorded shots with their poses, tracks and truth, in the browser or as one HTML page."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile
-from ringpose.errors import UsageError
+from ringpose.cli.batch import Batch
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile, file_option
+from ringpose.cli.progress import with_progress
+from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from typing import Any
-
-    from ringpose.cli.batch import Batch
     from ringpose.report.replay import ReplayShot
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
-Poses = Annotated[
-    list[Path] | None,
-    typer.Option("--poses", readable=False, metavar="FILE", help="The output of ringpose pose for these shots."),
-]
-Tracks = Annotated[
-    list[Path] | None,
-    typer.Option("--tracks", readable=False, metavar="FILE", help="The output of ringpose track for these poses."),
-]
-TruthFile = Annotated[
-    Path | None, typer.Option("--truth", readable=False, metavar="FILE", help="Show the truth and the errors, too.")
-]
-HtmlFile = Annotated[
-    Path | None, typer.Option("--html", readable=False, metavar="FILE", help="Write the replay as one HTML page.")
-]
-Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
-
 
 @app.command()
 def view(
     inputs: Inputs,
     rig: RigFile,
-    poses: Poses = None,
-    tracks: Tracks = None,
-    truth: TruthFile = None,
-    html: HtmlFile = None,
-    port: Port = 8080,
+    poses: Annotated[
+        list[Path] | None, file_option("--poses", meaning="The output of ringpose pose for these shots.")
+    ] = None,
+    tracks: Annotated[
+        list[Path] | None, file_option("--tracks", meaning="The output of ringpose track for these poses.")
+    ] = None,
+    truth: Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")] = None,
+    html: Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")] = None,
+    port: Annotated[
+        int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")
+    ] = 8080,
     channel: ImageChannel = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Show recorded shots in the browser: pictures, poses, tracks, errors, a timeline and a three-dimensional view."""
-    from importlib.util import find_spec
-
-    from ringpose.cli.batch import Batch
-    from ringpose.cli.progress import with_progress
     from ringpose.files import atomic, records
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
@@ -98,10 +83,9 @@ def view(
 
 
 def _lines_by_shot(
-    files: list[Path], batch: "Batch", line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
+    files: list[Path], batch: Batch, line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
 ) -> "dict[str, PoseLine]":
     """The line of each shot; invalid ones are reported by the batch."""
-    from ringpose.errors import DataError, NoInputError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
 
@@ -132,18 +116,14 @@ def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Trut
     from ringpose.report.replay import ReplayShot, replay_picture
 
     picture = overlay(picture_of(shot), detect(shot, rig), line, rig, with_numbers=False)
-    errors = {}
+    errors: Mapping[str, float] = {}
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)
-        truth_now = truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
-        errors = {
-            name: value
-            for name, value in score(truth, estimate, estimate.method, rig.camera).errors.items()
-            if name in SHOWN_ERRORS
-        }
-        truth = truth_now
+        errors = score(truth, estimate, estimate.method, rig.camera).errors
+        truth = truth_at(truth, estimate.stamp_s, line.stamp_s)
+    shown = {name: value for name, value in errors.items() if name in SHOWN_ERRORS}
     return ReplayShot(
-        name=shot.name, stamp_s=shot.measured_at_s, jpeg=replay_picture(picture), line=line, truth=truth, errors=errors
+        name=shot.name, stamp_s=shot.measured_at_s, jpeg=replay_picture(picture), line=line, truth=truth, errors=shown
     )
 
 
@@ -153,8 +133,6 @@ SHOWN_ERRORS = ("center_m", "normal_rad", "radius_outer_m", "grasp_m")
 
 def _check_names(given: Iterable[tuple[str, Iterable[str]]], shots: list[str]) -> None:
     """Report files that name none of the shots."""
-    from ringpose.errors import DataError
-
     for option, names in given:
         named = list(names)
         if named and not set(named) & set(shots):

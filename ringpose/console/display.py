@@ -183,7 +183,7 @@ class Plots:
         ]
 
     def show(self, x: Sequence[float], rows: Sequence[tuple[float, ...]]) -> None:
-        """Error and standard deviation of each plot, a row for each measurement, as `plotted` makes them."""
+        """Show a row for each measurement: error and standard deviation of each plot, as `plotted` returns them."""
         if not rows:
             return
         table, places = np.array(rows), np.array(x, dtype=np.float64)

@@ -234,7 +234,7 @@ class Engine:
             state=state,
             image=overlay(picture_of(shot), detection, line, scene.rig, with_numbers=False),  # the page has them
             rig=scene.rig,
-            truth=truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s),
+            truth=truth_at(truth, estimate.stamp_s, line.stamp_s),
             shot=shot,
             shot_truth=truth,
             line=line,

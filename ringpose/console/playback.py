@@ -12,7 +12,7 @@ TYPING_S = 2.0
 
 
 class Playback:
-    """Asked at short intervals."""
+    """Computes by how much the time advances; `step_s` is called at short intervals."""
 
     def __init__(self) -> None:
         self._asked_s = self._held_until_s = -np.inf
@@ -22,7 +22,7 @@ class Playback:
         self._held_until_s = now_s + TYPING_S
 
     def step_s(self, now_s: float, speed: str | None, *, is_measured: bool) -> float:
-        """Time by which the motion goes on, at one of the speeds; None while it does not play."""
+        """Time by which the motion goes on since the last call; `speed` is None while it does not play."""
         since_s = now_s - max(self._asked_s, self._held_until_s)
         self._asked_s = now_s
         if speed is None or since_s < 0 or not np.isfinite(since_s):

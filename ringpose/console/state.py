@@ -109,7 +109,7 @@ class ConsoleState:
     """Sun, Earth and ambient light."""
     number: int = 0
     since: int = 0
-    """Number of the last state before which something other than the time changed: tracks begin there."""
+    """Number of the state in which something other than the time was changed last; a track begins there."""
 
     @property
     def is_moving(self) -> bool:

@@ -9,7 +9,6 @@ removed, and the ring's curvature shows which endpoints are on the inner edge.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,21 +16,36 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
-from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
-from ringpose.estimate.explanation import explain
-from ringpose.estimate.measurements import measurements_of
+from ringpose.detect.stripes import BORDER_PX, lens
+from ringpose.estimate.explanation import Explanation, explain
+from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
-from ringpose.kernels.ends import EndParams, Ends, LitLines, MarkParams, flagged_ends, stripe_ends
-from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
-from ringpose.types.arrays import EDGES, Array, Bool, Float64
+from ringpose.kernels.ends import FACET_SIGMAS, INSIDE_COLUMNS, OUTSIDE_COLUMNS, EndParams, LitLines, stripe_ends
+from ringpose.kernels.lines import (
+    CENTERS,
+    COLUMNS_PER_CUT,
+    CORRELATION,
+    FIT_DOF_CORRECTION,
+    LASER,
+    MAX_CUT,
+    MIDDLE_X,
+    MIDDLE_Y,
+    MIN_SEGMENT_COLUMNS,
+    SCATTER,
+    SLOPE,
+    X_END,
+    X_START,
+)
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import (
     MAX_OFFSET,
     UNLABELLED,
     BreakPointFlag,
     BreakPoints,
+    JudgedRing,
     NoBreakPoints,
     Rejection,
     outside_image,
@@ -44,12 +58,6 @@ KINK_LEVEL = 0.25
 
 UNCLEAR_PX = 0.75
 """Standard deviation above which an end is flagged: half of the largest error that is permitted without a flag."""
-
-INSIDE_COLUMNS = 24
-"""Columns inside the edge from which the level on the face is estimated."""
-
-OUTSIDE_COLUMNS = 12
-"""Columns beyond the edge from which the level there is estimated."""
 
 MAX_END_SIGMA_PX = (INSIDE_COLUMNS + OUTSIDE_COLUMNS) / math.sqrt(12)
 """Standard deviation of a uniform distribution over the columns of a fit (10.4 px). A larger sigma, as beside a glint
@@ -102,6 +110,8 @@ class BreakPointsOnRing(NamedTuple):
 
     break_points: BreakPoints | NoBreakPoints
     rejected: tuple[Rejection, ...]
+    ring: JudgedRing | None = None
+    """None if several rings explain the break points, or none does."""
 
 
 def without_outliers(
@@ -145,13 +155,44 @@ def without_outliers(
         face_end_px=np.where(without_line[:, None], np.nan, points.face_end_px),
         face_sigma_px=np.where(without_line[:, None], np.nan, points.face_sigma_px),
     )
-    return BreakPointsOnRing(kept, rejected)
+    return BreakPointsOnRing(kept, rejected, _judged_ring(best, measured) if best and clear else None)
+
+
+def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None:
+    """The ring of an explanation, with its edges as they are named by it; None if weak priors hold it."""
+    if best.estimate.prior.regularize_about is not None:
+        return None
+    arcs, rates = best.estimate.arcs, best.estimate.rates
+    if best.edges_exchanged and best.measured is measured:  # it was estimated with the edges as they were given
+        arcs = arcs.with_center_opposite()
+    return JudgedRing(
+        origin_m=arcs.origin,
+        axes=arcs.axes,
+        curvature_per_m=arcs.curvature,
+        half_band_m=arcs.half_band_m,
+        velocity_m_s=rates.velocity_m_s,
+        rate_rad_s=rates.rate_rad_s,
+        stamp_s=best.measured.reference_s if math.isfinite(best.measured.reference_s) else None,
+    )
 
 
 def ends_clear(found: BreakPoints) -> bool:
     """Whether enough ends are clear edges: at the end of an apparent face on foil, a stripe fades or continues."""
     clear = found.seen & (found.flags & int(BreakPointFlag.UNCLEAR) == 0)
     return int(clear.sum()) >= min(CLEAR_ENDS, int(found.seen.sum()))
+
+
+class Ends(NamedTuple):
+    """The ends of the stripes on the ring's rim, left, then right; NaN where none was found."""
+
+    position_px: Float64[Array, "laser end=2 xy=2"]
+    """In the distorted image."""
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
+    flags: Int64[Array, "laser end=2"]
+    straight_px: Float64[Array, "laser end=2 xy=2"]
+    """The segments' own ends, in the undistorted image."""
+    straight_sigma_px: Float64[Array, "laser end=2"]
+    """Of the ordinates of the segments' lines there."""
 
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:
@@ -163,29 +204,79 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
         for image, numbers in zip(images, shown, strict=True)
         if numbers
     ]
-    ends = stripe_ends(lit, lens(rig.camera), _end_params(saturation_dn))
-    lasers = tuple(face.lasers[number] for number in order)
-    return flagged_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_params(rig.camera.image_width))
+    ends = stripe_ends(lit, lens(rig.camera), EndParams(saturation_dn))
+    lasers = [face.lasers[number] for number in order]
+    return flagged_ends(face.tracks[order], ends, lasers, rig)
 
 
-@lru_cache(maxsize=4)
-def mark_params(image_width: int) -> MarkParams:
-    """Thresholds for the flags and sigmas of ends in images of that width."""
-    return MarkParams(
-        image_width=image_width,
-        border_px=BORDER_PX,
-        saturated_share=SATURATED_SHARE,
-        kink_level=KINK_LEVEL,
-        unclear_px=UNCLEAR_PX,
-        clipped_phase=CLIPPED_PHASE,
-        facet_sigmas=FACET_SIGMAS,  # the fitted line absorbs coarser texture, which the centres' scatter does not show
-        fit_dof=FIT_DOF_CORRECTION,
-        min_columns=MIN_SEGMENT_COLUMNS,
-        saturated_flag=BreakPointFlag.SATURATED,
-        kink_flag=BreakPointFlag.KINK,
-        clipped_flag=BreakPointFlag.CLIPPED,
-        blunt_flag=BreakPointFlag.BLUNT,
-        unclear_flag=BreakPointFlag.UNCLEAR,
+SHARED_WEIGHT, MAX_DECREASE = 0.75, 0.3
+"""Weight of all stripes of a shot in the scatter of one, and the largest decrease of its logarithm by the others.
+
+Surface, lens and speckle are the same for all stripes of a shot, and the scatter of 40 correlated columns is uncertain
+by a third. That of a single stripe may be larger, on textured background.
+"""
+
+
+def flagged_ends(
+    tracks: Float64[Array, "track column=11"],
+    found: Float64[Array, "track end=2 column=10"],
+    lasers: list[int],
+    rig: Rig,
+) -> Ends:
+    """The ends of segments, each of a different laser of the rig, with covariances and flags.
+
+    `found` is the result of `stripe_ends`. The error along the line is that of the edge; the error across is that of
+    the line: the scatter of the segment's centres, pooled over the segments, divided by the root of the number of
+    independent columns, and errors that all its centres have in common. The background shifts a centre by the relative
+    change of the amplitude times the section's sigma; a saturated centre errs by `CLIPPED_PHASE`.
+    """
+    x, y, slope, along, outside, saturated, width, (section, _), blunt, (background, _) = found.transpose(2, 1, 0)
+    blunt = blunt == 1
+    count, start, end = tracks[:, CENTERS], tracks[:, X_START], tracks[:, X_END]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a scatter of 0; ends that were not found
+        error = np.log(tracks[:, SCATTER] * np.sqrt(tracks[:, CORRELATION]))
+        pooled = SHARED_WEIGHT * (np.average(error, weights=count) - error)
+        scatter = tracks[:, SCATTER] * np.exp(np.where(np.isfinite(pooled), np.maximum(pooled, -MAX_DECREASE), 0.0))
+        used = 1 - 2 * np.minimum(count // COLUMNS_PER_CUT, MAX_CUT) / np.maximum(count, 1)
+        independent = used * count / tracks[:, CORRELATION] - FIT_DOF_CORRECTION / math.sqrt(len(tracks))
+        middle = scatter / np.sqrt(np.maximum(independent, MIN_SEGMENT_COLUMNS))
+        # the fitted line absorbs coarser texture, which the centres' scatter does not show
+        facets = np.maximum(count / (FACET_SIGMAS * section), 1)
+        middle = np.fmax(middle, section * np.sqrt(background / facets))
+        clipped = (saturated > SATURATED_SHARE).any(axis=0)
+        rows = np.maximum(np.abs(tracks[:, SLOPE]) * (end - start), 1)
+        shared = np.where(clipped, CLIPPED_PHASE / section / rows, 0.0)
+        spread = np.maximum(used * (end - start), 1) / math.sqrt(12)
+
+        def line_sigma(at: Float64[Array, "end=2 track"]) -> Float64[Array, "end=2 track"]:
+            """Standard deviation of the line's ordinate."""
+            return np.hypot(middle * np.hypot(1, (at - tracks[:, MIDDLE_X]) / spread), shared)
+
+        inside = (x >= BORDER_PX) & (x <= rig.camera.image_width - 1 - BORDER_PX)
+        edge_sigma = np.where(blunt, np.sqrt(np.maximum(along**2 - width**2, 0)), along)
+        flags = np.where(saturated > SATURATED_SHARE, int(BreakPointFlag.SATURATED), 0)
+        flags |= np.where(outside > KINK_LEVEL, int(BreakPointFlag.KINK), 0)
+        flags |= np.where(blunt, int(BreakPointFlag.BLUNT), 0)
+        flags |= np.where(edge_sigma > UNCLEAR_PX, int(BreakPointFlag.UNCLEAR), 0)
+        flags = np.where(inside, flags, int(BreakPointFlag.CLIPPED))
+        direction = np.stack([np.ones_like(slope), slope], axis=-1)
+        covariance = along[..., None, None] ** 2 * direction[..., None] * direction[..., None, :]
+        covariance[..., 1, 1] += line_sigma(x) ** 2
+    straight_x = np.stack([start, end])
+    straight_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (straight_x - tracks[:, MIDDLE_X])
+
+    def of_lasers(values: Array, fill: float = np.nan) -> Array:
+        """The values (end, track, ...) by laser (laser, end, ...)."""
+        table = np.full((len(rig.lasers.names), 2, *values.shape[2:]), fill, values.dtype)
+        table[lasers] = values.swapaxes(0, 1)
+        return table
+
+    return Ends(
+        position_px=of_lasers(np.where(inside[..., None], np.stack([x, y], axis=-1), np.nan)),
+        covariance_px2=of_lasers(np.where(inside[..., None, None], covariance, np.nan)),
+        flags=of_lasers(flags, 0),
+        straight_px=of_lasers(np.stack([straight_x, straight_y], axis=-1)),
+        straight_sigma_px=of_lasers(line_sigma(straight_x)),
     )
 
 
@@ -225,75 +316,11 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
     )
 
 
-BEYOND_COLUMNS = 40
-"""Columns beyond a segment in which its end is searched for."""
-
-FLANK_SIGMAS = 3.0
-"""Half height of the evaluated window about the line, in sigmas of the stripe."""
-
-FLANKS_SHARE = 0.6
-"""Share of columns with a saturated pixel above which only the flanks of a stripe are evaluated."""
-
-UNDIMMED_LEVEL = 0.6
-"""Ratio to the level on the face above which a stripe continues; on a wall beyond a kink it is lower."""
-
-MIN_HEADROOM = 0.05
-"""Minimum share of a column's intensity that is not clipped by saturation; other columns are ignored."""
-
-MIN_NOISE = 0.01
-"""Minimum noise of a column relative to the stripe's level: glare and the tails of the blur."""
-
-SHAPE_SIGMA = 0.005
-"""Error of an edge's position, in columns, due to the model of its blur; added to that by noise."""
-
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
-TEXTURE_FACTOR = 1.5
-"""Ratio of a column's amplitude error to the residual of its cross-section, on crinkled foil: 1.4 to 1.75."""
-
-FACET_SIGMAS = 6.0
-"""Correlation length of the surface texture along a stripe, in sigmas of its cross-section: finer texture averages out
-across the stripe."""
-
-NEAR_COLUMNS = 9.0
-"""Columns beyond the edge in which the fitted level is required; farther out a stripe on the body may begin."""
-
-WIDTH_SPREAD = 0.1
-"""Relative standard deviation of the blur between ends: depth of field, pixels."""
-
-BLUNT_GAIN = 3.0
-"""Gain in log likelihood, over all ends of an edge, above which edges wider than the stripe's cross-section are
-accepted: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
-
-CLIPPED_SHAPE = 0.45
-"""Relative error of the shape of a saturated edge: its visible foot is not that of a Gaussian blur, since speckle is
-clipped, too, and light on a wall or glare adds to it."""
-
 LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
 """Columns of a track that describe its line."""
-
-
-@lru_cache(maxsize=4)
-def _end_params(saturation_dn: int) -> EndParams:
-    return EndParams(
-        saturation_dn=saturation_dn,
-        beyond_columns=BEYOND_COLUMNS,
-        inside_columns=INSIDE_COLUMNS,
-        outside_columns=OUTSIDE_COLUMNS,
-        flank_sigmas=FLANK_SIGMAS,
-        flanks_share=FLANKS_SHARE,
-        undimmed_level=UNDIMMED_LEVEL,
-        min_headroom=MIN_HEADROOM,
-        min_noise=MIN_NOISE,
-        shape_sigma=SHAPE_SIGMA,
-        texture_factor=TEXTURE_FACTOR,
-        facet_sigmas=FACET_SIGMAS,
-        near_columns=NEAR_COLUMNS,
-        width_spread=WIDTH_SPREAD,
-        blunt_gain=BLUNT_GAIN,
-        clipped_shape=CLIPPED_SHAPE,
-    )
 
 
 IN_FRONT_M = 0.005

@@ -81,7 +81,7 @@ def _laser_image(shot: Shot, number: int, lasers: tuple[int, ...], also_on: int,
         nearest = min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number]))
         dark, dark_stamp_s = shot.images[nearest], shot.mid_exposure_s(nearest)
     elif earlier is not None and also_on == earlier.lasers:
-        dark, dark_stamp_s = earlier.image, earlier.stamp_s + earlier.exposure_s / 2
+        dark, dark_stamp_s = earlier.image, earlier.mid_exposure_s
     return LaserImage(
         lit=shot.images[number],
         dark=dark,
@@ -114,13 +114,16 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
     hidden, middle_x = 0, (points.face_start_px[:, 0] + points.face_end_px[:, 0]) / 2
     for image in images:
         ambient, rows = _ambient(image)
-        for laser in image.lasers:
-            for x, y in points.position_px[laser, points.seen[laser]].tolist():
-                columns = HIDING_COLUMNS if x > middle_x[laser] else -HIDING_COLUMNS[::-1]
-                left, right = (min(max(round(x + each), 0), ambient.shape[1]) for each in (columns[0], columns[-1] + 1))
-                row = np.clip(np.rint(y + rows).astype(int), 0, ambient.shape[0] - 1)
-                near = ambient[row, left:right]
-                hidden += int(np.count_nonzero(near >= saturation_dn) > HIDDEN_SHARE * rows.size * HIDING_COLUMNS.size)
+        laser, edge = np.nonzero(points.seen[list(image.lasers)])
+        laser = np.array(image.lasers)[laser]
+        x, y = points.position_px[laser, edge].T[..., None]
+        outward = np.where(x > middle_x[laser, None], 1.0, -1.0)
+        column = np.rint(x + outward * HIDING_COLUMNS).astype(int)
+        row = np.rint(y + rows).astype(int).clip(0, ambient.shape[0] - 1)
+        inside = (column >= 0) & (column < ambient.shape[1])
+        near = ambient[row[:, :, None], column.clip(0, ambient.shape[1] - 1)[:, None]] >= saturation_dn
+        share = (near & inside[:, None]).mean(axis=(1, 2))
+        hidden += int(np.count_nonzero(share > HIDDEN_SHARE))
     return 2 * hidden >= int(points.seen.sum())
 
 

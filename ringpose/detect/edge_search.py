@@ -52,24 +52,6 @@ def stripe_mask(
 
 # Prediction of the edges in the image
 
-MARGIN_PX = 8.0
-"""Minimum distance of a place from the image's border."""
-
-HALF_TURN = 2.0
-"""Maximum angle on the ring, in radians, to each side of the stripes that can be in view."""
-
-WIDER = 0.3
-"""Share of the image size by which distortion may shift points near the border."""
-
-OBLIQUE = 3.0
-"""Maximum factor by which foreshortening and depth reduce an error across the edge in the image."""
-
-DETOUR = 1.3
-"""Maximum ratio of an arc's length, from the stripes to the farthest corner of the image, to the distance."""
-
-NUDGE_M = 1e-4
-"""Step off the face for the numerical derivative that gives metres per pixel."""
-
 
 class PlaceParams(NamedTuple):
     """Where points of the edges are predicted."""
@@ -80,18 +62,18 @@ class PlaceParams(NamedTuple):
     """Distance between neighbouring points, at the arcs' origin."""
     sigma_px: float
     """Points with a larger predicted sigma across the edge are left out."""
-    half_turn_rad: float
-    """Largest angle on the ring to both sides of the origin."""
-    margin_px: float
+    half_turn_rad: float = 2.0
+    """Largest angle on the ring to both sides of the origin that can be in view."""
+    margin_px: float = 8.0
     """Points closer than this to the image border are left out."""
-    wider: float
+    wider: float = 0.3
     """Upper bound of the distortion at the image border, as a share of the image size."""
-    oblique: float
+    oblique: float = 3.0
     """Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
-    detour: float
+    detour: float = 1.3
     """Upper bound of the length of an arc from the origin to the farthest image corner, divided by their distance."""
-    nudge_m: float
-    """Step of the numerical derivative for metres per pixel."""
+    nudge_m: float = 1e-4
+    """Step off the face of the numerical derivative for metres per pixel."""
     farthest: float = 1e5
     """Largest number of points to each side of the origin."""
 
@@ -160,12 +142,6 @@ def edge_trace(
         image_height=rig.camera.image_height,
         spacing_px=spacing_px,
         sigma_px=sigma_px,
-        half_turn_rad=HALF_TURN,
-        margin_px=MARGIN_PX,
-        wider=WIDER,
-        oblique=OBLIQUE,
-        detour=DETOUR,
-        nudge_m=NUDGE_M,
         farthest=max_count,
     )
     return EdgeTrace(edge_places(arcs, covariance, lens(rig.camera), params))
@@ -216,12 +192,6 @@ PLACES = 0.25
 NOISE_DN = 0.3
 """Minimum noise of a grey value: quantization."""
 
-FLAT = 1e-9
-"""Minimum curvature of the sum of squares at a minimum."""
-
-TOUCHED_PX = 3.0
-"""Saturation within this distance of the edge hides the intensity beyond it."""
-
 POOLED = 9
 """Number of neighbouring profiles whose noise is pooled."""
 
@@ -245,13 +215,13 @@ class ProfileParams(NamedTuple):
 class StepParams(NamedTuple):
     """Parameters of the step fit in a profile."""
 
-    flat: float
+    flat: float = 1e-9
     """Smallest second difference of the cost at a minimum."""
-    touched_px: float
-    """A profile with a saturated sample closer than this to the step is rejected."""
-    spacing_px: float
+    touched_px: float = 3.0
+    """A profile with a saturated sample closer than this to the step is rejected: it hides the intensity beyond."""
+    spacing_px: float = PLACES
     """Distance between the step positions that are tried."""
-    pooled: float
+    pooled: float = POOLED
     """Neighbouring profiles over which the residual variance is averaged."""
 
 
@@ -309,7 +279,7 @@ def edge_profiles(
 
 def edge_steps(profiles: Profiles, reach_px: int, blur_px: float) -> EdgeSteps:
     """The most likely position of a step of this blur (sigma) in each profile, within `reach_px` of the prediction."""
-    params, templates = StepParams(FLAT, TOUCHED_PX, PLACES, POOLED), _templates(reach_px, blur_px)
+    params, templates = StepParams(), _templates(reach_px, blur_px)
     value, saturated, noise_dn = (np.ascontiguousarray(each) for each in profiles)
     found = _kernels.edge_steps(
         value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, templates.table, params

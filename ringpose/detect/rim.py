@@ -16,12 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.stripes import FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
+from ringpose.detect.stripes import lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import (
     CENTERS,
     CLIPPED,
+    DEPTH_RANGE_M,
+    FACE_LENGTH_M,
     LASER,
     MIDDLE_X,
     MIDDLE_Y,
@@ -30,7 +32,6 @@ from ringpose.kernels.lines import (
     X_END,
     X_START,
     CandidateParams,
-    FaceParams,
     RingParams,
     UnionParams,
 )
@@ -38,88 +39,12 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Camera, Rig
 
-DEPTH_RANGE_M = (0.05, 3.0)
-"""Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""
-
-FACE_LENGTH_M = (0.003, 0.1)
-"""Range of the length of a stripe on the face: the faces of adapter rings are 20 to 60 mm wide, and stripes cross them
-at 45 degrees or more."""
-
-MAXIMUM_TILT_RAD = float(np.deg2rad(75))
-"""Maximum tilt of a face: beyond, it is too oblique to show a stripe of usable length."""
-
-MINIMUM_RADIUS_M = 0.2
-"""Minimum radius of a ring; that of the smallest adapter rings is 1.5 times as large."""
-
-MINIMUM_BAND_M = 0.003
-"""Minimum width of a face; narrower bands are edges."""
-
-BORDER_PX = 15.0
-"""Distance from the image's upper or lower border within which a stripe may be missing without a penalty."""
-
 CUT_OFF_PX = 6.0
 """Distance from the left or right border within which an end is due to the image's border, not to the face."""
 
 CUT_OFF_ROWS_PX = 10.0
 """The same for the upper and lower border, where only stripes with a complete cross-section are measured: up to 6.5
 px."""
-
-MIN_SPILT = 5
-"""Minimum number of centres on a segment's line beyond its ends for it to be merged with another segment."""
-
-MAX_GAP = 0.5
-"""Maximum gap between merged segments, as a share of their total length."""
-
-APART_PX, APART_SIGMAS = 1.0, 3.0
-"""Maximum offset of the lines in the middle of the gap: a constant for facets, and a number of sigmas."""
-
-MAX_DISTANCE_PX = 6.0
-"""Maximum offset of the lines, whatever their sigmas."""
-
-ROUNDS = 2
-"""Rounds of pairwise merging: up to four segments become one."""
-
-CANDIDATES = 20
-"""Number of segments of the highest score that are tried for each laser."""
-
-ACROSS_SIGMA_PX = 0.4
-"""Standard deviation of a segment from its prediction by the plane: noise of the line and calibration."""
-
-ALONG_SIGMA_PX = 2.0
-"""Standard deviation of a segment's end from its circle, before refinement."""
-
-PLANE_LIMIT = 8.0
-"""Maximum chi2 / 2 of coplanar segments, per laser."""
-
-CIRCLE_LIMIT = 6.0
-"""Maximum chi2 / 2 of ends on two circles, per laser."""
-
-DROPPED_END_PENALTY = 6.0
-"""Penalty (in chi2 / 2, like all that follow) for treating one of six ends as occluded: by chance one in four
-hundred."""
-
-UNSEEN_PENALTY = 6.0
-"""Penalty for a laser without a stripe where the face would show it: it is occluded, or this is not the face."""
-
-SPILL_PENALTY = 15.0
-"""Penalty if collinear centres continue beyond a segment's ends, where the face should end; proportional to their
-share."""
-
-COINCIDENCE_PENALTY, BEHIND_M = 3.0, (0.01, 0.3)
-"""Upper limit of that penalty where the centres may belong to another laser's stripe on the body, at this distance
-behind the face: light planes are nearly parallel, so that one face in five has another laser's stripe on its line."""
-
-UNION_PENALTY = 3.0
-"""Penalty for a merged segment: merging also favours the body's stripes, which shadows and glints break."""
-
-CLIPPED_PENALTY = 4.0
-"""Penalty for a segment that is truncated by the image: its end was not observed."""
-
-USUAL_SCATTER_PX = 0.3
-"""Typical scatter of a stripe's centres about its line, on metal."""
-
-ENOUGH_COLUMNS = 120
-"""Number of columns above which length does not increase a segment's score: the longest segments are on the body."""
 
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Minimum score by number of segments, which foil hardly ever reaches; two segments have little redundancy."""
@@ -196,7 +121,9 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     `lasers` are those that an unlabelled segment may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    every, found = ring_faces(tracks, unlabelled, planes_per_m(rig), _face_params(rig))
+    every, found = ring_faces(
+        tracks, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
+    )
     groups: list[Group | None] = list(found)
     best = best_hypothesis(groups)
     while best is not None and not _lengths_consistent(every[list(best.tracks)], best.lasers, rig):
@@ -212,7 +139,9 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
         or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
     )
-    return face if len(face.lasers) < CONFIRMED else _with_further_lasers(face, every, lasers, rig)
+    if not CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
+        return face
+    return _with_further_lasers(face, every, lasers, rig)
 
 
 def _with_further_lasers(
@@ -281,7 +210,9 @@ def ring_faces(
     tracks: Float64[Array, "track column=11"],
     unlabelled: int,
     planes: Float64[Array, "laser xyz=3"],
-    params: FaceParams,
+    ring: RingParams,
+    unions: UnionParams,
+    candidates: CandidateParams,
 ) -> Faces:
     """The best groups of one, two and three tracks, each of a different laser, that lie on the rim of one planar ring.
 
@@ -290,9 +221,8 @@ def ring_faces(
     The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers, and a tilt
     prior of sigma 0.5 rad.
     """
-    every, (one, two, three) = _kernels.faces(
-        np.ascontiguousarray(tracks), unlabelled, np.ascontiguousarray(planes), *params
-    )
+    tracks, planes = np.ascontiguousarray(tracks), np.ascontiguousarray(planes)
+    every, (one, two, three) = _kernels.faces(tracks, unlabelled, planes, unions, candidates, ring)
     groups = Group(*one), Group(*two), Group(*three)
     return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
 
@@ -356,7 +286,7 @@ def _plane_of(face: Face, rig: Rig) -> _Plane:
     )
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
-    normal = np.linalg.svd(points_m - origin_m)[2][2]
+    normal = np.linalg.svd(points_m - origin_m, full_matrices=False)[2][2]
     return _Plane(ends_m, [math.dist(*ends) for ends in ends_m], origin_m, -np.sign(normal @ origin_m) * normal)
 
 
@@ -448,35 +378,6 @@ def planes_per_m(rig: Rig) -> Float64[Array, "laser xyz=3"]:
 
 
 @lru_cache(maxsize=4)
-def _face_params(rig: Rig) -> FaceParams:
-    unions = UnionParams(
-        min_beyond_ends=MIN_SPILT,
-        max_gap=MAX_GAP,
-        separation_px=APART_PX,
-        separation_sigmas=APART_SIGMAS,
-        max_separation_px=MAX_DISTANCE_PX,
-        rounds=ROUNDS,
-        fit_dof=FIT_DOF_CORRECTION,
-        min_columns=MIN_SEGMENT_COLUMNS,
-    )
-    candidates = CandidateParams(
-        min_depth_m=DEPTH_RANGE_M[0],
-        max_depth_m=DEPTH_RANGE_M[1],
-        min_length_m=FACE_LENGTH_M[0],
-        max_length_m=FACE_LENGTH_M[1],
-        typical_scatter_px=USUAL_SCATTER_PX,
-        max_counted_columns=ENOUGH_COLUMNS,
-        spill_penalty=SPILL_PENALTY,
-        coincidence_penalty=COINCIDENCE_PENALTY,
-        min_behind_m=BEHIND_M[0],
-        max_behind_m=BEHIND_M[1],
-        clipped_penalty=CLIPPED_PENALTY,
-        union_penalty=UNION_PENALTY,
-        most=CANDIDATES,
-    )
-    return FaceParams(unions, candidates, _ring_params(rig.camera))
-
-
 def _ring_params(camera: Camera) -> RingParams:
     matrix = camera.camera_matrix
     rows = np.linspace(0.0, camera.image_height - 1.0, 9)
@@ -491,16 +392,6 @@ def _ring_params(camera: Camera) -> RingParams:
         principal_x=matrix[0, 2],
         principal_y=matrix[1, 2],
         image_height=camera.image_height,
-        border_px=BORDER_PX,
-        along_sigma_px=ALONG_SIGMA_PX,
-        across_sigma_px=ACROSS_SIGMA_PX,
-        plane_limit=PLANE_LIMIT,
-        circle_limit=CIRCLE_LIMIT,
-        dropped_end_penalty=DROPPED_END_PENALTY,
-        unseen_penalty=UNSEEN_PENALTY,
-        max_tilt_rad=MAXIMUM_TILT_RAD,
-        min_radius_m=MINIMUM_RADIUS_M,
-        min_band_m=MINIMUM_BAND_M,
         left_x=float(left.max()),
         right_x=float(right.min()),
         top_y=float(top.max()),

@@ -201,40 +201,13 @@ def _two_sided_norm(taps: Float64[Array, "tap"]) -> float:
     return math.sqrt(2 * float(taps @ taps) - float(taps[0]) ** 2)
 
 
-MINIMUM_COLUMNS = 10
-"""Minimum length of a segment whose direction is usable; 20 mm of ring at 1 m are twice as long."""
-
 BORDER_PX = 3.0
 """Distance from the image's left or right border within which a stripe is regarded as truncated by the image."""
-
-KINK_PX = 0.6
-"""Distance from its chord (besides its own scatter) at which a piece is cut."""
-
-JOINED_PX = 0.5
-"""Maximum offset of two segments' lines across a gap at which they are joined."""
-
-ON_LINE_PX = 2.5
-"""Distance from a segment's line within which a centre counts as on its surface; the nearest body behind a ring is 4 px
-away at 1 m."""
-
-SHORT_SERIES_CORRECTION = 1.25
-"""Bias correction of the autocorrelations: fitting a line removes a part of those of a short series."""
-
-FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS = 5.0, 0.5
-"""Degrees of freedom, in independent columns, that a line fit removes from a series, and the minimum that remains.
-
-The line absorbs part of the correlated errors, which then show neither in the scatter nor in the autocorrelation:
-without this correction, at 29 columns and a speckle of 4 px (30 mm at 1 m, wide lens), one line in ten was off by three
-sigmas.
-"""
-
-MAX_CORRELATION = 40
-"""Maximum lag, in columns, of the autocorrelation of the centres' errors: a facet of crinkled foil."""
 
 
 def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
     """The straight line segments of the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
-    params = _track_params(camera.image_width)
+    params = TrackParams(image_width=camera.image_width, border_px=BORDER_PX)
     return straight_segments(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params)
 
 
@@ -255,20 +228,6 @@ def straight_segments(
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
     found = _kernels.tracks(position, sigma, piece, laser, lens, params)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
-
-
-@lru_cache(maxsize=4)
-def _track_params(image_width: int) -> TrackParams:
-    return TrackParams(
-        kink_px=KINK_PX,
-        joined_px=JOINED_PX,
-        short_series=SHORT_SERIES_CORRECTION,
-        on_line_px=ON_LINE_PX,
-        border_px=BORDER_PX,
-        min_columns=MINIMUM_COLUMNS,
-        image_width=image_width,
-        max_lag=MAX_CORRELATION,
-    )
 
 
 @lru_cache(maxsize=4)

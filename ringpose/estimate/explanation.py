@@ -11,7 +11,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +39,8 @@ from ringpose.estimate.solver import (
     precise_ring,
     ring_residuals,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
-from ringpose.types.detection import Rejection
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, MovingRing, Rates, RingArcs, motion_derivatives
+from ringpose.types.detection import JudgedRing, Rejection
 from ringpose.types.pose import KnownRadii, PoseFlag
 
 ALARM_SIGMAS = 3.0
@@ -96,6 +96,8 @@ class Search(NamedTuple):
     """Whether a pose follows, which needs all comparable explanations."""
     tolerance_sigmas: float = DECISION_SIGMAS
     """Estimated distance from the optimum at which each iteration ends."""
+    start: MovingRing | None = None
+    """A ring near the one that explains all measurements with the edges as they are named, if it is known."""
 
 
 class Solved(NamedTuple):
@@ -140,17 +142,26 @@ class Explanation:
 
 
 def explain(
-    measured: Measurements, prior: Prior, *, labelled: bool, edges_named: bool, precise: bool = True
+    measured: Measurements,
+    prior: Prior,
+    *,
+    labelled: bool,
+    edges_named: bool,
+    precise: bool = True,
+    judged: JudgedRing | None = None,
 ) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
-    whether the ring is needed to the precision of a pose, and not only the decision.
+    whether the ring is needed to the precision of a pose, and not only the decision. `judged`: the ring by which the
+    break points were judged, near which the one of all measurements is sought first.
     """
     guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
         measured, guess = _at_reference_time(measured, prior)
+    if judged is not None:
+        search = search._replace(start=_moving_ring(judged, measured.reference_s))
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
@@ -166,6 +177,16 @@ def explain(
     rivals = (*best.competing, *([] if best.other_side is None else [best.other_side]))
     differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in rivals))
     return replace(best, differing=differing)
+
+
+def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
+    """The ring at the reference time."""
+    arcs = RingArcs(
+        origin=judged.origin_m, axes=judged.axes, curvature=judged.curvature_per_m, half_band_m=judged.half_band_m
+    )
+    if judged.stamp_s is not None and isfinite(reference_s):
+        arcs = arcs.after(reference_s - judged.stamp_s, judged.velocity_m_s, judged.rate_rad_s)
+    return MovingRing(arcs, Rates(judged.velocity_m_s, judged.rate_rad_s))
 
 
 def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:
@@ -228,6 +249,7 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
 def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
     best, edges_named = _explained(measured, prior, search, guess=guess), search.edges_named
+    search = search._replace(start=None)  # with edges exchanged it is another ring
     if best is not None:
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
@@ -278,7 +300,7 @@ def _explained(
     measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
-    estimate = estimate_ring(measured, prior, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
+    estimate = estimate_ring(measured, prior, search.start, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
     if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
         tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort
+from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort, undistorted_rays
 from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -169,13 +169,11 @@ class Measurements:
             light_normal=planes.normal[laser],
             light_distance_m=planes.distance_m[laser],
             ends=ends,
-            edge_sign=2.0 * self.points.edge - 1.0,
             visible_rays=self.edges.ray,
-            visible_sign=2.0 * self.edges.edge - 1.0,
             visible_step=self.edges.step,
+            edge_sign=2.0 * np.concatenate([self.points.edge, self.edges.edge]) - 1.0,
             instant_s=instant_s,
-            of_sample=instant[: len(laser)],
-            of_visible=instant[len(laser) :],
+            instant=instant,
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
         of_lines = self.lines.wrt_camera
@@ -275,18 +273,34 @@ def measurements_of(
 
 def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lines, Points, bool]:
     """Lines and break points, and whether all of these have a covariance."""
+    count = len(break_points.position_px)
+    stamp_s = np.full(count, np.nan) if break_points.stamp_s is None else break_points.stamp_s
+    line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
+    has_line = np.isfinite(line_px.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1))
+    line_xy = undistorted_rays(line_px[has_line], camera)[..., :2]
     laser, edge = np.nonzero(break_points.seen)
-    lines = _lines(break_points, camera)
-    covariance_px2 = break_points.covariance_px2[laser, edge]
-    has_covariances = bool(np.isfinite(covariance_px2).all())
-    if not has_covariances:
-        unknown = ~np.isfinite(covariance_px2).all(axis=(1, 2))
-        covariance_px2[unknown] = NOMINAL_SIGMA_PX**2 * np.eye(2)
     xy = undistort(break_points.position_px[laser, edge], camera)
-    ray_wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(xy, camera)
-    has_line = np.zeros(len(break_points.position_px), dtype=bool)
-    has_line[lines.laser] = True
-    covariance = ray_wrt_pixel @ (covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)) @ ray_wrt_pixel.swapaxes(1, 2)
+    ends = 2 * len(line_xy)
+    wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(np.concatenate([line_xy.reshape(ends, 2), xy]), camera)
+
+    sigma = np.maximum(break_points.face_sigma_px[has_line], MIN_SIGMA_PX) / camera.camera_matrix[1, 1]
+    whitening = np.zeros((len(line_xy), 2, 2))
+    for block, sds in zip(whitening, sigma.tolist(), strict=True):
+        block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
+    lines = Lines(
+        laser=np.flatnonzero(has_line),
+        x=line_xy[..., 0],
+        y=line_xy[..., 1],
+        whitening=whitening,
+        wrt_camera=wrt_camera[:ends].reshape(*line_xy.shape, wrt_camera.shape[-1]),
+        stamp_s=stamp_s[has_line],
+    )
+
+    covariance_px2 = break_points.covariance_px2[laser, edge]
+    has_covariance = np.isfinite(covariance_px2).all(axis=(1, 2))
+    covariance_px2[~has_covariance] = NOMINAL_SIGMA_PX**2 * np.eye(2)
+    covariance_px2 = covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)
+    covariance = wrt_pixel[ends:] @ covariance_px2 @ wrt_pixel[ends:].swapaxes(1, 2)
     points = Points(
         laser=laser,
         edge=edge,
@@ -296,11 +310,11 @@ def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lin
         sigma_x=np.sqrt(covariance[:, 0, 0]),
         middle_x=_middles(laser, xy[:, 0], lines),
         isolated=~has_line[laser],
-        stamp_s=_stamps(break_points)[laser],
+        stamp_s=stamp_s[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
-        wrt_camera=wrt_camera,
+        wrt_camera=wrt_camera[ends:],
     )
-    return lines, points, has_covariances
+    return lines, points, bool(has_covariance.all())
 
 
 REPEATED = 2.0
@@ -327,31 +341,6 @@ def _repeated_points(first: Points, again: Points) -> Points:
 
 def _joined(first: Lines | Points, again: Lines | Points) -> dict[str, Any]:
     return {each.name: np.concatenate([getattr(first, each.name), getattr(again, each.name)]) for each in fields(first)}
-
-
-def _stamps(break_points: BreakPoints) -> Float64[Array, "laser"]:
-    unknown = np.full(len(break_points.position_px), np.nan)
-    return unknown if break_points.stamp_s is None else break_points.stamp_s
-
-
-def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
-    ends = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
-    laser = np.flatnonzero(np.isfinite(ends.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1)))
-    matrix = camera.camera_matrix
-    sigma = np.maximum(break_points.face_sigma_px[laser], MIN_SIGMA_PX) / matrix[1, 1]
-    whitening = np.zeros((len(laser), 2, 2))
-    for block, sds in zip(whitening, sigma.tolist(), strict=True):
-        block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
-    xy = (ends[laser] - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
-    _, wrt_camera = rays_wrt_pixel_and_camera(xy.reshape(-1, 2), camera)
-    return Lines(
-        laser=laser,
-        x=xy[..., 0],
-        y=xy[..., 1],
-        whitening=whitening,
-        wrt_camera=wrt_camera.reshape(*xy.shape, wrt_camera.shape[-1]),
-        stamp_s=_stamps(break_points)[laser],
-    )
 
 
 def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:

@@ -73,13 +73,6 @@ def _between_frames(truth: Truth, stamp_s: float) -> Truth:
     return replace(truth, center_m=(1.0 - share) * start.center_m + share * end.center_m, normal=normal)
 
 
-def distance_to_circle_m(
-    point_m: Float64[Array, "3"], center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m: float
-) -> float:
-    """Distance of a point from a circle in space."""
-    return float(np.hypot(*circle_error(point_m, center_m, normal, radius_m)[1]))
-
-
 def circle_error(
     point_m: Float64[Array, "3"], center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m: float
 ) -> tuple[Float64[Array, "2 xyz=3"], Float64[Array, "2"]]:

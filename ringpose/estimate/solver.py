@@ -5,6 +5,7 @@ the solution; from there on visible edge points count fully or not at all, and b
 are judged by `ringpose.estimate.explanation`.
 """
 
+from functools import partial
 from math import inf, isfinite, sqrt
 
 import numpy as np
@@ -39,6 +40,8 @@ from ringpose.geometry.ring import (
     TILT_ALONG,
     TILT_INWARD,
     TURN,
+    EdgeDistances,
+    MovingRing,
     Rates,
     RingArcs,
     polar_angles,
@@ -83,12 +86,12 @@ MAX_TILT_RAD = 0.7
 def estimate_ring(
     measured: Measurements,
     prior: Prior,
-    start: Estimate | None = None,
+    start: Estimate | MovingRing | None = None,
     *,
     guess: RingArcs | None = None,
     tolerance_sigmas: float = PRECISE_SIGMAS,
 ) -> Estimate | None:
-    """The maximum-likelihood ring; None if the iteration diverges. `start`: an estimate near it, if there is one.
+    """The maximum-likelihood ring; None if the iteration diverges. `start`: a ring that may be near it.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
     priors about the initial guess in a second run, so that they do not degrade the others. If visible edges close such
@@ -98,14 +101,13 @@ def estimate_ring(
     edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
     observations = measured.observations
-
-    def solve(start: RingArcs | Estimate, prior: Prior, tolerance_sigmas: float = tolerance_sigmas) -> Estimate | None:
-        try:
-            return _gauss_newton(_linearized(start, observations, prior), observations, prior, tolerance_sigmas)
-        except np.linalg.LinAlgError:
-            return None
-
+    solve = partial(_solved, observations)
     with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_ring`
+        if isinstance(start, MovingRing):
+            estimate = solve(start, prior, tolerance_sigmas)
+            if estimate is not None and not poorly_determined(estimate.inverse):
+                return estimate
+            start = None
         if guess is None and start is None:
             guess = initial_guess(observations, prior)
         first: RingArcs | Estimate | None = guess if start is None else start
@@ -115,16 +117,26 @@ def estimate_ring(
             first = guess if regularized is None else regularized.arcs
         if first is None:
             return None
-        estimate = solve(first, prior)
+        estimate = solve(first, prior, tolerance_sigmas)
         if estimate is None or poorly_determined(estimate.inverse):
             guess = initial_guess(observations, prior) if guess is None else guess
             about = first.arcs if guess is None and isinstance(first, Estimate) else guess
-            estimate = solve(first, prior._replace(regularize_about=about))
+            estimate = solve(first, prior._replace(regularize_about=about), tolerance_sigmas)
         # one edge without a line on the face beside it leaves open on which side the centre is: try the other one
         side_open = prior.single_edge and bool(measured.points.isolated.all())
         if estimate is not None and estimate.arcs.curvature < 0 and side_open:
-            estimate = solve(estimate.arcs.with_center_opposite(), prior) or estimate
+            estimate = solve(estimate.arcs.with_center_opposite(), prior, tolerance_sigmas) or estimate
     return estimate
+
+
+def _solved(
+    observations: Observations, start: RingArcs | MovingRing | Estimate, prior: Prior, tolerance_sigmas: float
+) -> Estimate | None:
+    """The ring by an iteration from `start`; None if that diverges."""
+    try:
+        return _gauss_newton(_linearized(start, observations, prior), observations, prior, tolerance_sigmas)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
@@ -196,21 +208,23 @@ def _gauss_newton(
 
 
 def _linearized(
-    start: RingArcs | Estimate, observations: Observations, prior: Prior
+    start: RingArcs | MovingRing | Estimate, observations: Observations, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The residuals at a ring or at an estimate nearby, fixed columns at the latter, and what these leave of residuals.
+    """The residuals at a guess or at a ring nearby, fixed columns at the latter, and what these leave of residuals.
 
     LinAlgError if parameters are so far from being determined that the iteration is useless without weak priors.
     """
-    if isinstance(start, Estimate):
-        residuals = ring_residuals(start.arcs, observations, prior, start.rates)
-        fixed: FixedColumns | None = fixed_columns(residuals, observations, prior)
-        nuisance = nuisance_columns(residuals, fixed)
-        comparable = nuisance.shape[1] == len(start.nuisance_step)
-        predicted = residuals.residual + nuisance @ start.nuisance_step if comparable else residuals.residual
+    fixed: FixedColumns | None = None
+    if isinstance(start, RingArcs):
+        residuals = ring_residuals(start, observations, prior)
     else:
-        residuals, fixed = ring_residuals(start, observations, prior), None
-        predicted = residuals.residual
+        residuals = ring_residuals(start.arcs, observations, prior, start.rates)
+        fixed = fixed_columns(residuals, observations, prior)
+    predicted = residuals.residual
+    if isinstance(start, Estimate) and fixed is not None:
+        nuisance = nuisance_columns(residuals, fixed)
+        if nuisance.shape[1] == len(start.nuisance_step):
+            predicted = residuals.residual + nuisance @ start.nuisance_step
     if prior.regularize_about is None:
         inverse = np.linalg.inv(residuals.jacobian.T @ residuals.jacobian + RIDGE_MATRIX)
         if poorly_determined(inverse, HOPELESS):
@@ -297,16 +311,13 @@ def solve_normal_equations(
     S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
     that are estimated already, the rates, which come first; the others are 0 there.
     """
-    reduced = (residuals.jacobian.T * weights) @ residuals.system
-    solution = np.zeros((0, 1 + PARAMETERS))
-    if nuisance.shape[1]:
-        weighted_nuisance = nuisance.T * weights  # B^T W
-        cross_information = weighted_nuisance @ residuals.system  # B^T W [r J]
-        cross_information[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
-        information = weighted_nuisance @ nuisance
-        information.ravel()[:: len(information) + 1] += 1.0
-        solution = np.linalg.solve(information, cross_information)
-        reduced -= cross_information[:, 1:].T @ solution
+    columns = np.concatenate([residuals.system, nuisance], axis=1)  # [r J B]
+    products = (columns.T * weights) @ columns
+    products.ravel()[(1 + PARAMETERS) * (len(products) + 1) :: len(products) + 1] += 1.0
+    reduced, cross_information = products[1 : 1 + PARAMETERS, : 1 + PARAMETERS], products[1 + PARAMETERS :]
+    cross_information[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
+    solution = np.linalg.solve(cross_information[:, 1 + PARAMETERS :], cross_information[:, : 1 + PARAMETERS])
+    reduced = reduced - cross_information[:, 1 : 1 + PARAMETERS].T @ solution
     step = -np.linalg.solve(reduced[:, 1:] + RIDGE_MATRIX, reduced[:, 0])
     return reduced[:, 1:], step, -solution[:, 0] - solution[:, 1:] @ step
 
@@ -350,39 +361,42 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     measured, view = observations.measured, observations.view
     motion = prior.assumptions.motion if measured.moving else None
     sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
-    stripes, points, edges = predicted_view(arcs, view, rates if len(sds) else None)
-    ends, samples = view.ends, len(view.rays)
+    rates = rates if len(sds) else STILL
+    stripes, every_edge = predicted_view(arcs, view, rates if len(sds) else None)
+    ends, samples, visible = view.ends, len(view.rays), len(view.visible_rays)
+    points, edges = (
+        EdgeDistances(*(each[part] for each in every_edge))
+        for part in (slice(samples - ends), slice(samples - ends, None))
+    )
     stripe_rows = samples + observations.isolated
-    data_rows = stripe_rows + len(view.visible_rays)
+    data_rows = stripe_rows + visible
     of_prior = _prior_rows(arcs, prior)
     rows = np.zeros((data_rows + len(of_prior), 1 + stripes.y_wrt_step.shape[1]))
 
     # a: whitened distances of the lines' ends from the predicted lines
     above = view.rays[:, 1] - stripes.rays[:, 1]
-    rows[:ends, 0] = observations.whitening @ above[:ends]
-    rows[:ends, 1:] = -observations.whitening @ stripes.y_wrt_step[:ends]
+    lines = np.concatenate([above[:, None], -stripes.y_wrt_step], axis=1)
+    rows[:ends] = observations.whitening @ lines[:ends]
 
     # b: distances of the break points from their edges, along the predicted lines
-    slope, y_wrt_step = stripes.slope[ends:], stripes.y_wrt_step[ends:]
-    wrt_step = points.wrt_step + points.wrt_ray[:, 1:] * y_wrt_step  # the point moves with its line
+    lines, slope = lines[ends:], stripes.slope[ends:]
+    along = np.concatenate([points.distance_m[:, None], points.wrt_step], axis=1)
+    along[:, 1:] -= points.wrt_ray[:, 1:] * lines[:, 1:]  # the point moves with its line
     distance_wrt_x = points.wrt_ray[:, 0] + slope * points.wrt_ray[:, 1]
     distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
     scale = 1.0 / (np.abs(distance_wrt_x) * measured.points.sigma_x)
-    rows[ends:samples, 0] = scale * points.distance_m
-    rows[ends:samples, 1:] = scale[:, None] * wrt_step
+    rows[ends:samples] = scale[:, None] * along
 
     ordinates = NO_ORDINATES
     if observations.isolated:
-        ordinates = ordinate_scale(measured.points, slope, distance_wrt_x)
-        which, share, scale_y = ordinates
-        rows[samples:stripe_rows, 0] = scale_y * (above[ends:][which] - share * points.distance_m[which])
-        rows[samples:stripe_rows, 1:] = -scale_y[:, None] * (y_wrt_step[which] + share[:, None] * wrt_step[which])
+        ordinates = which, share, scale_y = ordinate_scale(measured.points, slope, distance_wrt_x)
+        rows[samples:stripe_rows] = scale_y[:, None] * (lines[which] - share[:, None] * along[which])
 
     # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    sigma_m = np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1))
-    edge_scale = 1.0 / np.maximum(sigma_m, np.finfo(float).tiny)
-    rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
-    rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
+    edge_scale = 1.0 / np.maximum(np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1)), np.finfo(float).tiny)
+    if visible:
+        rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
+        rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
 
     rows[data_rows:, : 1 + PARAMETERS] = of_prior  # d
     return Residuals(
@@ -537,18 +551,17 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
     An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
     angle of the row.
     """
-    isolated = np.flatnonzero(measured.points.isolated)
+    points, edges, data_rows = measured.points, measured.edges, residuals.data_rows
     rays = residuals.stripes.rays
-    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
-    edge = [np.full(residuals.ends, -1), measured.points.edge, measured.points.edge[isolated], measured.edges.edge]
-    of_edge = np.concatenate(edge)
-    shape = np.column_stack([wave(order * angle) for order in FORM_ORDERS for wave in (np.cos, np.sin)])
+    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][points.isolated], edges.ray]))
+    of_edge = np.concatenate([np.full(residuals.ends, -1), points.edge, points.edge[points.isolated], edges.edge])
+    phase = angle[:, None] * FORM_ORDERS
+    shape = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(angle), -1)
+    # the increment HALF_BAND moves the outer edge outward, the inner one inward
+    outward = residuals.jacobian[:data_rows, HALF_BAND, None] * EDGE_SIGN * (of_edge[:, None] == range(len(EDGE_SIGN)))
+    deviation = np.concatenate([outward, residuals.jacobian[:data_rows, LIFT, None]], axis=1)  # inner, outer, axial
     jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
-    data, count = jacobian[: residuals.data_rows], shape.shape[1]
-    for number, sign in enumerate(EDGE_SIGN):  # the increment HALF_BAND moves the outer edge outward, the inner inward
-        radial = np.where(of_edge == number, sign * residuals.jacobian[: residuals.data_rows, HALF_BAND], 0.0)
-        data[:, number * count : (number + 1) * count] = radial[:, None] * shape
-    data[:, 2 * count :] = residuals.jacobian[: residuals.data_rows, LIFT, None] * shape
+    jacobian[:data_rows] = (deviation[:, :, None] * shape[:, None]).reshape(data_rows, -1)
     return jacobian
 
 

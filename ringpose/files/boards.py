@@ -72,16 +72,11 @@ def board_of(fields: Fields) -> Board:
 
 def write_board(path: Path, board: Board, *, force: bool = False) -> None:
     """Write a board file."""
-    with atomic.replacing(path, force) as stream:
-        write_yaml(stream, board_values(board))
-
-
-def board_values(board: Board) -> dict[str, Any]:
-    """The mapping that `board_of` reads."""
     values = {key: getattr(board, key) for key in _KEYS if key not in ("ringpose", "legacy_pattern")}
     if board.legacy_pattern:
         values["legacy_pattern"] = True
-    return {key: value for key, value in values.items() if value is not None}
+    with atomic.replacing(path, force) as stream:
+        write_yaml(stream, {key: value for key, value in values.items() if value is not None})
 
 
 def _length(fields: Fields, key: str) -> float:

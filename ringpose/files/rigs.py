@@ -37,17 +37,21 @@ _STABILITY_KEYS = tuple(each.name for each in dataclasses.fields(RigStability))
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
 
-def read_rig(path: Path) -> Rig:
-    """The rig in a rig.yaml, with exactly normalised normals."""
-    return rig_in(read_bytes(path), str(path))
+def read_rig(path: Path, *, for_rings: bool = True) -> Rig:
+    """The rig in a rig.yaml, with exactly normalised normals.
+
+    One with a laser that cannot measure rings (`steep_stripes`) is rejected unless `for_rings` is false: light planes
+    of such lasers are calibrated and checked with boards as any others.
+    """
+    return rig_in(read_bytes(path), str(path), for_rings=for_rings)
 
 
-def rig_in(text: bytes, location: str) -> Rig:
-    """The rig in the text of a rig.yaml, fit to measure rings."""
+def rig_in(text: bytes, location: str, *, for_rings: bool = True) -> Rig:
+    """The rig in the text of a rig.yaml; the same as `read_rig`."""
     fields = Fields(location, parsed(text, location), _KEYS)
     rig = rig_of(fields, hashlib.sha256(text).hexdigest())
     for entry, finding in zip(fields.each("lasers"), steep_stripes(rig.lasers), strict=True):
-        if finding:
+        if finding and for_rings:
             raise entry.problem("normal", finding, "mount the camera so that the stripes run along the rows")
     return rig
 
@@ -158,11 +162,8 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 
 def rig_stability(fields: Fields) -> RigStability:
     """The key `stability` of a rig or a pose record."""
-    return RigStability(
-        plane_tilt_rad=fields.number("plane_tilt_rad", least=0, most=MAX_STABILITY.plane_tilt_rad),
-        plane_distance_m=fields.number("plane_distance_m", least=0, most=MAX_STABILITY.plane_distance_m),
-        focal_ratio=fields.number("focal_ratio", least=0, most=MAX_STABILITY.focal_ratio),
-    )
+    limits = dataclasses.asdict(MAX_STABILITY)
+    return RigStability(**{key: fields.number(key, least=0, most=most) for key, most in limits.items()})
 
 
 def _lasers(fields: Fields) -> LaserPlanes:
@@ -211,6 +212,6 @@ def _mount(fields: Fields) -> Mount:
     return Mount(
         tool_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
         root=axes * np.sqrt(np.maximum(variance, 0.0)),
-        delay_s=mount.number("delay_s") if mount.has("delay_s") else 0.0,
-        delay_sd_s=mount.number("delay_sd_s", least=0) if mount.has("delay_sd_s") else 0.0,
+        delay_s=mount.number("delay_s", missing=0.0),
+        delay_sd_s=mount.number("delay_sd_s", least=0, missing=0.0),
     )

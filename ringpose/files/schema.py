@@ -19,6 +19,9 @@ MAX_VALUE = 1e30
 ROUNDED = 1e-6
 """Tolerance of the length of a unit vector and of the orthogonality of a rotation, for values rounded in a file."""
 
+MAX_QUATERNION_ERROR = 1e-3
+"""Tolerance of the length of a quaternion, of which robots give few digits."""
+
 _TOLERANCE = 1e-9
 """Rounding errors of a correlation matrix: asymmetry, and negative eigenvalues per row."""
 
@@ -66,7 +69,7 @@ class Fields:
         return self.values.get(key) is not None
 
     def given(self, keys: Iterable[str], read: Callable[[str], Value]) -> dict[str, Value]:
-        """The values of those of the keys that are present, each read by `read`."""
+        """Values by key, for those of the keys that are present; each is read by `read`."""
         return {key: read(key) for key in keys if self.has(key)}
 
     def optional(self, key: str, read: Callable[[str], Value]) -> Value | None:
@@ -113,8 +116,12 @@ class Fields:
         self._check_range(key, value, (least, most))
         return value
 
-    def number(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> float:
-        """A finite number between two bounds, both included."""
+    def number(
+        self, key: str, least: int | float = -math.inf, most: int | float = math.inf, missing: float | None = None
+    ) -> float:
+        """A finite number between two bounds, both included; `missing`, if given, for a key that is absent or null."""
+        if missing is not None and not self.has(key):
+            return missing
         value = self.raw(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.problem(key, f"is {kind(value)}, must be a number")
@@ -162,10 +169,19 @@ class Fields:
             raise self.problem(key, f"has length {length:.6g}, must be 1", remedy if length > 0 else "")
         return vector / length
 
-    def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
-        """Reject lengths that are only plausible in millimetres."""
-        longest = float(lengths[np.argmax(np.abs(lengths))])
-        if abs(longest) > MAX_LENGTH_M:
+    def quaternion(self, key: str) -> Float64[Array, "xyzw=4"]:
+        """A quaternion x, y, z, w of length 1 within `MAX_QUATERNION_ERROR`, normalised exactly."""
+        quaternion = self.vector(key, 4)
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > MAX_QUATERNION_ERROR:
+            remedy = "give a unit quaternion x, y, z, w; this looks like degrees" if length > 2.0 else "normalize it"
+            raise self.problem(key, f"has length {length:.6g}, must be 1", remedy)
+        return quaternion / length
+
+    def check_metres(self, key: str, lengths: Float64[Array, "..."], limit_m: float = MAX_LENGTH_M) -> None:
+        """Reject lengths beyond a limit, which are only plausible in millimetres."""
+        longest = float(lengths.ravel()[np.argmax(np.abs(lengths))]) if lengths.size else 0.0
+        if abs(longest) > limit_m:
             raise self.problem(key, f"is {longest:g}", "give metres; this looks like millimetres")
 
     def fields(self, key: str, known: Iterable[str] | None = None) -> "Fields":

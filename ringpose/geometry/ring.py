@@ -155,6 +155,13 @@ def rotation_by(vector_rad: Float64[Array, "*shape 3"]) -> Float64[Array, "*shap
     return rotation
 
 
+DISPLACED = np.array([2, 0, 1])
+"""The axes along which a displacement of the origin changes `LIFT`, `SHIFT` and `TURN`."""
+
+AT_REST = np.eye(len(STEP), len(STEP) + 5)
+"""`motion_derivatives` at the reference time."""
+
+
 def motion_derivatives(
     before: RingArcs, moved: RingArcs, time_s: float | Float64[Array, "*instant"]
 ) -> Float64[Array, "*instant step=7 parameter=12"]:
@@ -167,10 +174,10 @@ def motion_derivatives(
     """
     lever_m, curvature, time = before.lever_m, before.curvature, np.asarray(time_s)[..., None]
     turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
-    components = moved.axes[..., (2, 0, 1), :]  # LIFT, SHIFT, TURN
+    components = moved.axes[..., DISPLACED, :]
     components[..., 2, :] *= curvature
-    derivatives = np.zeros((*time.shape[:-1], len(STEP), len(STEP) + 5))
-    derivatives[..., range(len(STEP)), range(len(STEP))] = 1.0
+    derivatives = np.empty((*time.shape[:-1], *AT_REST.shape))
+    derivatives[:] = AT_REST
 
     displaced = derivatives[..., LIFT : TURN + 1, :]
     displaced[..., LIFT : SHIFT + 1] = components @ before.axes[::-2].T
@@ -209,10 +216,18 @@ def ring_arcs(
     )
 
 
-def _along(axes: Float64[Array, "*row 3 3"], vectors: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Components of vectors along axes, which are the same for all of them or of each row."""
-    along: Float64[Array, "n 3"] = vectors @ axes.T if axes.ndim == 2 else (axes @ vectors[..., None])[..., 0]
-    return along
+def _on_plane(
+    arcs: RingArcs, rays: Float64[Array, "n xyz=3"]
+) -> tuple[Float64[Array, "axis=3 n"], Float64[Array, "n"], Float64[Array, "axis=3 n"]]:
+    """Components of rays along the arcs' axes, the depths at which they meet the ring's plane, and the places there.
+
+    The places are measured from the origin: inward, along the face, and 0. The arcs are the same for all rays, or one
+    for each.
+    """
+    along = rays @ arcs.axes.T if arcs.axes.ndim == 2 else (arcs.axes @ rays[..., None])[..., 0]
+    origin = (arcs.axes @ arcs.origin[..., None])[..., 0]
+    depth = origin[..., 2] / along[:, 2]
+    return along.T, depth, (depth[:, None] * along - origin).T
 
 
 # Stripes and break points
@@ -226,8 +241,21 @@ class StripePrediction(NamedTuple):
     slope: Float64[Array, "n"]
     """dy/dx of the lines."""
     y_wrt_step: Float64[Array, "n step=7"]
-    y_wrt_light_normal: Float64[Array, "n xyz=3"]
-    y_wrt_light_distance: Float64[Array, "n"]
+    y_wrt_cosine: Float64[Array, "n"]
+    """Of the ray with the normal of the light plane."""
+    depth: Float64[Array, "n"]
+    """At which the rays meet the plane."""
+
+    @property
+    def y_wrt_light_normal(self) -> Float64[Array, "n xyz=3"]:
+        """Derivatives by the normals of the light planes."""
+        wrt_normal: Float64[Array, "n xyz=3"] = self.rays * self.y_wrt_cosine[:, None]
+        return wrt_normal
+
+    @property
+    def y_wrt_light_distance(self) -> Float64[Array, "n"]:
+        """Derivatives by the distances of the light planes."""
+        return -self.y_wrt_cosine / self.depth
 
 
 def predicted_stripes(
@@ -240,31 +268,19 @@ def predicted_stripes(
 
     q . P = 1 is the ring's plane, so that ring and light plane are met at the same depth.
     """
-    distances_m = (arcs.axes @ arcs.origin[..., None])[..., 0]
-    distance_m = distances_m[..., 2:]
-    plane = arcs.axes[..., 2, :] / distance_m
-    image_line = light_normal - light_distance_m[:, None] * plane
-    per_y = -1.0 / image_line[:, 1]
-    slope = image_line[:, 0] * per_y
+    normal = arcs.axes[..., 2, :]
+    distance_m = (normal * arcs.origin).sum(axis=-1)
+    line_x, line_y, line_1 = (light_normal - light_distance_m[:, None] * (normal / distance_m[..., None])).T
+    y_wrt_cosine = -1.0 / line_y
+    slope = line_x * y_wrt_cosine
     rays = np.ones((len(x), 3))
-    rays[:, 0] = x
-    rays[:, 1] = slope * x + image_line[:, 2] * per_y
-    y_wrt_plane = (-light_distance_m * per_y)[:, None] * rays
-
-    # q = n / (n . origin): dq = (a - (a . origin) q) / (n . origin) for a tilt along a, -q / (n . origin) for a lift
-    rays_on_plane = rays @ plane if plane.ndim == 1 else (rays * plane).sum(axis=1)
-    y_wrt_depth = -light_distance_m * per_y * rays_on_plane
-    y_wrt_step = np.zeros((len(x), len(STEP)))
-    tilts = _along(arcs.axes, y_wrt_plane)[:, :2] - y_wrt_depth[:, None] * distances_m[..., :2]
-    y_wrt_step[:, TILT_INWARD : TILT_ALONG + 1] = tilts / distance_m
-    y_wrt_step[:, LIFT] = -y_wrt_depth / distance_m[..., 0]
-    return StripePrediction(
-        rays=rays,
-        slope=slope,
-        y_wrt_step=y_wrt_step,
-        y_wrt_light_normal=rays * per_y[:, None],
-        y_wrt_light_distance=-rays_on_plane * per_y,
-    )
+    rays[:, 0], rays[:, 1] = x, slope * x + line_1 * y_wrt_cosine
+    _, depth, (inward_m, along_m, _) = _on_plane(arcs, rays)
+    # q = n / (n . origin): a lift changes q . r = 1 / depth by -1 / (depth n . origin), a tilt by that times the lever
+    y_wrt_step = np.zeros((len(STEP), len(x)))
+    y_wrt_step[LIFT] = wrt_lift = light_distance_m * y_wrt_cosine / (depth * distance_m)
+    y_wrt_step[TILT_INWARD], y_wrt_step[TILT_ALONG] = -wrt_lift * inward_m, -wrt_lift * along_m
+    return StripePrediction(rays, slope, y_wrt_step.T, y_wrt_cosine, depth)
 
 
 def predicted_break_points(
@@ -314,11 +330,7 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     Eq. (5.2), with x inward and y along the face from the origin, in the form that is regular at curvature 0:
     |P - c| - 1/k = (k (x^2 + y^2) - 2 x) / (1 + h), h = k |P - c| = hypot(1 - k x, k y).
     """
-    ray_inward, ray_along, ray_normal = _along(arcs.axes, rays).T
-    origin_inward, origin_along, origin_normal = (arcs.axes @ arcs.origin[..., None])[..., 0].T
-    depth = origin_normal / ray_normal
-    x = depth * ray_inward - origin_inward
-    y = depth * ray_along - origin_along
+    (ray_inward, ray_along, ray_normal), depth, (x, y, _) = _on_plane(arcs, rays)
     k = arcs.curvature
     square = x * x + y * y
     h_x, h_y = 1.0 - k * x, k * y
@@ -380,6 +392,13 @@ class Rates(NamedTuple):
     """Angular velocity across the normal."""
 
 
+class MovingRing(NamedTuple):
+    """A ring at one instant, and its motion."""
+
+    arcs: RingArcs
+    rates: Rates
+
+
 class CameraDisplacements(NamedTuple):
     """Motion of the camera itself: P = rotation P_0 + translation_m at each instant, P_0 in the camera frame at t_0."""
 
@@ -397,18 +416,15 @@ class RingView(NamedTuple):
     light_distance_m: Float64[Array, "sample"]
     ends: int
     """Number of the samples that are ends of lines."""
-    edge_sign: Float64[Array, "point"]
-    """-1 for a break point on the inner edge, +1 for one on the outer edge."""
     visible_rays: Float64[Array, "visible xyz=3"]
-    visible_sign: Float64[Array, "visible"]
-    """The same of the visible edge points."""
     visible_step: Float64[Array, "visible xy=2"]
-    """Their displacement by one standard deviation, along the edge's normal in the image."""
+    """Displacement of the visible edge points by one standard deviation, along the edge's normal in the image."""
+    edge_sign: Float64[Array, "point"]
+    """-1 for a point on the inner edge, +1 for one on the outer edge: of break points, then of visible points."""
     instant_s: Float64[Array, "instant"]
     """Mid exposures of the frames, from the reference time."""
-    of_sample: Int64[Array, "sample"]
-    """Index of each sample's instant."""
-    of_visible: Int64[Array, "visible"]
+    instant: Int64[Array, "row"]
+    """Index of the instant of each sample, and of each visible point."""
     camera: CameraDisplacements | None = None
     """None for a camera that counts as inertial."""
 
@@ -420,34 +436,36 @@ class RingPrediction(NamedTuple):
     """
 
     stripes: StripePrediction
-    points: EdgeDistances
-    """Of the predicted stripes at the abscissae of the break points."""
     edges: EdgeDistances
+    """Of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
 
 
 def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
     """What is seen of the ring `arcs` at the reference time that moves at these rates; `rates` None if it is still."""
-    of_samples, of_edges, derivatives = arcs, arcs, None
-    if rates is not None or view.camera is not None:
+    moves = rates is not None or view.camera is not None
+    of_samples = of_edges = arcs
+    if moves:
         rings, derivatives = _at_instants(arcs, view, rates)
-        of_edge = np.concatenate([view.of_sample[view.ends :], view.of_visible])
-        of_samples, of_edges = rings.at_rows(view.of_sample), rings.at_rows(of_edge)
+        of_samples = rings.at_rows(view.instant[: len(view.rays)])
+        of_edges = rings.at_rows(view.instant[view.ends :])
     stripes = predicted_stripes(of_samples, view.rays[:, 0], view.light_normal, view.light_distance_m)
-    rays = np.concatenate([stripes.rays[view.ends :], view.visible_rays])
-    sign = np.concatenate([view.edge_sign, view.visible_sign])
-    edges = edge_distances(of_edges, rays, sign)
+    rays = stripes.rays[view.ends :]
     if len(view.visible_rays):
-        edges = _linearized_on_edges(edges, of_edges, rays, sign, view)
-    if derivatives is not None:
-        stripes = stripes._replace(y_wrt_step=(stripes.y_wrt_step[:, None] @ derivatives[view.of_sample])[:, 0])
-        edges = edges._replace(wrt_step=(edges.wrt_step[:, None] @ derivatives[of_edge])[:, 0])
-    count = len(view.edge_sign)
-    points, visible = (EdgeDistances(*(each[part] for each in edges)) for part in (slice(count), slice(count, None)))
-    return RingPrediction(stripes, points, visible)
+        rays = np.concatenate([rays, view.visible_rays])
+    edges = edge_distances(of_edges, rays, view.edge_sign)
+    if len(view.visible_rays):
+        edges = _linearized_on_edges(edges, of_edges, rays, view)
+    if moves:
+        wrt_step = np.concatenate([stripes.y_wrt_step, edges.wrt_step])
+        instant = np.concatenate([view.instant[: len(view.rays)], view.instant[view.ends :]])
+        by_all = (wrt_step[:, None] @ derivatives[instant])[:, 0]
+        stripes = stripes._replace(y_wrt_step=by_all[: len(view.rays)])
+        edges = edges._replace(wrt_step=by_all[len(view.rays) :])
+    return RingPrediction(stripes, edges)
 
 
 def _linearized_on_edges(
-    measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], sign: Float64[Array, "n"], view: RingView
+    measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], view: RingView
 ) -> EdgeDistances:
     """The distances with the visible points' derivatives at the predicted edge, in the direction of their errors.
 
@@ -455,12 +473,12 @@ def _linearized_on_edges(
     in common.
     """
     step = np.zeros((len(rays), 2))
-    step[len(view.edge_sign) :] = view.visible_step
+    step[-len(view.visible_step) :] = view.visible_step
     rate = (measured.wrt_ray * step).sum(axis=1)
     offset = np.divide(measured.distance_m, rate, out=np.zeros(len(rays)), where=np.abs(rate) > np.finfo(float).tiny)
     on_edge = rays.copy()
     on_edge[:, :2] -= offset[:, None] * step
-    predicted = edge_distances(arcs, on_edge, sign)
+    predicted = edge_distances(arcs, on_edge, view.edge_sign)
     along_step = offset * (predicted.wrt_ray * step).sum(axis=1)
     return predicted._replace(distance_m=predicted.distance_m + along_step)
 

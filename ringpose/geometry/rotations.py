@@ -62,3 +62,15 @@ def rotation_vector(rotation: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
     if float(np.abs(sine).max()) < SMALL_ANGLE and np.trace(rotation) > 1:
         return sine
     return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
+
+
+def rotation_of(orientation_xyzw: Float64[Array, "4"]) -> Float64[Array, "3 3"]:
+    """Rotation matrix of a quaternion of any length."""
+    x, y, z, w = orientation_xyzw / np.linalg.norm(orientation_xyzw)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -56,13 +56,11 @@ PyObject *call_tracks(PyObject *module, PyObject *tuple);
 PyObject *call_faces(PyObject *module, PyObject *tuple);
 PyObject *call_end_columns(PyObject *module, PyObject *tuple);
 PyObject *call_ends(PyObject *module, PyObject *tuple);
-PyObject *call_marks(PyObject *module, PyObject *tuple);
 PyObject *call_edge_places(PyObject *module, PyObject *tuple);
 PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);
 PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
 PyObject *call_render(PyObject *module, PyObject *tuple);
 PyObject *call_hits(PyObject *module, PyObject *tuple);
 PyObject *call_code_edges(PyObject *module, PyObject *tuple);
-PyObject *call_crossed(PyObject *module, PyObject *tuple);
 
 #endif

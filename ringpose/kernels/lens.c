@@ -110,8 +110,3 @@ void distort_pixel(const Lens *lens, double *x, double *y) {
     *x = at[0] * lens->fx + lens->cx;
     *y = at[1] * lens->fy + lens->cy;
 }
-
-void distortion_slope(const Lens *lens, double x, double y, double slope[3]) {
-    double at[2];
-    distort(lens, is_rational(lens), x, y, at, slope);
-}

@@ -15,7 +15,4 @@ void undistort(const Lens *lens, double *x, double *y, size_t n);
 /* Distorts one pixel in place. */
 void distort_pixel(const Lens *lens, double *x, double *y);
 
-/* Derivatives of the distortion at a normalised point: dx/dx, dx/dy (as dy/dx), dy/dy. */
-void distortion_slope(const Lens *lens, double x, double y, double slope[3]);
-
 #endif

@@ -51,37 +51,10 @@ static double kth(double *value, size_t n, size_t k) {
     return value[k];
 }
 
-/* For MIN_SAMPLED to MAX_SAMPLED values the median is bracketed by two order statistics of a sample. */
-enum { MIN_SAMPLED = 256, MAX_SAMPLED = 2048, SAMPLES = 41, LOWER = 13, UPPER = 27 };
-
-/* Copies the values within the bracket, in one pass without branches, and counts the smaller ones; 0 if the median is
-   not certainly among them. */
-static size_t near_median(const double *value, size_t n, double *near, size_t *smaller) {
-    double some[SAMPLES];
-    size_t inside = 0, fewer = 0;
-    for (size_t i = 0; i < SAMPLES; i++) some[i] = value[i * n / SAMPLES];
-    sort_few(some, SAMPLES);
-    double low = some[LOWER], high = some[UPPER];
-    for (size_t i = 0; i < n; i++) {
-        near[inside] = value[i];
-        fewer += value[i] < low;
-        inside += (size_t)(value[i] >= low) & (size_t)(value[i] <= high);
-    }
-    *smaller = fewer;
-    return fewer < n / 2 && n / 2 < fewer + inside ? inside : 0;
-}
-
 /* NumPy's median of n > 0 values without NaN, which are reordered. */
 static double median(double *value, size_t n) {
-    double near[MAX_SAMPLED];
-    size_t smaller = 0, middle = n / 2, count = n;
-    size_t found = n < MIN_SAMPLED || n > MAX_SAMPLED ? 0 : near_median(value, n, near, &smaller);
-    if (found) {
-        value = near;
-        count = found;
-        middle -= smaller;
-    }
-    double upper = kth(value, count, middle);
+    size_t middle = n / 2;
+    double upper = kth(value, n, middle);
     if (n % 2) return upper;
     double lower = value[0];
     for (size_t i = 1; i < middle; i++) lower = value[i] > lower ? value[i] : lower;

@@ -15,8 +15,6 @@ static PyMethodDef methods[] = {
      "faces(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of one, two and three)"},
     {"end_columns", call_end_columns, METH_VARARGS, "end_columns(lit, dark, lines, lens, params) -> columns"},
     {"ends", call_ends, METH_VARARGS, "ends(columns, params) -> ends"},
-    {"marks", call_marks, METH_VARARGS,
-     "marks(tracks, ends, lasers, params, position, covariance, flags, straight, sigma): fills the last five"},
     {"edge_places", call_edge_places, METH_VARARGS, "edge_places(arcs, covariance, lens, params) -> places"},
     {"edge_profiles", call_edge_profiles, METH_VARARGS,
      "edge_profiles(image, place, normal, params, value, saturated, noise): fills the last three"},
@@ -27,7 +25,6 @@ static PyMethodDef methods[] = {
      "fills the last three"},
     {"hits", call_hits, METH_VARARGS,
      "hits(target tables, origin, direction, parameter, surface, point, normal): fills the last four"},
-    {"crossed", call_crossed, METH_VARARGS, "crossed(*target, *view, code, crossed): fills the last"},
     {"code_edges", call_code_edges, METH_VARARGS, "code_edges(code with a border, edge): fills the last"},
     {NULL, NULL, 0, NULL},
 };

@@ -51,7 +51,7 @@ from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
-from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, JudgedRing, Rejection, RingEdgePoints
 from ringpose.types.options import Method
 from ringpose.types.pose import (
     KnownRadii,
@@ -95,12 +95,14 @@ def most_likely_pose(
     lasers_on: Bool[Array, "laser"] | None = None,
     rejected: Sequence[Rejection] = (),
     camera: CameraMotion | None = None,
+    judged: JudgedRing | None = None,
 ) -> PoseResult:
     """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
     The radii of a catalogue's ring are used if the shot identifies it with high probability. `lasers_on`: which lasers
     were on in the shot, to report those whose stripe is missing; None if unknown. `rejected`: by the detector.
-    `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
+    `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial. `judged`:
+    the ring by which the break points were judged, from which the iteration starts.
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
 
@@ -115,7 +117,7 @@ def most_likely_pose(
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     flags_seen = break_points.flags[measured.points.laser, measured.points.edge]
     named = not bool((flags_seen & int(BreakPointFlag.EDGE_UNKNOWN)).any())
-    explained = partial(explain, measured, labelled=break_points.labelled, edges_named=named)
+    explained = partial(explain, measured, labelled=break_points.labelled, edges_named=named, judged=judged)
     best = explained(Prior(radii, assumptions))
     if best is None:
         return without(_why_no_estimate(measured))

@@ -24,7 +24,7 @@ from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.pose.visibility import unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, USUAL, AssumptionOptions, Assumptions
-from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection, RingEdgePoints
+from ringpose.types.detection import BreakPoints, Detection, JudgedRing, NoBreakPoints, Rejection, RingEdgePoints
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import (
@@ -89,7 +89,16 @@ def pose_line(
             rig=rig.sha256,
         )
     result = pose_result(
-        points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected, camera
+        points,
+        rig,
+        method,
+        source.ring_edges,
+        known,
+        assumptions,
+        source.lasers_on,
+        source.rejected,
+        camera,
+        source.ring,
     )
     rejected = result.rejected or source.rejected
     ambient = PoseFlag.AMBIENT_CHANGED if source.ambient_changed else PoseFlag(0)
@@ -142,13 +151,15 @@ def pose_result(
     lasers_on: Bool[Array, "laser"] | None = None,
     rejected: Sequence[Rejection] = (),
     camera: CameraMotion | None = None,
+    judged: JudgedRing | None = None,
 ) -> PoseResult:
     """Pose of the ring in the camera frame, or the reason why there is none, with what it assumes and rejected.
 
     Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a
     catalogue that it may belong to; the paper's methods use neither it nor visible edges, and of the assumptions only
     the stability of the rig. `lasers_on`: which lasers were on in the shot. `rejected`: what the detector has rejected.
-    `camera`: its motion by the poses of a robot, which the paper's methods do not use.
+    `camera`: its motion by the poses of a robot, which the paper's methods do not use. `judged`: the ring by which the
+    break points were judged, from which method `ml` starts.
     """
     lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
     if lasers != known_lasers:
@@ -157,7 +168,9 @@ def pose_result(
     try:
         with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:
-                return most_likely_pose(break_points, rig, ring_edges, known, assumptions, lasers_on, rejected, camera)
+                return most_likely_pose(
+                    break_points, rig, ring_edges, known, assumptions, lasers_on, rejected, camera, judged
+                )
             from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
             pose = closed_form_pose(break_points, with_stability(rig, assumptions.stability), method)

@@ -13,7 +13,7 @@ from ringpose.calibrate.camera.quality import projection_sigma_m
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, verdict_section
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison, Verdict
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, ModelComparison, Verdict
 from ringpose.types.rig import CAMERA_PARAMETERS, Camera
 
 
@@ -24,90 +24,65 @@ def camera_report(
     without_board: Sequence[tuple[str, str]] = (),
 ) -> str:
     """A self-contained HTML page; `without_board` are the names of images that show no board, and the reasons."""
-    sections = [
-        verdict_section(verdict),
-        _parameters(calibration),
-        _uncertainty(calibration, assessment),
-        Section(title="Coverage", pictures=[coverage_picture(calibration, assessment)]),
-        Section(title="Residuals", pictures=[residual_field(calibration)]),
-        _views(calibration, assessment, without_board),
+    camera, comparison = calibration.camera, assessment.comparison
+    deviations = zip(calibration.standard_deviations.items(), parameters_of(camera).tolist(), strict=True)
+    parameters = [
+        [name + " (px)" * (name in CAMERA_PARAMETERS[:4]), f"{value:.6g}", f"{sd:.2g}" if sd else "held"]
+        for (name, sd), value in deviations
     ]
-    if assessment.comparison is not None:
-        sections.append(_comparison(calibration, assessment.comparison))
-    return page(f"Calibration of {calibration.camera.camera_name or 'a camera'}", sections)
-
-
-def _parameters(calibration: CameraCalibration) -> Section:
-    camera, deviations = calibration.camera, calibration.standard_deviations
-    rows = [
+    sigmas_m = zip(assessment.distances_m, projection_sigma_m(calibration, assessment), strict=True)
+    held_out = {view.name: f"{view.rms_px:.3f}" for view in assessment.left_out}
+    views = [
         [
-            f"{name} (px)" if name in CAMERA_PARAMETERS[:4] else name,
-            f"{value:.6g}",
-            f"{deviation:.2g}" if deviation else "held",
+            view.name,
+            str(len(view.left_out)),
+            str(int(np.sum(view.left_out))),
+            f"{view.pose.residual_rms_px:.3f}",
+            held_out.get(view.name, ""),
+            view.rejected,
         ]
-        for (name, deviation), value in zip(deviations.items(), parameters_of(camera).tolist(), strict=True)
-    ]
-    return Section(
-        title=f"Camera: {camera.image_width} x {camera.image_height} pixels, {camera.distortion_model}",
-        text=[
-            f"{len(calibration.used)} of {len(calibration.views)} views, rms {calibration.rms_px:.4f} px, "
-            f"standard deviation of a corner's coordinate {calibration.sigma_px:.4f} px."
-        ],
-        table=Table(headings=("parameter", "value", "standard deviation"), rows=rows),
-    )
-
-
-def _uncertainty(calibration: CameraCalibration, assessment: CameraAssessment) -> Section:
-    sigmas_m = projection_sigma_m(calibration, assessment)
-    return Section(
-        title="Projection uncertainty",
-        table=Table(
-            headings=("distance", "median over the image"),
-            rows=[[f"{d:g} m", f"{1e3 * s:.4f} mm"] for d, s in zip(assessment.distances_m, sigmas_m, strict=True)],
-        ),
-        pictures=[uncertainty_map(calibration, assessment)],
-    )
-
-
-def _views(
-    calibration: CameraCalibration, assessment: CameraAssessment, without_board: Sequence[tuple[str, str]]
-) -> Section:
-    held = {view.name: view for view in assessment.validation.left_out}
-    rows = [
-        [*_view_row(view), f"{held[view.name].rms_px:.3f}" if view.name in held else "", view.rejected]
         for view in calibration.views
     ]
-    rows += [[name, "", "", "", "", reason] for name, reason in without_board]
+    views += [[name, "", "", "", "", reason] for name, reason in without_board]
     headings = ("view", "corners", "left out", "rms (px)", "rms of the view held out (px)", "why it was not used")
-    return Section(
-        title="Views", table=Table(headings=headings, rows=rows), pictures=[view_picture(calibration, assessment)]
-    )
-
-
-def _view_row(view: CameraView) -> list[str]:
-    return [
-        view.name,
-        str(len(view.left_out)),
-        str(int(np.sum(view.left_out))),
-        f"{view.pose.residual_rms_px:.3f}",
+    sections = [
+        verdict_section(verdict),
+        Section(
+            title=f"Camera: {camera.image_width} x {camera.image_height} pixels, {camera.distortion_model}",
+            text=[
+                f"{len(calibration.used)} of {len(calibration.views)} views, rms {calibration.rms_px:.4f} px, "
+                f"standard deviation of a corner's coordinate {calibration.sigma_px:.4f} px."
+            ],
+            table=Table(headings=("parameter", "value", "standard deviation"), rows=parameters),
+        ),
+        Section(
+            title="Projection uncertainty",
+            table=Table(
+                headings=("distance", "median over the image"),
+                rows=[[f"{distance_m:g} m", f"{1e3 * sigma_m:.4f} mm"] for distance_m, sigma_m in sigmas_m],
+            ),
+            pictures=[uncertainty_map(calibration, assessment)],
+        ),
+        Section(title="Coverage", pictures=[coverage_picture(calibration, assessment)]),
+        Section(title="Residuals", pictures=[residual_field(calibration)]),
+        Section(
+            title="Views", table=Table(headings=headings, rows=views), pictures=[view_picture(calibration, assessment)]
+        ),
     ]
-
-
-def _comparison(calibration: CameraCalibration, comparison: ModelComparison) -> Section:
-    rows = [
-        [
-            fit.distortion_model,
-            str(fit.parameters),
-            f"{fit.rms_px:.4f}",
-            f"{fit.held_out_rms_px:.4f}".replace("nan", "unknown"),
+    if comparison is not None:
+        models = [
+            [
+                fit.distortion_model,
+                str(fit.parameters),
+                f"{fit.rms_px:.4f}",
+                "unknown" if np.isnan(fit.held_out_rms_px) else f"{fit.held_out_rms_px:.4f}",
+            ]
+            for fit in comparison.fits
         ]
-        for fit in comparison.fits
-    ]
-    return Section(
-        title="Distortion models",
-        table=Table(headings=("model", "parameters", "rms (px)", "rms of views left out (px)"), rows=rows),
-        pictures=[comparison_picture(calibration, comparison)],
-    )
+        table = Table(headings=("model", "parameters", "rms (px)", "rms of views left out (px)"), rows=models)
+        pictures = [comparison_picture(calibration, comparison)]
+        sections.append(Section(title="Distortion models", table=table, pictures=pictures))
+    return page(f"Calibration of {camera.camera_name or 'a camera'}", sections)
 
 
 WORST_PX = 1.0
@@ -182,8 +157,8 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
     left, right = figure.subplots(1, 2)
     _map(figure, left, assessment.sigma_px, calibration.camera)
     left.set_title("projection uncertainty (px, one sigma)")
-    if np.isfinite(assessment.validation.split_half_px).all():
-        _map(figure, right, assessment.validation.split_half_px, calibration.camera)
+    if np.isfinite(assessment.split_half_px).all():
+        _map(figure, right, assessment.split_half_px, calibration.camera)
     else:
         right.text(0.5, 0.5, "too few views", ha="center", transform=right.transAxes)
     right.set_title("half of the views against the rest (px)")
@@ -205,9 +180,11 @@ def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -
     colors = ["#d62728" if view.rejected else "#1f77b4" for view in views]
     rms.bar(place, [view.pose.residual_rms_px for view in views], color=colors, label="in the calibration")
     number = {view.name: index for index, view in enumerate(views)}
-    held = assessment.validation.left_out
+    held = assessment.left_out
     rms.plot([number[view.name] for view in held], [view.rms_px for view in held], "k_", label="left out")
-    rms.axhline(_limit_px(calibration), color="#d62728", linestyle="--", linewidth=1, label="rejected above")
+    usual_px = float(np.median([view.pose.residual_rms_px for view in calibration.used]))
+    limit_px = max(VIEW_FACTOR * usual_px, FLOOR_PX)
+    rms.axhline(limit_px, color="#d62728", linestyle="--", linewidth=1, label="rejected above")
     rms.set_ylabel("rms (px)")
     rms.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     shift.bar([number[view.name] for view in held], [view.shift_px for view in held])
@@ -227,12 +204,6 @@ def comparison_picture(calibration: CameraCalibration, comparison: ModelComparis
     _map(figure, axes, comparison.difference_px, calibration.camera)
     axes.set_title("difference of the models (px)")
     return _picture(figure, "The map is white beyond the outermost corners, where the models are not determined.")
-
-
-def _limit_px(calibration: CameraCalibration) -> float:
-    """Rms above which a view is rejected."""
-    usual = float(np.median([view.pose.residual_rms_px for view in calibration.used]))
-    return max(VIEW_FACTOR * usual, FLOOR_PX)
 
 
 _IN_PIXELS = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0015}

@@ -1,12 +1,13 @@
 """Drawing of a detection, and of the pose computed from it, over the image: the only drawing routine for shots."""
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
 
 from ringpose.detect.line_segments import eight_bit
+from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.rays import project
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.transform import pose_in_frame
@@ -123,7 +124,7 @@ def overlay(
     if pose is not None and rig is not None:
         _draw_grasp_point(picture, pose, rig.camera)
     if line is None:
-        _write(picture, f"{detection.shot}: {detection.summary}", _scale(picture) * np.array([8.0, 20.0]), WHITE)
+        _write_rows(picture, [f"{detection.shot}: {detection.summary}"])
     else:
         _write_status(picture, line, pose if with_numbers else None)
     return picture
@@ -132,8 +133,7 @@ def overlay(
 def captioned(image: UInt[Array, "row column"], caption: str) -> UInt8[Array, "row column 3"]:
     """The image as blue, green, red, with a caption in its upper left corner."""
     picture: UInt8[Array, "row column 3"] = cv2.cvtColor(eight_bit(image), cv2.COLOR_GRAY2BGR)
-    for row, text in enumerate(_wrapped(picture, caption)):
-        _write(picture, text, _scale(picture) * np.array([8.0, 20.0 + ROW_PX * row]), WHITE)
+    _write_rows(picture, [caption])
     return picture
 
 
@@ -172,37 +172,19 @@ def _draw_ring_edges(picture: UInt8[Array, "row column 3"], edges: RingEdgePoint
 def _draw_break_points(picture: UInt8[Array, "row column 3"], points: BreakPoints, rejected: Rejected) -> None:
     for laser in np.flatnonzero(points.seen.all(axis=1)).tolist():
         inner, outer = _fixed(points.position_px[laser])
-        cv2.line(
-            picture,
-            inner,
-            outer,
-            REJECTED_COLOR if (laser, None) in rejected else color_of(laser),
-            1,
-            cv2.LINE_AA,
-            _BITS,
-        )
+        color = REJECTED_COLOR if (laser, None) in rejected else color_of(laser)
+        cv2.line(picture, inner, outer, color, 1, cv2.LINE_AA, _BITS)
     for laser, edge in np.argwhere(points.seen).tolist():
         is_rejected = not rejected.isdisjoint({(laser, None), (laser, edge)})
         position, color = points.position_px[laser, edge], REJECTED_COLOR if is_rejected else color_of(laser)
         _draw_ellipse(picture, position, points.covariance_px2[laser, edge], color)
-        center = _fixed(position[None])[0]
-        cv2.drawMarker(
-            picture, tuple(np.round(position).astype(int).tolist()), color, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA
-        )
-        cv2.circle(picture, center, 6 << _BITS, color, 1, cv2.LINE_AA, _BITS)
-        flags = [*flag_names(int(points.flags[laser, edge])), *(["rejected"] if is_rejected else [])]
+        pixel = tuple(np.round(position).astype(int).tolist())
+        cv2.drawMarker(picture, pixel, color, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
+        cv2.circle(picture, _fixed(position[None])[0], 6 << _BITS, color, 1, cv2.LINE_AA, _BITS)
+        flags = [str(flag.name).lower() for flag in BreakPointFlag if points.flags[laser, edge] & flag]
+        flags, of_flags = ([*flags, "rejected"], REJECTED_COLOR) if is_rejected else (flags, FLAG_COLOR)
         _write(picture, f"{laser + 1} {EDGES[edge]}", position + _scale(picture) * _NAME_OFFSET, color)
-        _write(
-            picture,
-            " ".join(flags),
-            position + _scale(picture) * _FLAGS_OFFSET,
-            REJECTED_COLOR if is_rejected else FLAG_COLOR,
-        )
-
-
-def flag_names(flags: int) -> list[str]:
-    """Names of the flags of a break point, in lower case."""
-    return [str(flag.name).lower() for flag in BreakPointFlag if flags & flag]
+        _write(picture, " ".join(flags), position + _scale(picture) * _FLAGS_OFFSET, of_flags)
 
 
 def _draw_ellipse(
@@ -293,15 +275,12 @@ def _write_status(picture: UInt8[Array, "row column 3"], line: PoseLine, pose: R
     unused = [f"{name} {str(state).replace('_', ' ')}" for name, state in line.lasers.items() if state != "used"]
     texts = [f"{line.shot}: {line.status}"]
     texts += [", ".join(line.flag_names), line.reason or "", f"lasers: {', '.join(unused)}" if unused else ""]
-    texts = [row for text in texts for row in _wrapped(picture, text)]
-    for row, text in enumerate(texts):
-        color = WHITE if row else STATUS_COLORS[line.status]
-        _write(picture, text, _scale(picture) * np.array([8.0, 20.0 + ROW_PX * row]), color)
+    written = _write_rows(picture, texts, STATUS_COLORS[line.status])
     if pose is None:
         return
     below = picture.shape[0] / _scale(picture) - 12.0
     rows = [row for text in pose_texts(pose) for row in _wrapped(picture, text)]
-    room = int((below - 20.0) / ROW_PX) - len(texts)  # without one text over another
+    room = int((below - 20.0) / ROW_PX) - written  # without one text over another
     for row, text in enumerate(reversed(rows[: max(room, 0)])):
         _write(picture, text, _scale(picture) * np.array([8.0, below - ROW_PX * row]), WHITE)
 
@@ -314,7 +293,9 @@ def pose_texts(pose: RingPose) -> list[str]:
         f"centre {_millimetres(pose.center_m, pose.covariance_center_m2)}",
     ]
     if np.isfinite(pose.normal).all():
-        sigma = "" if tilts is None or not np.isfinite(tilts).all() else f" +-{np.degrees(_sigma(tilts)):.3f}"
+        sigma = (
+            "" if tilts is None or not np.isfinite(tilts).all() else f" +-{np.degrees(standard_deviation(tilts)):.3f}"
+        )
         texts.append(f"pitch {np.degrees(pose.pitch_rad):.2f} yaw {np.degrees(pose.yaw_rad):.2f}{sigma} deg")
     radii = [
         f"{1e3 * each:.2f}" if np.isfinite(each) else "unknown" for each in (pose.radius_inner_m, pose.radius_outer_m)
@@ -325,18 +306,22 @@ def pose_texts(pose: RingPose) -> list[str]:
 def _millimetres(point_m: Float64[Array, "3"], covariance_m2: Float64[Array, "3 3"] | None) -> str:
     if not np.isfinite(point_m).all():
         return "not determined"
-    sigma = "" if covariance_m2 is None else f" +-{1e3 * _sigma(covariance_m2):.2f}"
+    sigma = "" if covariance_m2 is None else f" +-{1e3 * standard_deviation(covariance_m2):.2f}"
     return f"{', '.join(f'{value:.2f}' for value in 1e3 * point_m)}{sigma} mm"
-
-
-def _sigma(covariance: Float64[Array, "n n"]) -> float:
-    """The largest standard deviation in any direction."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
 def _wrapped(picture: UInt8[Array, "row column 3"], text: str) -> list[str]:
     """The text in rows that fit into the picture."""
     return textwrap.wrap(text, max(int((picture.shape[1] / _scale(picture) - 12.0) / LETTER_PX), 8))
+
+
+def _write_rows(picture: UInt8[Array, "row column 3"], texts: Sequence[str], first: Color = WHITE) -> int:
+    """Write texts from the upper left corner on, the first row in its own colour; returns the number of rows."""
+    rows = [row for text in texts for row in _wrapped(picture, text)]
+    for number, text in enumerate(rows):
+        position = _scale(picture) * np.array([8.0, 20.0 + ROW_PX * number])
+        _write(picture, text, position, WHITE if number else first)
+    return len(rows)
 
 
 def _write(picture: UInt8[Array, "row column 3"], text: str, position: Float64[Array, "2"], color: Color) -> None:

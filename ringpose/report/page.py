@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from string import Template
 
 from ringpose.errors import UsageError
-from ringpose.types.calibration import Verdict
+from ringpose.types.calibration import Grade, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,17 +86,14 @@ def _section(section: Section) -> str:
 
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(heading)}</th>" for heading in table.headings)
-    rows = [
-        "".join(
-            f'<td class="{_GRADES[cell]}">{cell}</td>' if cell in _GRADES else f"<td>{escape(cell)}</td>"
-            for cell in row
-        )
-        for row in table.rows
-    ]
+    rows = ["".join(map(_cell, row)) for row in table.rows]
     return "\n".join(["<table>", *(f"<tr>{cells}</tr>" for cells in (head, *rows)), "</table>"])
 
 
-_GRADES = {"good": "good", "can be improved": "can-be-improved", "redo": "redo"}
+def _cell(text: str) -> str:
+    """A cell; a grade has its colour, by a class of its name."""
+    grade = f' class="{text.replace(" ", "-")}"' if text in tuple(Grade) else ""
+    return f"<td{grade}>{escape(text)}</td>"
 
 
 def _figure(picture: Picture) -> str:

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from ringpose.calibrate.acceptance import PLANES_LIMITS
 from ringpose.calibrate.planes.covariance import worst_depth_sd_m
-from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
+from ringpose.calibrate.planes.quality import PlanesAssessment, calibrated_rig, planes_summary
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, verdict_section
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
@@ -118,11 +118,9 @@ def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _depths(calibration: PlanesCalibration) -> Picture:
-    covariance = calibration.covariance
-    assert covariance is not None
     seen = [view.distance_m for laser in calibration.lasers for view in laser.views]
-    distances_m = tuple(np.linspace(0.5 * min(seen), 2 * max(seen), _DEPTHS).tolist())
-    found = worst_depth_sd_m(calibration.camera, calibration.planes, covariance, distances_m)
+    distances_m = np.linspace(0.5 * min(seen), 2 * max(seen), _DEPTHS).tolist()
+    found = worst_depth_sd_m(calibrated_rig(calibration), distances_m)
     figure = canvas(10, 4)
     axis = figure.subplots()
     for laser, worst in zip(calibration.lasers, found, strict=True):

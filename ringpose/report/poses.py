@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from ringpose.estimate.covariance import standard_deviation
 from ringpose.report.figures import canvas, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.types.arrays import Array, Float64
@@ -34,12 +36,11 @@ def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str)
 
 
 def badness(line: PoseLine) -> tuple[int, float]:
-    """Sort key of the worst shots: the worst has the largest."""
+    """Sort key, the worst shot last: without a pose, degraded, then by the standard deviation of the grasp point."""
     if line.pose is None:
         return 2, np.inf
     covariance = line.pose.covariance_grasp_m2
-    sigma_m = np.inf if covariance is None else float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-    return int(line.status == "degraded"), sigma_m
+    return int(line.status == "degraded"), np.inf if covariance is None else standard_deviation(covariance)
 
 
 def _status_section(lines: Sequence[PoseLine]) -> Section:
@@ -85,7 +86,10 @@ def _series_picture(
     figure = canvas(10, 1.9 * len(parts) + 1.6)
     rows: list[Axes] = figure.subplots(len(parts) + 1, 1, sharex=True).tolist()
     for part, name in enumerate(parts):
-        _draw_values(rows[part], place, value[:, part], sigma[:, part], lines)
+        for status, color in STATUS_COLORS.items():
+            here = np.array([line.status == status for line in lines], dtype=bool) & np.isfinite(value[:, part])
+            bars = {"yerr": np.nan_to_num(sigma[here, part]), "elinewidth": 1}
+            rows[part].errorbar(place[here], value[here, part], fmt=".", color=color, markersize=5, **bars)
         rows[part].set_ylabel(f"{name} ({unit})")
         rows[-1].plot(place, sigma[:, part], ".", markersize=4, label=name)
     rows[-1].set_yscale("log")
@@ -94,26 +98,6 @@ def _series_picture(
     rows[-1].xaxis.set_major_locator(MaxNLocator(integer=label == NUMBER))
     rows[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return Picture(png=png_of(figure), caption=caption)
-
-
-def _draw_values(
-    axes: Axes,
-    place: Float64[Array, "shot"],
-    value: Float64[Array, "shot"],
-    sigma: Float64[Array, "shot"],
-    lines: Sequence[PoseLine],
-) -> None:
-    for status, color in STATUS_COLORS.items():
-        here = np.array([line.status == status for line in lines], dtype=bool) & np.isfinite(value)
-        axes.errorbar(
-            place[here],
-            value[here],
-            yerr=np.nan_to_num(sigma[here]),
-            fmt=".",
-            color=color,
-            markersize=5,
-            elinewidth=1,
-        )
 
 
 def _abscissa(lines: Sequence[PoseLine]) -> tuple[Float64[Array, "shot"], str]:
@@ -132,12 +116,9 @@ def _sigmas(covariance: Float64[Array, "n n"] | None, chosen: slice) -> Float64[
     return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
 
-def _center(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
-    return 1e3 * pose.center_m, 1e3 * _sigmas(pose.covariance_center_m2, slice(0, 3))
-
-
-def _grasp(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
-    return 1e3 * pose.grasp_m, 1e3 * _sigmas(pose.covariance_grasp_m2, slice(0, 3))
+def _point(name: str, pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
+    covariance_m2 = getattr(pose, f"covariance_{name}_m2")
+    return 1e3 * getattr(pose, f"{name}_m"), 1e3 * _sigmas(covariance_m2, slice(0, 3))
 
 
 def _radii(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
@@ -146,16 +127,20 @@ def _radii(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part
 
 def _angles(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
     """Pitch and yaw; both with the larger standard deviation of the normal in any direction."""
-    angles = np.degrees([pose.pitch_rad, pose.yaw_rad])
-    tilts = None if pose.covariance is None else pose.covariance[:2, :2]
-    known = tilts is not None and bool(np.isfinite(tilts).all())
-    sigma = np.sqrt(max(np.linalg.eigvalsh(tilts)[-1], 0.0)) if known and tilts is not None else np.nan
-    return angles, np.full(2, np.degrees(sigma))
+    tilts = np.full((2, 2), np.nan) if pose.covariance is None else pose.covariance[:2, :2]
+    sigma_rad = standard_deviation(tilts) if np.isfinite(tilts).all() else np.nan
+    return np.degrees([pose.pitch_rad, pose.yaw_rad]), np.full(2, np.degrees(sigma_rad))
 
 
 QUANTITIES: tuple[tuple[str, tuple[str, ...], str, Values, str], ...] = (
-    ("Grasp point", ("x", "y", "z"), "mm", _grasp, "Grasp point, with one standard deviation; colours as above."),
-    ("Centre", ("x", "y", "z"), "mm", _center, "Centre of the ring, with one standard deviation."),
+    (
+        "Grasp point",
+        ("x", "y", "z"),
+        "mm",
+        partial(_point, "grasp"),
+        "Grasp point, with one standard deviation; colours as above.",
+    ),
+    ("Centre", ("x", "y", "z"), "mm", partial(_point, "center"), "Centre of the ring, with one standard deviation."),
     (
         "Normal",
         ("pitch", "yaw"),

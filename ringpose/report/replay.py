@@ -99,14 +99,19 @@ def _laser_values(rig: Rig, number: int) -> dict[str, Any]:
 
 
 def _shot_values(shot: ReplayShot, pose: RingPose | None) -> dict[str, Any]:
-    truth = shot.truth
+    truth, values = shot.truth, None
+    if pose is not None:
+        values = {**_ring_values(pose), "grasp_m": _vector(pose.grasp_m), "center_axes_m": None}
+        if pose.covariance_center_m2 is not None and np.isfinite(pose.covariance_center_m2).all():
+            variance, directions = np.linalg.eigh(pose.covariance_center_m2)  # half axes of the error ellipsoid
+            values["center_axes_m"] = (np.sqrt(np.maximum(variance, 0.0)) * directions).T.tolist()
     return {
         "name": shot.name,
         "stamp_s": shot.stamp_s if np.isfinite(shot.stamp_s) else None,
         "status": UNMEASURED if shot.line is None else shot.line.status,
         "picture": f"data:image/jpeg;base64,{base64.b64encode(shot.jpeg).decode('ascii')}",
         "texts": _texts(shot, pose),
-        "pose": None if pose is None else {**_ring_values(pose), **_uncertainty_values(pose)},
+        "pose": values,
         "truth": None if truth is None or truth.center_m is None else _ring_values(truth),
         "track": None if shot.track is None or shot.track.pose is None else _ring_values(shot.track.pose),
     }
@@ -121,35 +126,23 @@ def _ring_values(ring: RingPose | Truth) -> dict[str, Any]:
     }
 
 
-def _uncertainty_values(pose: RingPose) -> dict[str, Any]:
-    """Grasp point, and half axes of the centre's error ellipsoid."""
-    axes = None
-    if pose.covariance_center_m2 is not None and np.isfinite(pose.covariance_center_m2).all():
-        variance, directions = np.linalg.eigh(pose.covariance_center_m2)
-        axes = (np.sqrt(np.maximum(variance, 0.0)) * directions).T.tolist()
-    return {"grasp_m": _vector(pose.grasp_m), "center_axes_m": axes}
-
-
 def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:
     """What is known about a shot, in words."""
     line = shot.line
-    texts = [("pose", "not measured")] if line is None else []
-    texts += [] if line is None else [("flags", ", ".join(line.flag_names)), ("reason", line.reason or "")]
-    if pose is not None:
-        parts = (text.replace("+-", "±").partition(" ") for text in pose_texts(pose))
-        texts += [
-            (name.replace("pitch", "normal"), f"pitch {value}" if name == "pitch" else value)
-            for name, _, value in parts
-        ]
+    texts = [("pose", "not measured")]
+    if line is not None:
+        texts = [("flags", ", ".join(line.flag_names)), ("reason", line.reason or "")]
+    for text in [] if pose is None else pose_texts(pose):
+        name, _, value = text.partition(" ")
+        texts.append(("normal", text) if name == "pitch" else (name, value))
     if shot.track is not None:
         texts.append(("track", shot.track.reason or ""))
-        texts += (
-            []
-            if shot.track.pose is None
-            else [("track: centre", pose_texts(shot.track.pose)[1].partition(" ")[2].replace("+-", "±"))]
-        )
-    texts += [(f"error: {_title(name)}", _error_text(name, value)) for name, value in shot.errors.items()]
-    return [(name, text) for name, text in texts if text]
+        if shot.track.pose is not None:
+            texts.append(("track: centre", pose_texts(shot.track.pose)[1].partition(" ")[2]))
+    for name, error in shot.errors.items():
+        in_unit = f"{np.degrees(error):.4f} deg" if name.endswith("_rad") else f"{1e3 * error:.3f} mm"
+        texts.append((f"error: {_title(name)}", in_unit))
+    return [(name, text.replace("+-", "±")) for name, text in texts if text]
 
 
 def _title(name: str) -> str:
@@ -157,56 +150,38 @@ def _title(name: str) -> str:
     return name.rpartition("_")[0].replace("_", " ")
 
 
-def _error_text(name: str, value: float) -> str:
-    """An error in millimetres or degrees, by the unit of its name."""
-    if name.endswith("_rad"):
-        return f"{np.degrees(value):.4f} deg"
-    return f"{1e3 * value:.3f} mm" if name.endswith("_m") else f"{value:.4g}"
-
-
 def _plots(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> list[dict[str, Any]]:
-    """Centre, normal and grasp point with standard deviations, and the errors where the truth is known."""
-    plots = [
-        _vector_plot("centre (mm)", poses, "center_m", "covariance_center_m2"),
-        _vector_plot("grasp point (mm)", poses, "grasp_m", "covariance_grasp_m2"),
-        {
-            "title": "normal (deg)",
-            "series": [
-                {"name": name, "values": [None if p is None else _number(np.degrees(getattr(p, key))) for p in poses]}
-                for name, key in (("pitch", "pitch_rad"), ("yaw", "yaw_rad"))
-            ],
-        },
-    ]
-    names = dict.fromkeys(name for shot in shots for name in shot.errors)
-    for name in names:
-        is_angle = name.endswith("_rad")
-        factor, unit = (180.0 / np.pi, "deg") if is_angle else (1e3, "mm")
-        values = [None if name not in shot.errors else _number(factor * shot.errors[name]) for shot in shots]
-        plots.append({"title": f"error: {_title(name)} ({unit})", "series": [{"name": "", "values": values}]})
+    """Centre and grasp point with standard deviations, normal, and the errors where the truth is known."""
+    plots = []
+    for title, key in (("centre (mm)", "center"), ("grasp point (mm)", "grasp")):
+        points_m = [None if pose is None else getattr(pose, f"{key}_m") for pose in poses]
+        covariances = [None if pose is None else getattr(pose, f"covariance_{key}_m2") for pose in poses]
+        sigmas_m = [None if each is None else np.sqrt(np.maximum(np.diagonal(each), 0.0)) for each in covariances]
+        plots.append(_plot(title, "xyz", 1e3, points_m, sigmas_m))
+    angles_rad = [None if pose is None else (pose.pitch_rad, pose.yaw_rad) for pose in poses]
+    plots.append(_plot("normal (deg)", ("pitch", "yaw"), np.degrees(1.0), angles_rad))
+    for name in dict.fromkeys(name for shot in shots for name in shot.errors):
+        factor, unit = (np.degrees(1.0), "deg") if name.endswith("_rad") else (1e3, "mm")
+        errors = [(shot.errors[name],) if name in shot.errors else None for shot in shots]
+        plots.append(_plot(f"error: {_title(name)} ({unit})", ("",), factor, errors))
     return plots
 
 
-def _vector_plot(title: str, poses: Sequence[RingPose | None], key: str, covariance_key: str) -> dict[str, Any]:
-    values = np.full((len(poses), 3), np.nan)
-    sigmas = np.full((len(poses), 3), np.nan)
-    for number, pose in enumerate(poses):
-        if pose is None:
-            continue
-        values[number] = 1e3 * getattr(pose, key)
-        covariance: Float64[Array, "3 3"] | None = getattr(pose, covariance_key)
-        if covariance is not None:
-            sigmas[number] = 1e3 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    return {
-        "title": title,
-        "series": [
-            {
-                "name": name,
-                "values": [_number(value) for value in values[:, part]],
-                "sigmas": [_number(sigma) for sigma in sigmas[:, part]],
-            }
-            for part, name in enumerate("xyz")
-        ],
-    }
+Values = Sequence[Sequence[float] | Float64[Array, "part"] | None]
+"""The parts of a quantity in each shot; None where there is no pose."""
+
+
+def _plot(
+    title: str, names: Sequence[str], factor: float, values: Values, sigmas: Values | None = None
+) -> dict[str, Any]:
+    """A plot with a curve for each part of a quantity, in another unit."""
+    series: list[dict[str, Any]] = []
+    for part, name in enumerate(names):
+        series.append({"name": name})
+        for key, of_shots in {"values": values, "sigmas": sigmas}.items():
+            if of_shots is not None:
+                series[-1][key] = [None if each is None else _number(factor * each[part]) for each in of_shots]
+    return {"title": title, "series": series}
 
 
 def _vector(vector: Float64[Array, "3"] | None) -> list[float] | None:

@@ -1,6 +1,7 @@
-"""How images of a view show the ring: exposure, and the errors of stripes, break points and visible edges.
+"""What images of a view would show of the ring: the exposure, and the standard deviations of its features.
 
-It is computed once per view, because small motions, rig errors and outliers do not change it.
+The features are the stripes, the break points and the visible edges. They are computed once per view, because small
+motions, rig errors and outliers hardly change their standard deviations.
 """
 
 from functools import lru_cache
@@ -29,7 +30,7 @@ from ringpose.types.scene import RingView, Scene
 
 
 def view_arcs(scene: Scene, view: RingView) -> RingArcs:
-    """The ring of a view, described about the point that is nearest to the middle of the image."""
+    """The ring of a view as `RingArcs` whose origin is the point of the ring nearest to the middle of the image."""
     camera = scene.rig.camera
     axis = rays(np.array([camera.image_width - 1, camera.image_height - 1]) / 2, camera)
     cosine = float(axis @ view.normal)
@@ -46,11 +47,11 @@ class LaserFrames(NamedTuple):
     """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
 
     number: Int64[Array, "laser"]
-    """Index of the frame; -1 for a laser that is off in all of them."""
+    """Index of that frame in the shot; -1 for a laser that is off in all frames."""
     together: Int64[Array, "laser"]
-    """Number of lasers whose stripes it may show."""
+    """Number of lasers whose stripes the detector may find in that frame."""
     subtracted: Bool[Array, "laser"]
-    """Whether another frame without these lasers is subtracted."""
+    """Whether the detector subtracts another frame, without these lasers, from it."""
 
     def labelled(self, seen: Bool[Array, "laser"]) -> bool:
         """Whether each frame shows the stripe of one laser only, so that no stripe has to be assigned."""
@@ -58,7 +59,7 @@ class LaserFrames(NamedTuple):
 
 
 def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
-    """The frames of a sequence of laser masks: those with the fewest lasers on take precedence."""
+    """The frame of each laser in a sequence of laser masks: of those with it on, the one with the fewest lasers."""
     number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
     subtracted, covered = np.zeros(lasers, dtype=bool), 0
     for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
@@ -71,7 +72,7 @@ def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
 
 
 class Appearance(NamedTuple):
-    """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
+    """The exposure of a view, and the standard deviations of what the detector measures in its images."""
 
     exposure_s: float
     arcs: RingArcs
@@ -80,19 +81,19 @@ class Appearance(NamedTuple):
     lit: Bool[Array, "laser"]
     """Which light planes reach the whole face on the side that is in view."""
     centers: tuple[CenterErrors | None, ...]
-    """Of the stripes' centres; None for a laser whose stripe the image does not show."""
+    """Errors of the centres of each laser's stripe; None for a laser whose stripe the detector would not find."""
     end_sigma_px: Float64[Array, "laser edge=2"]
     """Standard deviation of the break points along the stripe."""
     edges: "VisibleEdges"
 
     @property
     def seen(self) -> Bool[Array, "laser"]:
-        """Which stripes an image shows, if they are in view."""
+        """Which lasers' stripes the detector would find, if they are in view."""
         return np.array([center is not None for center in self.centers], dtype=np.bool_)
 
 
 class VisibleEdges(NamedTuple):
-    """Places on the ring's edges that ambient light shows."""
+    """Points of the ring's inner and outer edge at which ambient light makes a step of brightness."""
 
     frame: int
     """Index of the frame in which the detector searches for them."""
@@ -103,15 +104,18 @@ class VisibleEdges(NamedTuple):
     sigma_px: Float64[Array, "place"]
 
 
+NO_EDGES = VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
+
+
 @lru_cache(maxsize=16)
 def expected_appearance(scene: Scene, view: RingView) -> Appearance:
-    """Exposure of a view, and the standard deviations of stripes, break points and edges in its images."""
+    """The appearance of a view: its exposure, and the errors of stripes, break points and edges in its images."""
     illuminated, lasers = illuminated_ring(scene, view, scene.sequence), scene.rig.lasers
     frames = laser_frames(scene.sequence, len(lasers.names))
     exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)
     centers: list[CenterErrors | None] = [None] * len(lasers.names)
     end_sigma_px = np.full((len(centers), 2), np.nan)
-    edges = _no_edges()
+    edges = NO_EDGES
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
     reached = _illuminated(illuminated, point_m) & (view.target == "ring")
     lit = np.flatnonzero(reached & (frames.number >= 0))
@@ -120,7 +124,11 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
         rows_per_m, edge_per_row = _image_scales(arcs, lasers.normal[lit], point_m[lit], scene.rig.camera)
         range_m = np.linalg.norm(middle_m - lasers.projector_m[lit], axis=1)
         sigma_px = half_thickness_m(scene.lasers, range_m) * rows_per_m
-        peak_e, background_e = _peak_electrons(scene, illuminated, middle_m, lit, exposure_s)
+        rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
+        peak_e = rate * face_stripe_radiance(illuminated, scene.ring, middle_m, lit)
+        background_e = np.zeros(len(lit))
+        if illuminated.has_ambient_light:
+            background_e = rate * radiance_along(illuminated, middle_m)[0].astype(np.float64)
         for number, laser in enumerate(lit):
             noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
             stripe = Stripe(
@@ -164,13 +172,16 @@ def _image_scales(
     point_m: Float64[Array, "stripe edge=2 xyz=3"],
     camera: Camera,
 ) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe edge=2"]]:
-    """Rows per metre of distance from the light plane, and columns by which an edge is displaced per row.
+    """Scale of each stripe in the image, and the inclination of the ring's edges to it.
 
-    The latter is along the stripe, by a row across it.
+    The scale is in rows per metre of distance from the light plane; the inclination in columns along the stripe by
+    which an edge is displaced per row across it.
     """
-    along = unit_vectors(-_cross(arcs.normal, light_normal))
-    across = _cross(arcs.normal, along)
-    tangent = unit_vectors(_cross(arcs.normal, (point_m - arcs.center).reshape(-1, 3)).reshape(point_m.shape))
+    along = np.cross(light_normal, arcs.normal)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.cross(arcs.normal, along)
+    tangent = np.cross(arcs.normal, point_m - arcs.center)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     middle_m = point_m.mean(axis=1, keepdims=True)
     places = np.concatenate([middle_m, middle_m, point_m], axis=1)
     steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
@@ -179,21 +190,6 @@ def _image_scales(
     columns, rows = moved_px[:, 1:, 0], moved_px[:, 1:, 1] - slope * moved_px[:, 1:, 0]
     off_plane = np.abs((light_normal * across).sum(axis=1))
     return np.abs(rows[:, 0]) / off_plane, columns[:, 1:] / rows[:, 1:]
-
-
-def _peak_electrons(
-    scene: Scene,
-    illuminated: IlluminatedTarget,
-    point_m: Float64[Array, "stripe xyz=3"],
-    lasers: Int64[Array, "stripe"],
-    exposure_s: float,
-) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
-    """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
-    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
-    laser_e = rate * face_stripe_radiance(illuminated, scene.ring, point_m, lasers)
-    if not illuminated.has_ambient_light:
-        return laser_e, np.zeros(len(lasers))
-    return laser_e, rate * radiance_along(illuminated, point_m)[0].astype(np.float64)
 
 
 # Visible edges
@@ -229,10 +225,6 @@ NEIGHBOURS = 5
 """Number of neighbouring places by whose scatter the standard deviation of each is judged."""
 
 
-def _no_edges() -> VisibleEdges:
-    return VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
-
-
 def visible_edges(
     scene: Scene,
     illuminated: IlluminatedTarget,
@@ -240,10 +232,10 @@ def visible_edges(
     point_m: Float64[Array, "stripe edge=2 xyz=3"],
     exposure_s: float,
 ) -> VisibleEdges:
-    """Places on both edges whose step of brightness is seen, with the errors by noise and by what lies beside them.
+    """Points of both edges whose step of brightness the detector would find, with their standard deviations.
 
-    That is found by rays beyond the edge: another surface, a shadow, crinkles of the foil. Light that is not uniform
-    there displaces a step; the detector judges this error by the scatter of neighbouring places.
+    A step is displaced by noise, and by light beyond the edge that is not uniform: another surface, a shadow, crinkles
+    of the foil. That light is sampled by rays; the detector judges this error by the scatter of neighbouring points.
     """
     camera, sensor = scene.rig.camera, scene.sensor
     number = min(range(len(scene.sequence)), key=lambda each: (scene.sequence[each].bit_count(), each))
@@ -259,7 +251,7 @@ def visible_edges(
         near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
         shown &= near_px > BESIDE_STRIPE_PX
     if np.count_nonzero(shown) < MIN_PLACES:
-        return _no_edges()._replace(frame=number)
+        return NO_EDGES._replace(frame=number)
     along_m, edge, place_m = along_m[shown], edge[shown], place_m[shown]
     off_face = np.array(EDGE_SIGN)[edge, None] * outward[shown]
 
@@ -281,37 +273,24 @@ def visible_edges(
     seen = (height_e * sensor.overall_system_gain_dn_per_e > MIN_STEP_DN) & (sigma_px < MAX_EDGE_SIGMA_PX)
     seen &= height_e > MIN_STEP_SIGMAS * pixel_e / 2.0
     if np.count_nonzero(seen) < MIN_PLACES:
-        return _no_edges()._replace(frame=number)
+        return NO_EDGES._replace(frame=number)
     return VisibleEdges(number, along_m[seen], edge[seen], sigma_px[seen])
 
 
 def edge_normals_px(
     place_m: Float64[Array, "n xyz=3"], off_face: Float64[Array, "n xyz=3"], arcs: RingArcs, camera: Camera
 ) -> tuple[Float64[Array, "n xy=2"], Float64[Array, "n"]]:
-    """Unit normals in the image of the edges at places on them, off the face, and pixels along them per metre.
+    """Unit normals of the ring's edges in the image, and the image scale along them in pixels per metre.
 
-    `off_face` are the unit vectors in the ring's plane that point off the face.
+    For points on the edges in the camera frame; `off_face` are unit vectors in the ring's plane that point away from
+    the face, as the normals in the image do.
     """
-    steps = _STEP_M * np.stack([_cross(arcs.normal, off_face), off_face])
+    steps = _STEP_M * np.stack([np.cross(arcs.normal, off_face), off_face])
     moved_px = (project(place_m + steps, camera) - project(place_m - steps, camera)) / (2 * _STEP_M)
     (x, y), off = moved_px[0].T, moved_px[1].T
     across = np.stack([-y, x]) / np.sqrt(x * x + y * y)
     px_per_m = (across * off).sum(axis=0)
     return np.ascontiguousarray((across * np.sign(px_per_m)).T), np.abs(px_per_m)
-
-
-def _cross(first: Float64[Array, "*#n xyz=3"], second: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xyz=3"]:
-    """Cross products; `np.cross` takes five times as long for a few vectors."""
-    ax, ay, az = np.atleast_2d(first).T
-    bx, by, bz = second.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
-
-
-def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
-    """Vectors of length 1; NaN for those of length 0."""
-    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
-    return unit
 
 
 def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:

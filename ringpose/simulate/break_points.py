@@ -23,9 +23,9 @@ _INSIDE_M = 1e-6
 def true_break_points_px(
     illuminated: IlluminatedTarget, ring: RingShape, camera: Camera
 ) -> Float64[Array, "laser edge=2 xy=2"]:
-    """Distorted pixels of the break points, NaN if outside the image, occluded or not lit.
+    """Distorted pixels of the break points; NaN if outside the image, occluded, not lit or in a gap.
 
-    The lines intersect the ring on two sides; those of the side with more visible break points are returned.
+    A light plane intersects the ring on two sides; the break points of the side with more visible ones are returned.
     """
     sides = [break_points_px_at(illuminated, ring, camera, side) for side in (-1.0, 1.0)]
     seen = [int(np.isfinite(side).all(axis=-1).sum()) for side in sides]
@@ -35,7 +35,7 @@ def true_break_points_px(
 def break_points_px_at(
     illuminated: IlluminatedTarget, ring: RingShape, camera: Camera, side: float
 ) -> Float64[Array, "laser edge=2 xy=2"]:
-    """The break points on one side, +1 or -1 along the direction of the lines."""
+    """The break points on one side of the ring: +1 or -1, along the first laser's stripe."""
     radius_m = np.array([ring.radius_inner_m, ring.radius_outer_m])
     point_m = ring_crossings_m(illuminated, ring, radius_m, side)
     if ring.form is not None:
@@ -56,9 +56,9 @@ def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, c
 def ring_crossings_m(
     illuminated: IlluminatedTarget, ring: RingShape, radius_m: Float64[Array, "radius=2"], side: float
 ) -> Float64[Array, "laser radius=2 xyz=3"]:
-    """Points of each light plane on two circles in the plane of an ideal ring's face, camera frame; NaN without any.
+    """Intersections of each light plane with two circles in the plane of the face of an ideal ring, camera frame.
 
-    Of the two crossings with each circle, that on one side, +1 or -1 along the first laser's stripe.
+    Of the two with each circle, the one on the side +1 or -1, along the first laser's stripe; NaN if there is none.
     """
     placement, planes = illuminated.placement, illuminated.planes
     center_m = placement.points_camera(np.array([0.0, 0.0, ring.height_m]))

@@ -227,10 +227,11 @@ def end_errors_px(
 
 @lru_cache(maxsize=4)
 def edge_step_influence(blur_px: float) -> tuple[Float64[Array, "offset"], float]:
-    """Influence of the light beyond an edge on its position, and the position's standard deviation by the noise.
+    """Sensitivity of a measured edge's position, for a step of brightness of height 1.
 
-    In pixels for a step of height 1: of the light 1, 2, ... px beyond the edge, and for pixels of noise 1. As in the
-    detector the light beyond is expected to vary, the more the farther it is from the edge.
+    First, by how many pixels light of 1 at the pixels 1, 2, ... px beyond the edge displaces it; second, its standard
+    deviation if that of each pixel is 1. As in the detector, light beyond the edge is expected to vary, the more the
+    farther it is from the edge.
     """
     width = hypot(blur_px, sqrt(PIXEL_VARIANCE))
     x = np.arange(-EDGE_COLUMNS[0], EDGE_COLUMNS[1] + 1.0)

@@ -28,7 +28,7 @@ from ringpose.simulate.pipeline import ring_truth
 from ringpose.simulate.placement import READOUT_S, ring_views
 from ringpose.simulate.stripe_ends import (
     CommonErrors,
-    RingCourse,
+    ShotMotion,
     StripeEnds,
     drawn_common_errors,
     drawn_motion,
@@ -46,7 +46,7 @@ from ringpose.types.detection import (
 )
 from ringpose.types.rig import Camera
 from ringpose.types.scene import RingView, Scene, Truth
-from ringpose.types.target import RingForm, RingShape
+from ringpose.types.target import RingForm
 
 _FEATURES, _COMMON = 2, 3
 """First numbers of the seeds of shots and of their common errors; images have 0 and 1."""
@@ -152,7 +152,7 @@ def draw_detection(
     first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
     motion, start_s = drawn_motion(view.normal, deviations.motion, unit[:5]), first_s if view.path is None else 0.0
-    course = RingCourse(scene, view, appearance.arcs, appearance.axes, motion, start_s)
+    shot_motion = ShotMotion(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
@@ -160,10 +160,10 @@ def draw_detection(
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
         when_s = np.where(np.isfinite(shown_s), shown_s, first_s)
-        stripes = stripe_ends(scene.ring, appearance, common, course, when_s, outliers.behind_m)
+        stripes = stripe_ends(scene.ring, appearance, common, shot_motion, when_s, outliers.behind_m)
         position_px = stripes.true_px
         if outliers.behind_m.any():
-            position_px = stripe_ends(scene.ring, appearance, common, course, when_s, np.zeros(lasers)).true_px
+            position_px = stripe_ends(scene.ring, appearance, common, shot_motion, when_s, np.zeros(lasers)).true_px
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
@@ -171,7 +171,7 @@ def draw_detection(
             stamp = np.where(seen, stamp_s + shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _edges_of_frames(scene, appearance, common, course, middle_s, stamp_s, unit, moving=moving)
+            edges = _drawn_edges(scene, appearance, common, shot_motion, middle_s, stamp_s, unit, moving=moving)
     detection = Detection(
         shot=view.name,
         stamp_s=stamp_s + first_s,
@@ -182,7 +182,7 @@ def draw_detection(
     )
     return DrawnShot(
         detection=detection,
-        truth=_truth(scene, view, position_px, first_s, stamp_s, course, outliers, moving=moving),
+        truth=_truth(scene, view, position_px, first_s, stamp_s, shot_motion, outliers, moving=moving),
         common=common,
     )
 
@@ -264,64 +264,51 @@ def _drawn_points(
     )
 
 
-def _edges_of_frames(
+def _drawn_edges(
     scene: Scene,
     appearance: Appearance,
     common: CommonErrors,
-    course: RingCourse,
+    shot_motion: ShotMotion,
     middle_s: Float64[Array, "frame"],
     stamp_s: float,
     unit: Float64[Array, "place"],
     *,
     moving: bool,
 ) -> RingEdgePoints | None:
-    """Points of the visible edges in the frames that the detector searches: of a moving ring two, else one.
+    """Points of the visible edges with errors by standard normal numbers `unit`; None if no edge is visible.
 
-    Most errors come from what lies beside the edges and are the same in both frames: the stated standard deviations are
-    raised so that two frames of a ring at rest determine it no better than one.
+    As the detector searches for them: of a moving ring in two frames, else in one. Most errors come from what lies
+    beside the edges and are the same in both frames: the stated standard deviations are raised so that two frames of a
+    ring at rest determine it no better than one.
     """
     numbers = [appearance.edges.frame]
     dark = [number for number, mask in enumerate(scene.sequence) if not mask]
     if dark and moving:
         numbers = sorted({dark[0], dark[-1]})
-    parts = [
-        _drawn_edges(scene.ring, appearance, common, course, float(middle_s[number]), stamp_s, unit)
-        for number in numbers
-    ]
-    found = [replace(part, sigma_px=sqrt(len(parts)) * part.sigma_px) for part in parts if part is not None]
+    visible, camera, found = appearance.edges, common.rig.camera, []
+    for time_s in middle_s[numbers].tolist():
+        arcs, axes = shot_motion.at(time_s)
+        place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
+        own_m = (place_m - arcs.center) @ axes
+        if common.form.any():
+            radial_m, axial_m = form_deviations(common.form, own_m, visible.edge)
+            place_m = place_m + radial_m[:, None] * outward + axial_m[:, None] * arcs.normal
+        position_px = project(place_m, camera)
+        shown = inside_image(position_px, EDGE_MARGIN_PX, camera) & ~in_gap(scene.ring, own_m)
+        if not shown.any():
+            continue
+        off_face = np.array(EDGE_SIGN)[visible.edge[shown], None] * outward[shown]
+        normal, _ = edge_normals_px(place_m[shown], off_face, arcs, camera)
+        found.append(
+            RingEdgePoints(
+                position_px=position_px[shown] + (visible.sigma_px * unit)[shown, None] * normal,
+                normal=normal,
+                sigma_px=sqrt(len(numbers)) * visible.sigma_px[shown],
+                edge=visible.edge[shown],
+                stamp_s=np.full(int(shown.sum()), stamp_s + time_s),
+            )
+        )
     return joined_edge_points(found) if found else None
-
-
-def _drawn_edges(
-    ring: RingShape,
-    appearance: Appearance,
-    common: CommonErrors,
-    course: RingCourse,
-    time_s: float,
-    stamp_s: float,
-    unit: Float64[Array, "place"],
-) -> RingEdgePoints | None:
-    """Points of the visible edges in a frame, with errors by standard normal numbers; None without any."""
-    visible, camera = appearance.edges, common.rig.camera
-    arcs, axes = course.at(time_s)
-    place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
-    own_m = (place_m - arcs.center) @ axes
-    if common.form.any():
-        radial_m, axial_m = form_deviations(common.form, own_m, visible.edge)
-        place_m = place_m + radial_m[:, None] * outward + axial_m[:, None] * arcs.normal
-    position_px = project(place_m, camera)
-    shown = inside_image(position_px, EDGE_MARGIN_PX, camera) & ~in_gap(ring, own_m)
-    if not shown.any():
-        return None
-    off_face = np.array(EDGE_SIGN)[visible.edge[shown], None] * outward[shown]
-    normal, _ = edge_normals_px(place_m[shown], off_face, arcs, camera)
-    return RingEdgePoints(
-        position_px=position_px[shown] + (visible.sigma_px * unit)[shown, None] * normal,
-        normal=normal,
-        sigma_px=visible.sigma_px[shown],
-        edge=visible.edge[shown],
-        stamp_s=np.full(int(shown.sum()), stamp_s + time_s),
-    )
 
 
 def _as_measured(points: BreakPoints, camera: Camera, labelled: bool, stamp_s: Float64[Array, "laser"]) -> BreakPoints:
@@ -344,7 +331,7 @@ def _truth(
     position_px: Float64[Array, "laser edge=2 xy=2"],
     time_s: float,
     stamp_s: float,
-    course: RingCourse,
+    shot_motion: ShotMotion,
     outliers: _Outliers,
     *,
     moving: bool,
@@ -359,7 +346,7 @@ def _truth(
     }
     center_m, normal = view.center_m, view.normal
     if view.path is not None:
-        arcs, _ = course.at(time_s)
+        arcs, _ = shot_motion.at(time_s)
         center_m, normal = arcs.center, arcs.normal
     truth = ring_truth(scene, view, center_m, normal, position_px)
     if truth.expect == "no_target":
@@ -367,7 +354,7 @@ def _truth(
     truth = replace(truth, groups={**truth.groups, **{key: value for key, value in wrong.items() if value}})
     if not moving:
         return truth
-    motion = course.motion(time_s)
+    motion = shot_motion.motion(time_s)
     return replace(
         truth,
         stamp_s=stamp_s + time_s,

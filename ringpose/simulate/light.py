@@ -102,7 +102,11 @@ def caster_view(
     per_px: Float64[Array, "axis=2 xy=2 pixel"] | None,
     width: int,
 ) -> render.View:
-    """The target and its light for rays (x, y, 1); `angle_per_px` is the width of a pixel at depth 1."""
+    """What the ray caster takes: target, placements and light, for camera rays (x, y, 1).
+
+    `per_px` are the derivatives of the rays by the pixel, `width` that of the image in pixels, and `angle_per_px` is
+    the width of a pixel at depth 1.
+    """
     planes, laser, light = illuminated.planes, illuminated.laser_light, illuminated.light
     lamps = _LAMP_DIRECTIONS / np.linalg.norm(_LAMP_DIRECTIONS, axis=1, keepdims=True)
     on = np.zeros(len(planes.distance_m))
@@ -167,11 +171,11 @@ def _lit_direction(
 
 
 def radiance_along(
-    illuminated: IlluminatedTarget, direction: Float64[Array, "ray xyz=3"], angle_per_px: float = 0.0
+    illuminated: IlluminatedTarget, direction: Float64[Array, "ray xyz=3"]
 ) -> Float32[Array, "source ray"]:
     """Radiance in the middle of the exposure along rays of the camera frame: ambient light, then each laser."""
     xy = np.ascontiguousarray(direction[:, :2].T / direction[:, 2])
-    view = caster_view(illuminated, angle_per_px, xy, None, max(len(direction), 1))
+    view = caster_view(illuminated, 0.0, xy, None, max(len(direction), 1))
     image = view.blank_image()
     if len(direction):
         render.render(view._replace(poses=view.poses[[len(view.poses) // 2]]), image)

@@ -50,8 +50,10 @@ class FreeAttitude:
         """
         if not -2 * DIFFERENCE_S <= time_s <= self._duration_s + 2 * DIFFERENCE_S:
             raise DataError("the scene's motion", f"was computed for {self._duration_s:.3f} s, not for {time_s:.3f} s")
+        from scipy.spatial.transform import Rotation
+
         state: Float64[Array, "7"] = self._solution(time_s)
-        return rotation_of(state[3:]), state[:3]
+        return np.asarray(Rotation.from_quat(state[3:]).as_matrix()), state[:3]
 
     def _derivative(self, _time_s: float, state: Float64[Array, "7"]) -> Float64[Array, "7"]:
         rate, (x, y, z, w) = state[:3], state[3:]
@@ -64,18 +66,6 @@ class FreeAttitude:
         ]
         turn = [w * p + y * r - z * q, w * q + z * p - x * r, w * r + x * q - y * p, -x * p - y * q - z * r]
         return np.array([*change, *(0.5 * each for each in turn)])
-
-
-def rotation_of(orientation_xyzw: Float64[Array, "4"]) -> Float64[Array, "3 3"]:
-    """Rotation matrix of a quaternion of any length."""
-    x, y, z, w = orientation_xyzw / np.linalg.norm(orientation_xyzw)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 class PosePath:

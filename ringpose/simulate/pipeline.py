@@ -37,7 +37,7 @@ def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[
         _check_camera(scene, view, target_placement(scene, view))
     if views and (last := views[-1]).path is not None:
         exposure_s = view_exposure_s(scene, illuminated_ring(scene, last, scene.sequence))
-        last.path.camera_from_target(last.begin_s + shot_begins_s(scene, exposure_s)[-1] + exposure_s)
+        last.path.camera_from_target(last.begin_s + shot_begins_s(scene.sequence, exposure_s)[-1] + exposure_s)
     return in_order(partial(simulated_shot, scene, views), len(views), jobs)
 
 
@@ -46,26 +46,25 @@ def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tu
     view = views[number]
     illuminated = illuminated_ring(scene, view, scene.sequence)
     exposure_s = view_exposure_s(scene, illuminated)
+    begins_s = shot_begins_s(scene.sequence, exposure_s)
+    stamps_s = scene.start_s + number * scene.period_s + begins_s
+    seed = (_SHOTS, scene.seed, number)
     if view.path is None:
-        rendered = render_view(scene, illuminated, (_SHOTS, scene.seed, number))
-        return _exposed(scene, view.name, rendered, scene.sequence, exposure_s, number), view_truth(
-            scene, view, illuminated
-        )
-    begins_s = shot_begins_s(scene, exposure_s)
+        frames = render_view(scene, illuminated, seed).frames(scene.sequence, exposure_s, stamps_s)
+        return _shot_of(scene, view.name, frames, still=True), view_truth(scene, view, illuminated)
     if scene.shots > 1 and begins_s[-1] + exposure_s > scene.period_s:
         found = f"is {scene.period_s:g} s, shorter than the {begins_s[-1] + exposure_s:.3f} s of a shot"
         raise DataError("the scene's period_s", found, "give a longer period, or set exposure_s")
-    stamps_s = scene.start_s + number * scene.period_s + begins_s
     frames = [
-        moving_frame(scene, view, mask, exposure_s, begin_s, stamp_s, (_SHOTS, scene.seed, number, frame))
+        moving_frame(scene, view, mask, exposure_s, begin_s, stamp_s, (*seed, frame))
         for frame, (mask, begin_s, stamp_s) in enumerate(zip(scene.sequence, begins_s, stamps_s, strict=True))
     ]
-    return _shot_of(scene, view.name, frames, still=False), moving_truth(scene, view, frames, begins_s)
+    return _shot_of(scene, view.name, frames, still=False), moving_truth(scene, view, exposure_s, begins_s, stamps_s)
 
 
-def shot_begins_s(scene: Scene, exposure_s: float) -> Float64[Array, "frame"]:
-    """Begin of each exposure of a shot since that of the first."""
-    return np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)
+def shot_begins_s(sequence: tuple[int, ...], exposure_s: float) -> Float64[Array, "frame"]:
+    """Begin of each exposure of a shot, in seconds since that of the first."""
+    return np.arange(len(sequence)) * (exposure_s + READOUT_S)
 
 
 def moving_frame(
@@ -82,13 +81,20 @@ def moving_frame(
     return render_view(scene, illuminated, seed).frame(mask, exposure_s, stamp_s)
 
 
-def moving_truth(scene: Scene, view: RingView, exposures: Sequence[Frame], begins_s: Float64[Array, "frame"]) -> Truth:
+def moving_truth(
+    scene: Scene,
+    view: RingView,
+    exposure_s: float,
+    begins_s: Float64[Array, "frame"],
+    stamps_s: Float64[Array, "frame"],
+) -> Truth:
     """Ground truth of a moving target at the first frame with a laser on, and at each frame, all mid exposure.
 
-    The break points of the shot are those of each laser in the first of its frames with the fewest lasers on.
+    The frames begin at `begins_s` after the shot, with these stamps. The break points of the shot are those of each
+    laser in the first of its frames with the fewest lasers on.
     """
-    masks, lasers = scene.sequence, range(len(scene.rig.lasers.names))
-    middles_s = begins_s + exposures[0].exposure_s / 2
+    masks, lasers = scene.sequence, np.arange(len(scene.rig.lasers.names))
+    middles_s = begins_s + exposure_s / 2
     poses = [illuminated_ring(scene, view, (mask,), time_s) for mask, time_s in zip(masks, middles_s, strict=True)]
     points_px = [true_break_points_px(pose, scene.ring, scene.rig.camera) for pose in poses]
     first = next((frame for frame, mask in enumerate(masks) if mask), 0)
@@ -99,23 +105,21 @@ def moving_truth(scene: Scene, view: RingView, exposures: Sequence[Frame], begin
         return truth
     face_m = np.array([0.0, 0.0, scene.ring.height_m])
     velocity_m_s, rate_rad_s = velocities(view.path, view.begin_s + float(middles_s[first]), face_m)
-    frames = []
-    for exposure, pose, point_px in zip(exposures, poses, points_px, strict=True):
-        on = np.array([bool(exposure.lasers >> laser & 1) for laser in lasers])
-        frames.append(
-            TruthFrame(
-                stamp_s=exposure.stamp_s + exposure.exposure_s / 2,
-                center_m=pose.placement.points_camera(face_m),
-                normal=pose.placement.rotation[:, 2],
-                break_points_px=np.where(on[:, None, None], point_px, np.nan) if on.any() else None,
-            )
+    frames = tuple(
+        TruthFrame(
+            stamp_s=float(stamp_s) + exposure_s / 2,
+            center_m=pose.placement.points_camera(face_m),
+            normal=pose.placement.rotation[:, 2],
+            break_points_px=np.where((mask >> lasers & 1)[:, None, None], point_px, np.nan) if mask else None,
         )
+        for mask, stamp_s, pose, point_px in zip(masks, stamps_s, poses, points_px, strict=True)
+    )
     return replace(
         truth,
         stamp_s=frames[first].stamp_s,
         velocity_m_s=velocity_m_s,
         angular_velocity_rad_s=rate_rad_s,
-        frames=tuple(frames),
+        frames=frames,
     )
 
 
@@ -132,10 +136,10 @@ def simulated_board(
 ) -> tuple[Shot, NamedBoardPose]:
     """One view of a board."""
     pose = poses[number]
-    rendered = render_view(
-        scene, _illuminated_board(scene, boards, pose, boards.sequence), _board_seed(scene, boards, number)
-    )
-    return _exposed(scene, pose.name, rendered, boards.sequence, boards.exposure_s, number), pose
+    rendered = render_board_view(scene, boards, pose, number, boards.sequence)
+    stamps_s = scene.start_s + number * scene.period_s + shot_begins_s(boards.sequence, boards.exposure_s)
+    frames = rendered.frames(boards.sequence, boards.exposure_s, stamps_s)
+    return _shot_of(scene, pose.name, frames, still=True), pose
 
 
 def render_ring_view(scene: Scene, view: RingView, number: int) -> RenderedView:
@@ -143,17 +147,30 @@ def render_ring_view(scene: Scene, view: RingView, number: int) -> RenderedView:
     return render_view(scene, illuminated_ring(scene, view), (_SHOTS, scene.seed, number))
 
 
-def render_board_view(scene: Scene, boards: BoardSet, pose: NamedBoardPose, number: int) -> RenderedView:
-    """A rendered view of a board, with the light of every laser."""
-    return render_view(scene, _illuminated_board(scene, boards, pose, (255,)), _board_seed(scene, boards, number))
+def render_board_view(
+    scene: Scene, boards: BoardSet, pose: NamedBoardPose, number: int, masks: tuple[int, ...] = (255,)
+) -> RenderedView:
+    """A rendered view of a board, with the light of the lasers that are on in any of the masks."""
+    placement = Placement(rotation=pose.rotation, translation_m=pose.translation_m)
+    illuminated = IlluminatedTarget(
+        target=board_target(boards.board),
+        placement=placement,
+        during=(placement,),
+        planes=scene.rig.lasers,
+        laser_light=scene.lasers,
+        light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
+        lasers=_lasers_on(scene, masks),
+    )
+    return render_view(scene, illuminated, (_BOARDS, scene.seed, len(boards.sequence), number))
 
 
 def illuminated_ring(
     scene: Scene, view: RingView, masks: tuple[int, ...] = (255,), time_s: float = 0.0, exposure_s: float = 0.0
 ) -> IlluminatedTarget:
-    """The target with its light, at a time since the beginning of the shot; `masks` are those of the frames.
+    """The target of a view with its light, `time_s` after the beginning of the shot.
 
-    If an exposure is given, its middle is at that time.
+    `masks` are the laser masks of the frames to be rendered. If an exposure is given, its middle is at `time_s`, and a
+    moving target has placements during it.
     """
     placement = target_placement(scene, view, time_s)
     _check_camera(scene, view, placement)
@@ -193,9 +210,9 @@ def view_truth(
     illuminated: IlluminatedTarget,
     break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None,
 ) -> Truth:
-    """Ground truth of a view; a view without a visible break point has no target.
+    """Ground truth of a view, `no_target` if no break point is visible.
 
-    Break points that are not given are those of this placement.
+    Break points that are not given are computed for the placement of `illuminated`.
     """
     if break_points_px is None and view.target == "ring":
         break_points_px = true_break_points_px(illuminated, scene.ring, scene.rig.camera)
@@ -265,34 +282,6 @@ class SceneFrames:
         self._begin_s += exposed_s + READOUT_S
         self._stamp_s += exposed_s + READOUT_S
         return frame
-
-
-def _illuminated_board(
-    scene: Scene, boards: BoardSet, pose: NamedBoardPose, masks: tuple[int, ...]
-) -> IlluminatedTarget:
-    placement = Placement(rotation=pose.rotation, translation_m=pose.translation_m)
-    return IlluminatedTarget(
-        target=board_target(boards.board),
-        placement=placement,
-        during=(placement,),
-        planes=scene.rig.lasers,
-        laser_light=scene.lasers,
-        light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
-        lasers=_lasers_on(scene, masks),
-    )
-
-
-def _board_seed(scene: Scene, boards: BoardSet, number: int) -> tuple[int, ...]:
-    return (_BOARDS, scene.seed, len(boards.sequence), number)
-
-
-def _exposed(
-    scene: Scene, name: str, rendered: RenderedView, sequence: tuple[int, ...], exposure_s: float, number: int
-) -> Shot:
-    """The frames of one still view as a shot."""
-    stamps_s = scene.start_s + number * scene.period_s + np.arange(len(sequence)) * (exposure_s + READOUT_S)
-    frames = [rendered.frame(mask, exposure_s, float(stamp)) for mask, stamp in zip(sequence, stamps_s, strict=True)]
-    return _shot_of(scene, name, frames, still=True)
 
 
 def _shot_of(scene: Scene, name: str, frames: Sequence[Frame], *, still: bool) -> Shot:

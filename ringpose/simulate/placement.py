@@ -9,6 +9,7 @@ import numpy as np
 from ringpose.calibrate.boards.layout import outline_m
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
+from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import facing_normal
 from ringpose.simulate.motion import moving_views
 from ringpose.types.arrays import Array, Float64
@@ -145,7 +146,9 @@ def _random_board_pose(
         nearest_m = across * (rest_m / (across**2).sum(axis=1))[:, None]  # point of each stripe nearest to the axis
         middle[:2] += nearest_m.mean(axis=0)
     lean_x, lean_y = generator.uniform(-1, 1, 2) * approach.tilt_rad
-    rotation = _about(2, generator.uniform(-1, 1) * approach.turn_rad) @ _about(1, lean_y) @ _about(0, lean_x)
+    turn = generator.uniform(-1, 1) * approach.turn_rad
+    rotation = rotation_by(np.array([0.0, 0.0, turn])) @ rotation_by(np.array([0.0, lean_y, 0.0]))
+    rotation = rotation @ rotation_by(np.array([lean_x, 0.0, 0.0]))
     return NamedBoardPose(
         name=f"board_{number:02d}", rotation=rotation, translation_m=middle - rotation @ middle_of_board_m(boards.board)
     )
@@ -155,13 +158,3 @@ def middle_of_board_m(board: Board) -> Float64[Array, "xyz=3"]:
     """The centre of the board in the board frame."""
     width_m, height_m = outline_m(board)
     return np.array([width_m / 2, height_m / 2, 0.0])
-
-
-def _about(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
-    """Rotation matrix about a coordinate axis."""
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    rotation = np.eye(3)
-    rotation[first, first] = rotation[second, second] = np.cos(angle_rad)
-    rotation[second, first] = np.sin(angle_rad)
-    rotation[first, second] = -np.sin(angle_rad)
-    return rotation

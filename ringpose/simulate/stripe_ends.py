@@ -1,6 +1,7 @@
-"""Where the stripes of a moving ring lie in the image: each laser's at the time of its own frame, on the true ring.
+"""Where the stripes of a moving ring lie in the image, each at the time of its laser's frame.
 
-The true rig and the true form of the ring are drawn once for all shots of a run.
+The true rig and the true form of the ring, which differ from those that an estimator assumes, are drawn once for all
+shots of a run.
 """
 
 from dataclasses import replace
@@ -11,7 +12,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_SHARE, rig_errors
 from ringpose.geometry.rays import project
-from ringpose.geometry.ring import LIFT, STEP, RingArcs, predicted_break_points, rotation_by
+from ringpose.geometry.ring import LIFT, STEP, Rates, RingArcs, predicted_break_points, rotation_by
 from ringpose.geometry.rotations import cross, tilt_basis, tilted
 from ringpose.simulate.appearance import Appearance
 from ringpose.simulate.break_points import form_displacement, in_gap, inside_image
@@ -25,17 +26,18 @@ from ringpose.types.target import RingForm, RingShape
 
 
 class CommonErrors(NamedTuple):
-    """What all shots of a run have in common."""
+    """The true rig and the true ring's form, whose errors all shots of a run have in common."""
 
     rig: Rig
     """The true rig."""
     form: RingForm
+    """Deviations of the true ring from circles in a plane."""
 
 
 def drawn_common_errors(
     rig: Rig, rng: np.random.Generator, *, ring_tolerance_m: float = 0.0, with_rig_errors: bool = False
 ) -> CommonErrors:
-    """True rig and form of the ring of a run, for a rig file that is `rig`.
+    """Draw the true rig and the form of the true ring of a run; `rig` is the calibrated rig.
 
     The form's deviations have the standard deviation `ring_tolerance_m` at any angle (ringpose-method(7), section 12).
     """
@@ -73,31 +75,24 @@ def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
     )
 
 
-class RingMotion(NamedTuple):
-    """Velocity of the ring's centre and angular velocity, camera frame."""
-
-    velocity_m_s: Float64[Array, "xyz=3"]
-    rate_rad_s: Float64[Array, "xyz=3"]
-
-
-def drawn_motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> RingMotion:
-    """Velocity and rates; the spin about the normal, which does not change the ring, is 0."""
+def drawn_motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> Rates:
+    """Constant velocity and rates of a ring from the prior and five standard normal numbers; the spin is 0."""
     if prior is None:
-        return RingMotion(np.zeros(3), np.zeros(3))
-    return RingMotion(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
+        return Rates(np.zeros(3), np.zeros(3))
+    return Rates(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
 
 
-class RingCourse(NamedTuple):
-    """Motion of the ring during a shot, relative to the pose at which its arcs are given."""
+class ShotMotion(NamedTuple):
+    """Motion of the ring during a shot: along the path of its view, or else at constant velocities."""
 
     scene: Scene
     view: RingView
     arcs: RingArcs
     axes: Float64[Array, "3 3"]
-    drawn: RingMotion
+    drawn: Rates
     """Constant velocities of a view without a path."""
     start_s: float
-    """When the arcs hold: of a view with a path at the beginning of the shot (0), else at the time of its pose."""
+    """Time since the beginning of the shot at which `arcs` and `axes` hold."""
 
     def at(self, time_s: float) -> tuple[RingArcs, Float64[Array, "3 3"]]:
         """The ring's arcs, and its x, y and z axes as columns, at a time since the beginning of the shot."""
@@ -111,16 +106,16 @@ class RingCourse(NamedTuple):
         turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
         return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
 
-    def motion(self, time_s: float) -> RingMotion:
+    def motion(self, time_s: float) -> Rates:
         """Velocity of the ring's centre, and rates, at a time."""
         if self.view.path is None:
             return self.drawn
         face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
-        return RingMotion(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
+        return Rates(*velocities(self.view.path, self.view.begin_s + time_s, face_m))
 
 
 class StripeEnds(NamedTuple):
-    """True stripes in the (distorted) image; NaN where they are not."""
+    """True positions of the stripes on the ring's face in distorted pixels; NaN for what is not visible."""
 
     true_px: Float64[Array, "laser edge=2 xy=2"]
     """Break points; NaN outside the image or not lit."""
@@ -145,16 +140,19 @@ def stripe_ends(
     ring: RingShape,
     appearance: Appearance,
     common: CommonErrors,
-    course: RingCourse,
+    shot_motion: ShotMotion,
     time_s: Float64[Array, "laser"],
     behind_m: Float64[Array, "laser"],
 ) -> StripeEnds:
-    """The stripes of all lasers, each at the time of its frame."""
+    """The stripes of all lasers, each at the time of its frame.
+
+    `behind_m` is the distance of the surface that a stripe lies on behind the face; 0 for the face itself.
+    """
     camera, lasers = common.rig.camera, common.rig.lasers
     point_m = np.full((len(time_s), 2, 3), np.nan)
     own_m = point_m.copy()  # the same in the ring's axes
     for laser in np.flatnonzero(appearance.lit):
-        moved, axes = course.at(float(time_s[laser]))
+        moved, axes = shot_motion.at(float(time_s[laser]))
         if behind_m[laser]:
             moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
         normal = lasers.normal[[laser]]

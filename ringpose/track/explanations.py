@@ -6,6 +6,7 @@ weights are their evidence. Measurements are taken in the order of their stamps 
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,8 +45,18 @@ MIN_CURVATURE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Gripper:
+    """How far the ring may be off for the gripper to close on it."""
+
+    radial_m: float
+    """Distance of the true middle of the band from the grasp point."""
+    tilt_rad: float
+    """Angle between the true normal and the reported one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrackOptions:
-    """Limits of a track."""
+    """What the user states about a track."""
 
     predict_for_s: float = 2.0
     """Time without a measurement after which two that agree may start the track anew."""
@@ -53,15 +64,16 @@ class TrackOptions:
     """Time without a measurement after which the track is given up."""
     motion: MotionPrior = motion_prior()
     """Of a new track."""
+    gripper: Gripper | None = None
+    """The gripper whose capture of the ring is predicted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Explanations after the measurements so far; none before the first."""
+    """Explanations of the measurements so far, which differ in the side of the ring's centre; none before the first."""
 
     banks: tuple[Bank, ...] = ()
-    sides: tuple[int, ...] = ()
-    """1: the centre is on the side that the first record gave; -1: on the other one."""
+    """The filters of each explanation."""
     interval_s: float = 0.0
     """Time between the last two measurements that were used."""
     resets: int = 0
@@ -92,18 +104,18 @@ class Track:
         return normalized
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fusion:
-    """How a measurement was used, and its test ratio."""
+class Fusion(NamedTuple):
+    """How a measurement was used, its test ratio, and why it was not used."""
 
     status: FusionStatus
     test_ratio: float = float("nan")
+    reason: str = ""
 
 
-def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | None) -> Track:
-    """The track that begins with a measurement, with both sides unless it excludes one."""
+def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | None, resets: int) -> Track:
+    """The track that begins with a measurement: an explanation for each side on which the ring's centre may lie."""
     banks = tuple(started(observed, side, motion, radius) for side in (1, -1))
-    return _pruned(Track(banks=banks, sides=(1, -1)))
+    return _pruned(Track(banks=banks, resets=resets))
 
 
 def track_after(
@@ -112,16 +124,13 @@ def track_after(
     """The track after a measurement that is not older than the track, and how the measurement was used."""
     gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
     if not observed.determines_plane and not gap_s <= options.predict_for_s:  # nor without a track
-        return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE)
+        return track, Fusion(FusionStatus.REJECTED_COVARIANCE)
     if not track.banks:
-        started_anew = new_track(observed, options.motion, radius)
-        return replace(started_anew, resets=track.resets), Fusion(status=FusionStatus.FUSED)
+        return new_track(observed, options.motion, radius, track.resets), Fusion(FusionStatus.FUSED)
     if gap_s < options.lost_after_s:
         after, ratio = _continued(track, observed)
-        if ratio <= 1.0 and _bias_sigmas(after.likeliest, observed) > MAX_BIAS_SIGMAS:
-            return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=ratio)
         if ratio <= 1.0:
-            return after, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
+            return _used(track, after, observed, ratio)
     return _contradicted(track, observed, radius, options, ratio)
 
 
@@ -134,19 +143,24 @@ def _contradicted(
         anew, its_ratio = _continued(track, observed, pushed_with=options.motion)
         status = FusionStatus.REJECTED_GATE
     else:
-        anew, its_ratio = replace(new_track(observed, options.motion, radius), resets=track.resets + 1), 0.0
+        anew, its_ratio = new_track(observed, options.motion, radius, track.resets + 1), 0.0
         status = FusionStatus.PENDING
     pending = track.pending
     if pending is not None and observed.stamp_s - pending.stamp_s <= options.lost_after_s:
         confirmed, agreement = _continued(pending, observed)
         if agreement <= 1.0:
             # A push during the first of the two shots makes that one wrong: it is left out where there is a track.
-            used = anew if status is FusionStatus.REJECTED_GATE and its_ratio <= 1.0 else confirmed
-            if _bias_sigmas(used.likeliest, observed) > MAX_BIAS_SIGMAS:
-                return track, Fusion(status=FusionStatus.REJECTED_COVARIANCE, test_ratio=agreement)
-            return used, Fusion(status=FusionStatus.FUSED, test_ratio=agreement)
+            after = anew if status is FusionStatus.REJECTED_GATE and its_ratio <= 1.0 else confirmed
+            return _used(track, after, observed, agreement)
     rejected = replace(track, rejections=track.rejections + 1, pending=anew if its_ratio <= 1.0 else None)
-    return rejected, Fusion(status=status, test_ratio=ratio)
+    return rejected, Fusion(status, ratio)
+
+
+def _used(track: Track, after: Track, observed: Observation, ratio: float) -> tuple[Track, Fusion]:
+    """The track after a measurement that agrees with it, unless the measurement was linearised too far from it."""
+    if _bias_sigmas(after.likeliest, observed) > MAX_BIAS_SIGMAS:
+        return track, Fusion(FusionStatus.REJECTED_COVARIANCE, ratio)
+    return after, Fusion(FusionStatus.FUSED, ratio)
 
 
 def _bias_sigmas(bank: Bank, observed: Observation) -> float:
@@ -206,12 +220,8 @@ def gate(degrees_of_freedom: int) -> float:
 
 def _pruned(track: Track) -> Track:
     """The track without explanations that have become improbable."""
-    kept = [index for index, weight in enumerate(track.weights.tolist()) if weight > MIN_WEIGHT]
-    if len(kept) == len(track.banks):
-        return track
-    return replace(
-        track, banks=tuple(track.banks[index] for index in kept), sides=tuple(track.sides[index] for index in kept)
-    )
+    weighted = zip(track.banks, track.weights.tolist(), strict=True)
+    return replace(track, banks=tuple(bank for bank, weight in weighted if weight > MIN_WEIGHT))
 
 
 def _evidence(bank: Bank) -> float:

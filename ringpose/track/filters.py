@@ -88,6 +88,8 @@ class Bank:
     """Root of the prior covariance by which they are defined."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
+    side: int
+    """1: the ring's centre is on the side that the first record gave; -1: on the other one."""
 
     @property
     def states(self) -> RingStates:
@@ -134,7 +136,7 @@ class Bank:
 
 
 def mixed(bank: Bank) -> tuple[Float64[Array, "error=14"], Float64[Array, "error=14 error=14"]]:
-    """Mean coordinates and covariance over the models with their probabilities.
+    """Mean and covariance of the states of all filters, weighted by the probabilities of their motion models.
 
     While the evidence does not decide between models, the covariance includes their disagreement.
     """
@@ -146,7 +148,7 @@ def mixed(bank: Bank) -> tuple[Float64[Array, "error=14"], Float64[Array, "error
 
 
 class Innovation(NamedTuple):
-    """What a measurement differs by from its prediction."""
+    """The difference between a measurement and its prediction by each filter of a bank (innovation)."""
 
     remaining: Float64[Array, "filter row"]
     jacobian: Float64[Array, "filter row error=14"]
@@ -160,7 +162,7 @@ class Innovation(NamedTuple):
 
 
 def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
-    """The bank after its first measurement; `side` -1: the ring's centre is on the other side than in the record."""
+    """The bank after its first measurement, of an explanation with the ring's centre on a side (`Bank.side`)."""
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
     chart, count = observed.chart, len(MODELS.precession)
@@ -191,6 +193,7 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
         common_root=observed.common_root,
         log_evidence=np.zeros(count),
         measurements=0,
+        side=side,
     )
     return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
 
@@ -276,7 +279,7 @@ def _ahead(
 
 
 def predicted(bank: Bank, stamp_s: float) -> Bank:
-    """The bank at another time, described about its best filter's state."""
+    """The bank predicted to another time, in the chart of its best filter's state."""
     return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None, None).bank
 
 

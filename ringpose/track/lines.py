@@ -1,9 +1,8 @@
 """The record of a track at one instant: pose, velocity, grasp point, and how far they may be trusted."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from math import nan, sqrt
-from typing import Literal
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, RingPose, RingVelocity
 from ringpose.types.track import (
     Attempt,
-    CameraMotion,
     FusionStatus,
     GraspState,
     MotionModel,
@@ -57,25 +55,6 @@ NO_ATTEMPT = Attempt(shot="", stamp_s=nan, fusion_status=FusionStatus.NONE, test
 """Stands for the newest measurement where there was none since the last line."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gripper:
-    """How far the ring may be off for the gripper to close on it."""
-
-    radial_m: float
-    """Distance of the true middle of the band from the grasp point."""
-    tilt_rad: float
-    """Angle between the true normal and the reported one."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LineOptions:
-    """Frame of the track records, motion of the camera, and the gripper whose capture they predict."""
-
-    gripper: Gripper | None = None
-    frame: PoseFrame | Literal["base"] = PoseFrame.CAMERA
-    camera: CameraMotion = "inertial_assumed"
-
-
 def track_line(
     track: Track,
     stamp_s: float,
@@ -84,9 +63,12 @@ def track_line(
     flags: PoseFlag,
     rig: str,
     options: TrackOptions,
-    lines: LineOptions,
+    in_base: bool,
 ) -> TrackLine:
-    """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later)."""
+    """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later).
+
+    `in_base`: whether the track is in the robot's base frame, since the motion of the camera is known.
+    """
     stamp_s = max(stamp_s, track.stamp_s) if track.banks else stamp_s
     lost = TrackLine(
         stamp_s=stamp_s,
@@ -94,9 +76,9 @@ def track_line(
         attempts=attempts,
         measurement_stamp_s=track.stamp_s,
         validity=validity(track, stamp_s, options),
-        frame=lines.frame,
+        frame="base" if in_base else PoseFrame.CAMERA,
         log_evidence=log_evidence(track.likeliest) if track.banks else {},
-        camera=lines.camera,
+        camera="robot_poses" if in_base else "inertial_assumed",
         resets=track.resets,
         rig=rig,
     )
@@ -111,7 +93,7 @@ def track_line(
         flags |= PoseFlag.SIDE_UNKNOWN
     if track.rejections:
         flags |= PoseFlag.INCONSISTENT
-    models, chosen, gripper = bank.models, bank.best, lines.gripper
+    models, chosen, gripper = bank.models, bank.best, options.gripper
     return replace(
         lost,
         pose=_pose(found, flags),
@@ -131,11 +113,11 @@ def track_line(
         ),
         hypotheses=tuple(
             SideHypothesis(
-                side=side,
+                side=each.side,
                 weight=weight,
                 center_m=(found if each is bank else _Reported(each, stamp_s)).value[_CENTER],
             )
-            for each, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
+            for each, weight in zip(track.banks, weights.tolist(), strict=True)
         ),
         flags=flags,
         model=MotionModel.PRECESSION if models.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
@@ -147,7 +129,7 @@ def track_line(
 
 
 def validity(track: Track, stamp_s: float, options: TrackOptions) -> Validity:
-    """By the age of the newest measurement that was used."""
+    """How far the track may be trusted at an instant, by the age of the newest measurement that was used."""
     if not track.banks:
         return Validity.LOST
     age_s = stamp_s - track.stamp_s

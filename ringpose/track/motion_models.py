@@ -23,8 +23,8 @@ LEVER_M, LEVER_SD_M = 1.0, 1.0
 """Prior of the distance of the centre of mass behind the ring."""
 
 LEFT_OUT_S = 1.0
-"""Time over which the process noise of the constant-velocity models has the effect of the precession that they leave
-out: angular accelerations of the order of the rate squared, and as much of the centre, a lever away from the mass."""
+"""Constant-velocity models leave out precession: angular accelerations of the order of the rate squared, and those of
+the centre, which is a lever away from the mass. Their process noise has the same effect over this time."""
 
 ASYMMETRY = 0.03
 """Share of these accelerations that the precession models leave out: the body is not exactly symmetric."""

@@ -12,13 +12,9 @@ import numpy as np
 from ringpose.estimate.covariance import POSE, RATES
 from ringpose.geometry.camera_motion import CameraState
 from ringpose.geometry.ring import (
-    LIFT,
-    SHIFT,
     STEP,
-    TILT_ALONG,
-    TILT_INWARD,
-    TURN,
     RingArcs,
+    displacement_increments,
     public_wrt_rates,
     public_wrt_step,
     ring_arcs,
@@ -79,7 +75,7 @@ class Observation:
 
     @property
     def chart(self) -> RingStates:
-        """The arcs as the chart of states."""
+        """The linearisation point as a chart, about which states are described."""
         return _chart(self.arcs)
 
     def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
@@ -105,7 +101,7 @@ def observation(
     inflation: float,
     camera: CameraState | None = None,
 ) -> Observation:
-    """The rows of a record, in units of its errors times the root of `inflation`.
+    """The measurement of a record as linear equations; `inflation` is a factor on its variances.
 
     In the frame of the camera, which counts as inertial, or in the base frame if its motion is given.
     """
@@ -173,27 +169,15 @@ def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Obse
 
     `of_mount`: whether the last common errors are those of the mount, which act within the shot, too.
     """
-    arcs = observed.arcs
-    arcs = RingArcs(
-        origin=camera.origin_m + camera.rotation @ arcs.origin,
-        axes=arcs.axes @ camera.rotation.T,
-        curvature=arcs.curvature,
-        half_band_m=arcs.half_band_m,
-    )
-    inward, along, normal = arcs.axes
-    turn, shift_m = camera.displacement_root[:3].T, camera.displacement_root[3:].T
-    moved_m = shift_m + np.cross(turn, arcs.origin - camera.origin_m)
-    of_normal = np.cross(turn, normal)
-    wrt_errors = np.zeros((len(STEP), len(turn)))
-    wrt_errors[TILT_INWARD], wrt_errors[TILT_ALONG] = of_normal @ inward, of_normal @ along
-    wrt_errors[LIFT], wrt_errors[SHIFT] = moved_m @ normal, moved_m @ inward
-    # a displacement along the face is the turn by which the place slides back
-    wrt_errors[TURN] = np.cross(turn, inward) @ along + arcs.curvature * (moved_m @ along)
-    by_errors = -observed.wrt_step @ wrt_errors
+    origin, axes = camera.rotation @ observed.arcs.origin, observed.arcs.axes @ camera.rotation.T
+    from_camera = replace(observed.arcs, origin=origin, axes=axes)  # errors of rotation turn the ring about the camera
+    by_errors = -observed.wrt_step @ displacement_increments(from_camera) @ camera.displacement_root
+    wrt_common = observed.wrt_common
     if of_mount:
-        within, others = observed.wrt_common[:, -len(turn) :], observed.wrt_common[:, : -len(turn)]
-        return replace(observed, arcs=arcs, wrt_common=np.concatenate([others, within + by_errors], axis=1))
-    return replace(observed, arcs=arcs, wrt_common=np.concatenate([observed.wrt_common, by_errors], axis=1))
+        others, within = np.split(wrt_common, [wrt_common.shape[1] - by_errors.shape[1]], axis=1)
+        wrt_common, by_errors = others, within + by_errors
+    arcs = replace(from_camera, origin=camera.origin_m + origin)
+    return replace(observed, arcs=arcs, wrt_common=np.concatenate([wrt_common, by_errors], axis=1))
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:

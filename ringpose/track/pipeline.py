@@ -5,8 +5,7 @@ in the order of their stamps when an older one arrives: the result does not depe
 """
 
 from bisect import bisect_left
-from dataclasses import replace
-from math import isfinite, nan
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from ringpose.errors import DataError
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
-from ringpose.track.lines import LineOptions, track_line
+from ringpose.track.lines import track_line
 from ringpose.track.observation import Observation, observation
 from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
 from ringpose.types.rig import Rig
@@ -35,9 +34,6 @@ MAX_INFORMATION_ROOT = 1e10
 
 SAME_PRIOR_WITHIN = 0.5
 """Difference of covariances of common errors, by their standard deviations, up to which they count as the same."""
-
-UNUSABLE = PoseFlag.ASSIGNMENT_AMBIGUOUS
-"""Flags of records whose covariance does not describe their errors."""
 
 REPORTED_FLAGS = PoseFlag.RIG_DRIFT | PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
 """Flags of the newest used record that also concern the track."""
@@ -85,17 +81,12 @@ class Tracker:
     """A track that pose records are added to as they arrive."""
 
     def __init__(
-        self,
-        rig: Rig | None,
-        options: TrackOptions | None = None,
-        lines: LineOptions | None = None,
-        camera: CameraMotion | None = None,
+        self, rig: Rig | None, options: TrackOptions | None = None, camera: CameraMotion | None = None
     ) -> None:
         """If the motion of the `camera` is given, the track is in the robot's base frame."""
         self._rig, self.options = rig, options or TrackOptions()
         self.camera = camera
         """The motion of the camera, which may be replaced by one with further poses; None if it is not known."""
-        self._lines = lines or LineOptions()
         self._hash = rig.sha256 if rig is not None else ""
         self._common: CommonErrors | None = None
         self._base = Track()
@@ -108,7 +99,7 @@ class Tracker:
 
     @property
     def track(self) -> Track:
-        """After all records so far."""
+        """The track after all records so far."""
         return self._entries[-1].track if self._entries else self._base
 
     def add(self, line: PoseLine, now_s: float = float("inf"), inflation: float = 1.0) -> Attempt:
@@ -121,7 +112,7 @@ class Tracker:
             with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
                 status, ratio, reason = self._fused(line, now_s, inflation)
         except np.linalg.LinAlgError:
-            status, ratio, reason = FusionStatus.REJECTED_COVARIANCE, nan, "its equations are singular"
+            status, ratio, reason = Fusion(FusionStatus.REJECTED_COVARIANCE, reason="its equations are singular")
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
         attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio, reason=reason)
         self._attempts.append(attempt)
@@ -130,8 +121,10 @@ class Tracker:
     def line_at(self, stamp_s: float, next_stamp_s: float | None = None) -> TrackLine:
         """The record of the track at an instant, and the attempts since the last one."""
         attempts, self._attempts = tuple(self._attempts), []
-        lines = self._lines if self.camera is None else replace(self._lines, frame="base", camera="robot_poses")
-        return track_line(self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self.options, lines)
+        used = [entry.flags for entry in self._entries if entry.fusion.status is FusionStatus.FUSED]
+        flags = (used[-1] if used else self._base_flags) & REPORTED_FLAGS
+        in_base = self.camera is not None
+        return track_line(self.track, stamp_s, next_stamp_s, attempts, flags, self._hash, self.options, in_base)
 
     def line_of(self, attempt: Attempt) -> TrackLine:
         """The track record after an attempt: at the stamp of the attempt, or at that of the track if it is later.
@@ -144,42 +137,48 @@ class Tracker:
             return self.line_at(self.track.stamp_s + self._unused.elapsed_s)
         return self.line_at(attempt.stamp_s)
 
-    def _flags(self) -> PoseFlag:
-        used = [e.flags for e in self._entries if e.fusion.status is FusionStatus.FUSED]
-        return (used[-1] if used else self._base_flags) & REPORTED_FLAGS
-
-    def _fused(self, line: PoseLine, now_s: float, inflation: float) -> tuple[FusionStatus, float, str]:
-        """How a record is used, its test ratio, and the reason if it is not used."""
-        measurement, newest_s = line.measurement, self.track.stamp_s
-        if measurement is None or not isfinite(line.pose_stamp_s):
-            return FusionStatus.NONE, nan, _why_none(line)
+    def _not_usable(self, line: PoseLine, now_s: float) -> Fusion | None:
+        """Why a record cannot be used; None if it can."""
+        measurement, stamp_s = line.measurement, line.pose_stamp_s
+        if measurement is None and line.pose is not None:
+            found = "the record has no measurement: do not use --brief of ringpose pose, nor a method other than ml"
+            return Fusion(FusionStatus.NONE, reason=found)
+        if measurement is None or not isfinite(stamp_s):
+            return Fusion(FusionStatus.NONE, reason=line.reason or "the record has no time stamp")
         self._check_rig(line)
-        stamp_s = line.pose_stamp_s
         if stamp_s > now_s + FUTURE_S:
             self._leave_out(stamp_s)
-            return FusionStatus.TOO_NEW, nan, f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
-        if line.flags & UNUSABLE or not _is_plausible(measurement):
-            ambiguous = line.flags & UNUSABLE
-            why = "the assignment of its stripes is ambiguous" if ambiguous else "its measurement describes no ring"
-            return FusionStatus.REJECTED_COVARIANCE, nan, why
+            found = f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
+            return Fusion(FusionStatus.TOO_NEW, reason=found)
+        if line.flags & PoseFlag.ASSIGNMENT_AMBIGUOUS:
+            return Fusion(FusionStatus.REJECTED_COVARIANCE, reason="the assignment of its stripes is ambiguous")
+        if not _is_plausible(measurement):
+            return Fusion(FusionStatus.REJECTED_COVARIANCE, reason="its measurement describes no ring")
         if stamp_s < self._base_stamp_s:
             self._leave_out(stamp_s)
-            return FusionStatus.TOO_OLD, nan, f"it is older than the buffer of {BUFFER_S:g} s"
+            return Fusion(FusionStatus.TOO_OLD, reason=f"it is older than the buffer of {BUFFER_S:g} s")
+        return None
+
+    def _fused(self, line: PoseLine, now_s: float, inflation: float) -> Fusion:
+        """How a record is used."""
+        measurement, stamp_s, newest_s = line.measurement, line.pose_stamp_s, self.track.stamp_s
+        if not_usable := self._not_usable(line, now_s):
+            return not_usable
+        assert measurement is not None  # as checked
         self._unused = None
         if line.flags & PoseFlag.INCONSISTENT:
             inflation *= max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
         camera = None if self.camera is None else self.camera.at(stamp_s)
         if self.camera is not None and camera is None:
-            return FusionStatus.REJECTED_COVARIANCE, nan, self.camera.why_not_at(stamp_s)
+            return Fusion(FusionStatus.REJECTED_COVARIANCE, reason=self.camera.why_not_at(stamp_s))
         observed = observation(line, measurement, common, inflation, camera)
         radius = None if line.priors is None else line.priors.radius
-        fusion = self._inserted(_Entry(observed, radius, line.flags, self._base, Fusion(status=FusionStatus.NONE)))
-        status = fusion.status
+        status, ratio, _ = self._inserted(_Entry(observed, radius, line.flags, self._base, Fusion(FusionStatus.NONE)))
         if status is FusionStatus.FUSED and stamp_s < newest_s:
             status = FusionStatus.FUSED_LATE
         self._forget()
-        return status, fusion.test_ratio, REASONS.get(status, "")
+        return Fusion(status, ratio, REASONS.get(status, ""))
 
     def _inserted(self, entry: _Entry) -> Fusion:
         """Insert an entry by its stamp, and process the entries after it again."""
@@ -256,9 +255,3 @@ def _is_plausible(measurement: RingMeasurement) -> bool:
     radius_m = 0.5 * (at.radius_inner_m + at.radius_outer_m)
     is_ring = 0.0 < radius_m < MAX_RADIUS_M and float(np.linalg.norm(at.center_m)) < MAX_DISTANCE_M + radius_m
     return 0.0 < largest < MAX_INFORMATION_ROOT and is_ring
-
-
-def _why_none(line: PoseLine) -> str:
-    if line.pose is not None and line.measurement is None:
-        return "the record has no measurement: do not use --brief of ringpose pose, nor a method other than ml"
-    return line.reason or "the record has no time stamp"

@@ -6,11 +6,12 @@ detection = shots.detected(shot, rig, assumptions)
 track_line = shots.added(pose_line(detection, rig), now_s)
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from ringpose.detect.difference_images import laser_images
+from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.pipeline import MOVED_PX, detect
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
@@ -18,7 +19,7 @@ from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import PredictedRing, motion_px, predicted_ring, predicted_stripes
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import Assumptions
-from ringpose.types.detection import BreakPoints, Detection
+from ringpose.types.detection import BreakPoints, Detection, Stripes
 from ringpose.types.image import Frame, Shot
 from ringpose.types.pose import PoseLine
 from ringpose.types.rig import Rig
@@ -45,7 +46,7 @@ FIRST_INTERVAL_S = 0.5
 
 
 class ShotTracker:
-    """Measures shots with the prediction of the track that they extend."""
+    """Detects what shots show near the prediction of a track, and extends the track by them."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
@@ -62,12 +63,27 @@ class ShotTracker:
         """Whether the last measurement continued the track."""
         self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
 
-    def detected(self, shot: Shot, rig: Rig, assumptions: Assumptions) -> Detection:
-        """What the shot shows, searched near the prediction if there is one, else everywhere."""
+    def detected(
+        self,
+        shot: Shot,
+        rig: Rig,
+        assumptions: Assumptions,
+        searched: Callable[[LaserImage], Stripes | None] = lambda _: None,
+    ) -> Detection:
+        """What the shot shows, searched near the prediction if there is one, else everywhere.
+
+        `searched`: as in `detect`.
+        """
         predicted = self.prediction(shot, rig)
         background = self._usable_background(shot, rig)
         found = detect(
-            shot, rig, predicted=predicted, background=background, assumptions=assumptions, camera=self._tracker.camera
+            shot,
+            rig,
+            predicted=predicted,
+            background=background,
+            assumptions=assumptions,
+            camera=self._tracker.camera,
+            searched=searched,
         )
         points = found.break_points
         if isinstance(points, BreakPoints):

@@ -12,7 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import CURVATURE, HALF_BAND, LIFT, MIN_CURVATURE, SHIFT, STEP, TILT_ALONG, TILT_INWARD, TURN
+from ringpose.geometry.ring import (
+    CURVATURE,
+    HALF_BAND,
+    LIFT,
+    MIN_CURVATURE,
+    SHIFT,
+    STEP,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    rotation_by,
+)
 from ringpose.types.arrays import Array, Float64
 
 MOTION = (
@@ -87,7 +98,7 @@ def after(states: RingStates, time_s: float) -> RingStates:
     radius_m, motion = states.mean_radius_m, states.motion
     rate_in, rate_al, lever_m = motion[:, 3], motion[:, 4], motion[:, 6]
     mass_velocity = mass_center_velocity(states)
-    rotation = rotations(motion[:, 3:6] * time_s)
+    rotation = rotation_by(motion[:, 3:6] * time_s)
     # the origin's displacement along the axes at the start: C = (R, 0, -l), o = C + l n - R inward
     displacement = mass_velocity * time_s
     displacement[:, 0] += radius_m
@@ -105,31 +116,18 @@ def after(states: RingStates, time_s: float) -> RingStates:
 
 
 def center_velocity(states: RingStates) -> Float64[Array, "state local=3"]:
-    """Velocity of the ring's centre, along the ring's axes: u + R w x inward."""
+    """Velocity of the ring's centre, along the ring's axes: that of the origin + R w x inward (radius R, rate w)."""
     velocity: Float64[Array, "state local=3"] = states.motion[:, :3].copy()
     velocity[:, 2] -= states.mean_radius_m * states.motion[:, 4]
     return velocity
 
 
 def mass_center_velocity(states: RingStates) -> Float64[Array, "state local=3"]:
-    """Velocity of the centre of mass, along the ring's axes: that of the ring's centre - l w x n."""
+    """Velocity of the centre of mass, along the ring's axes: that of the ring's centre - l w x n (lever l, rate w)."""
     velocity, lever_m = center_velocity(states), states.motion[:, 6]
     velocity[:, 0] -= lever_m * states.motion[:, 4]
     velocity[:, 1] += lever_m * states.motion[:, 3]
     return velocity
-
-
-def rotations(vectors_rad: Float64[Array, "n 3"]) -> Float64[Array, "n 3 3"]:
-    """Rotation matrices of rotation vectors (Rodrigues)."""
-    angle = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
-    skew = np.zeros((len(angle), 3, 3))
-    x, y, z = vectors_rad.T
-    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -z, y, -x
-    skew[:, 1, 0], skew[:, 2, 0], skew[:, 2, 1] = z, -y, x
-    first = np.sinc(angle / np.pi)[:, None, None]
-    second = 0.5 * np.sinc(angle / (2 * np.pi))[:, None, None] ** 2
-    rotation: Float64[Array, "n 3 3"] = np.eye(3) + first * skew + second * (skew @ skew)
-    return rotation
 
 
 class Charted(NamedTuple):
@@ -220,7 +218,7 @@ STEPS = np.concatenate([np.diag(DIFFERENCE), -np.diag(DIFFERENCE)])
 
 
 def perturbed(coordinates: Float64[Array, "state error=14"]) -> Float64[Array, "perturbed error=14"]:
-    """Each state's coordinates with all `STEPS`."""
+    """Each state's coordinates after each of the `STEPS`, for derivatives by central differences."""
     around: Float64[Array, "perturbed error"] = (coordinates[:, None] + STEPS).reshape(-1, len(ERRORS))
     return around
 

@@ -69,6 +69,10 @@ class Verdict:
         return tuple(dict.fromkeys(sentences))
 
 
+def _rms(values: Float64[Array, "n"]) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeView:
     """One view of a board with the laser stripes on it."""
@@ -102,12 +106,12 @@ class LaserView:
     @property
     def rms_m(self) -> float:
         """Root mean square of the residuals."""
-        return float(np.sqrt(np.mean(self.residual_m**2)))
+        return _rms(self.residual_m)
 
     @property
     def held_out_rms_m(self) -> float:
         """Root mean square of the held-out distances; NaN if they are not known."""
-        return float(np.sqrt(np.mean(self.held_out_m**2)))
+        return _rms(self.held_out_m)
 
     @property
     def distance_m(self) -> float:
@@ -123,15 +127,22 @@ class LaserCalibration:
     normal: Float64[Array, "xyz=3"]
     distance_m: float
     views: tuple[LaserView, ...]
-    rms_m: float
-    held_out_rms_m: float
-    """Root mean square over all points of the distance from the light plane of the other views; NaN for too few
-    views."""
     condition: float
     """Ratio of the points' extents along and across their longest direction, in the light plane."""
     disagreement: float = math.nan
     """Chi-square per degree of freedom of the laser's stripes against the boards and the other lasers, with expectation
     1; NaN for two views, which have no redundancy, and for methods that do not provide it."""
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square of the residuals of all points."""
+        return _rms(np.concatenate([view.residual_m for view in self.views]))
+
+    @property
+    def held_out_rms_m(self) -> float:
+        """Root mean square of the held-out distances of all points that have one; NaN if there are none."""
+        held_out_m = np.concatenate([view.held_out_m for view in self.views])
+        return _rms(held_out_m[np.isfinite(held_out_m)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,10 +201,15 @@ class CameraCalibration:
         return tuple(view for view in self.views if not view.rejected)
 
     @property
+    def covariance(self) -> ParameterCovariance:
+        """The covariance of the intrinsic parameters, which a calibrated camera has."""
+        assert self.camera.covariance is not None
+        return self.camera.covariance
+
+    @property
     def standard_deviations(self) -> dict[str, float]:
         """Standard deviations of the intrinsic parameters, by name; zero for one that was held fixed."""
-        covariance = self.camera.covariance
-        return {} if covariance is None else covariance.standard_deviations
+        return self.covariance.standard_deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,13 +234,6 @@ class Coverage:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageMap:
-    """Pixels on a regular grid over the image, at which cameras are compared."""
-
-    points_px: Float64[Array, "map_row map_column xy=2"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeftOutView:
     """One view, held out of a calibration from all other views."""
 
@@ -233,19 +242,6 @@ class LeftOutView:
     """Displacement of the projection when this view is left out, median over the image."""
     rms_px: float
     """Reprojection error of this view's corners under the camera of the other views; only its pose is fitted."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CrossValidation:
-    """Sensitivity of the result to the selection of views: split halves and jackknife."""
-
-    split_half_px: Float64[Array, "map_row map_column"]
-    """Displacement between the cameras of the even and the odd views; NaN where a half does not determine a camera."""
-    left_out: tuple[LeftOutView, ...]
-    """Empty if there are too few views to hold one out."""
-    jackknife_px: Float64[Array, "map_row map_column"]
-    """Projection uncertainty, scaled by the ratio of the jackknife displacements to those expected from noise: includes
-    the errors that the corners of a view have in common; NaN if no view can be held out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,11 +269,13 @@ class CameraAssessment:
     """The quantities by which a camera calibration is assessed."""
 
     coverage: Coverage
-    image_map: ImageMap
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with
     corners."""
-    validation: CrossValidation
+    left_out: tuple[LeftOutView, ...]
+    """The results of leaving out each view; empty if there are too few views."""
+    split_half_px: Float64[Array, "map_row map_column"]
+    """Displacement between the cameras of the even and the odd views; NaN if a half does not determine a camera."""
     disagreement: float
     """Ratio of the projection uncertainties by jackknife and by the noise of the corners, medians over the image: 1 if
     noise explains the differences of the views; NaN for too few views."""

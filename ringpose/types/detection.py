@@ -156,6 +156,26 @@ class Segments:
     """Mid exposure of each segment's frame; None if unknown."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JudgedRing:
+    """The ring that explains the break points of a shot, to some hundredths of its standard deviations."""
+
+    origin_m: Float64[Array, "xyz=3"]
+    """A point on the middle of its face, camera frame."""
+    axes: Float64[Array, "3 xyz=3"]
+    """Unit vectors there: towards the centre, along the face, and the normal towards the camera."""
+    curvature_per_m: float
+    """Inverse of the mean radius."""
+    half_band_m: float
+    """Half of the outer minus the inner radius."""
+    velocity_m_s: Float64[Array, "xyz=3"]
+    """Of the centre."""
+    rate_rad_s: Float64[Array, "xyz=3"]
+    """Angular velocity across the normal."""
+    stamp_s: float | None
+    """Instant at which the ring is there; None if the frames have no stamps."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
     """A measurement that was not used because it contradicts the others."""
@@ -178,6 +198,8 @@ class Detection:
     segments: Segments | None = None
     ring_edges: RingEdgePoints | None = None
     """None where the edges were not searched for or not found."""
+    ring: JudgedRing | None = None
+    """Where the estimation of the pose starts; None if several rings explain the break points, or none does."""
     lasers_on: Bool[Array, "laser"] | None = None
     """Which lasers of the rig were on in at least one frame; None if unknown."""
     rejected: tuple[Rejection, ...] = ()

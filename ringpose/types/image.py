@@ -40,6 +40,11 @@ class Frame:
     dropped: int = 0
     """Number of frames lost since the previous one, by the camera's frame numbers."""
 
+    @property
+    def mid_exposure_s(self) -> float:
+        """Time stamp of the middle of the exposure."""
+        return self.stamp_s + self.exposure_s / 2
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:

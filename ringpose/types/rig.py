@@ -103,14 +103,14 @@ class Mount:
 
     @property
     def covariance(self) -> Float64[Array, "parameter=7 parameter=7"]:
-        """Of `MOUNT_PARAMETERS`."""
+        """Covariance of `MOUNT_PARAMETERS`, in their order."""
         covariance = np.zeros((7, 7))
         covariance[:6, :6], covariance[6, 6] = self.root @ self.root.T, self.delay_sd_s**2
         return covariance
 
     @property
     def uncertain(self) -> tuple[str, ...]:
-        """Those of `MOUNT_PARAMETERS` that have a variance."""
+        """Names of those of `MOUNT_PARAMETERS` that have a variance."""
         return tuple(name for name, sd in zip(MOUNT_PARAMETERS, np.diag(self.covariance), strict=True) if sd > 0)
 
 

@@ -58,7 +58,7 @@ def parsed_sequence(text: str) -> tuple[Step, ...]:
 
     A step may be followed by `@` and an exposure in us, ms or s.
     """
-    return tuple(_exposed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
+    return tuple(_parsed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
 
 
 def written_sequence(steps: Iterable[Step]) -> str:
@@ -68,38 +68,27 @@ def written_sequence(steps: Iterable[Step]) -> str:
 
 def steps_of(masks: Iterable[int], count: int) -> tuple[Step, ...]:
     """The steps for these laser masks on a rig with `count` lasers."""
-    return tuple(_step_of(mask, count) for mask in masks)
+    texts = ["+".join(str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1) or "off" for mask in masks]
+    every = "+".join(str(bit + 1) for bit in range(count))
+    return tuple(Step("all" if text == every else text) for text in texts)
 
 
-def _step_of(mask: int, count: int) -> Step:
-    if mask == (1 << count) - 1:
-        return Step("all")
-    numbers = [str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1]
-    return Step("+".join(numbers) or "off")
-
-
-def _exposed_step(word: str, place: int) -> Step:
+def _parsed_step(word: str, place: int) -> Step:
     lasers, at, exposure = word.partition("@")
-    step = Step(_parsed_step(lasers, place).text, exposure)
+    step = Step(lasers, exposure)
+    if lasers not in ("off", "all"):
+        if not _STEP.fullmatch(lasers):
+            remedy = "a step is off, all, or laser numbers from 1 joined by +"
+            raise UsageError("--sequence", f'step {place} is "{lasers}"', remedy)
+        numbers = lasers.split("+")
+        if len(set(numbers)) < len(numbers):
+            raise UsageError("--sequence", f'step {place}, "{word}", names a laser twice')
+        if max(map(int, numbers)) > MAX_LASERS:
+            raise UsageError("--sequence", f'step {place}, "{word}", names a laser beyond the {MAX_LASERS} of a mask')
     if at and not step.exposure_s:
         found = f'step {place}, "{word}", has no exposure after its @'
         raise UsageError("--sequence", found, "write it as 500us, 4ms or 0.5s")
     return step
-
-
-def _parsed_step(word: str, place: int) -> Step:
-    if word in ("off", "all"):
-        return Step(word)
-    if not _STEP.fullmatch(word):
-        raise UsageError(
-            "--sequence", f'step {place} is "{word}"', "a step is off, all, or laser numbers from 1 joined by +"
-        )
-    numbers = word.split("+")
-    if len(set(numbers)) < len(numbers):
-        raise UsageError("--sequence", f'step {place}, "{word}", names a laser twice')
-    if max(map(int, numbers)) > MAX_LASERS:
-        raise UsageError("--sequence", f'step {place}, "{word}", names a laser beyond the {MAX_LASERS} of a mask')
-    return Step(word)
 
 
 CaptureState = Literal["capturing", "finished", "stopped"]
@@ -112,18 +101,18 @@ class Capture:
     """One run of `ringpose capture`; URIs are as given by the user."""
 
     camera: str
+    camera_name: str | None = None
     lasers: str
+    laser_count: int | None = None
+    """None if only the recording contains it."""
+    laser_names: tuple[str, ...] | None = None
+    """From the rig, in the order of the mask's bits; None without a rig."""
     sequence: str | None = None
     """None for recorded shots that were imported unchanged."""
     exposure_s: float | None = None
     """None for the device's own setting."""
     rate_hz: float | None = None
     """None for the highest possible rate."""
-    camera_name: str | None = None
-    laser_count: int | None = None
-    """None if only the recording contains it."""
-    laser_names: tuple[str, ...] | None = None
-    """From the rig, in the order of the mask's bits; None without a rig."""
     state: CaptureState = "capturing"
     shots: tuple[str, ...] = ()
     """Names of the finished shots in chronological order."""

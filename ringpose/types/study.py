@@ -6,6 +6,8 @@ Every shot is a function of the study and of its index, so that it can be comput
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import prod
+from pathlib import Path
 from typing import Literal
 
 from ringpose.types.assumptions import AssumptionOptions
@@ -19,36 +21,29 @@ Row = dict[str, str | float | int | bool | None]
 """One shot by one method: values by the names of `columns`; None where there is none."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
-    """Valid numbers of a factor."""
-
-    least: float
-    most: float
-    only_features: bool = False
-    """Whether images cannot be rendered with it, only drawn features."""
-
-
-NUMBERS: Mapping[str, Bounds] = {
-    "distance_m": Bounds(least=0.05, most=5.0),
-    "tilt_rad": Bounds(least=0.0, most=1.2),
-    "clock_rad": Bounds(least=0.0, most=1.2),
-    "offset": Bounds(least=0.0, most=0.5),
-    "radius_outer_m": Bounds(least=0.05, most=5.0),
-    "laser_angle_rad": Bounds(least=0.001, most=0.7),
-    "stripe_dn": Bounds(least=5.0, most=10000.0),
-    "blur_px": Bounds(least=0.0, most=5.0),
-    "speckle_contrast": Bounds(least=0.0, most=1.0),
-    "dark_noise_e": Bounds(least=0.0, most=1000.0),
-    "ring_tolerance_m": Bounds(least=0.0, most=0.05),
-    "plane_tilt_rad": Bounds(least=0.0, most=0.1),
-    "speed_sd_m_s": Bounds(least=0.0, most=1.0),
-    "rate_sd_rad_s": Bounds(least=0.0, most=1.0),
-    "displaced_share": Bounds(least=0.0, most=1.0, only_features=True),
-    "background_share": Bounds(least=0.0, most=1.0, only_features=True),
-    "missing_share": Bounds(least=0.0, most=1.0, only_features=True),
+NUMBERS: Mapping[str, tuple[float, float]] = {
+    "distance_m": (0.05, 5.0),
+    "tilt_rad": (0.0, 1.2),
+    "clock_rad": (0.0, 1.2),
+    "offset": (0.0, 0.5),
+    "radius_outer_m": (0.05, 5.0),
+    "laser_angle_rad": (0.001, 0.7),
+    "stripe_dn": (5.0, 10000.0),
+    "blur_px": (0.0, 5.0),
+    "speckle_contrast": (0.0, 1.0),
+    "dark_noise_e": (0.0, 1000.0),
+    "ring_tolerance_m": (0.0, 0.05),
+    "plane_tilt_rad": (0.0, 0.1),
+    "speed_sd_m_s": (0.0, 1.0),
+    "rate_sd_rad_s": (0.0, 1.0),
+    "displaced_share": (0.0, 1.0),
+    "background_share": (0.0, 1.0),
+    "missing_share": (0.0, 1.0),
 }
-"""The factors that are numbers."""
+"""The factors that are numbers, each with its smallest and largest valid value."""
+
+ONLY_FEATURES = ("displaced_share", "background_share", "missing_share")
+"""Factors with which images cannot be rendered, only features drawn."""
 
 CASE = "case"
 """The factor whose values are names of cases."""
@@ -127,6 +122,10 @@ class Study:
     run: ShotRun = ShotRun()
     limits: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
     """Limits of `LIMITS` on the first method; some of them by the name of the case."""
+    files: tuple[Path, ...] = ()
+    """The files that it was read from."""
+    sha256: str = ""
+    """Hash of their contents, the number of shots and the seed: studies with the same hash have the same shots."""
 
     @property
     def grid(self) -> tuple[Factor, ...]:
@@ -136,10 +135,7 @@ class Study:
     @property
     def cells(self) -> int:
         """Number of combinations."""
-        number = 1
-        for factor in self.grid:
-            number *= len(factor.values)
-        return number
+        return prod(len(factor.values) for factor in self.grid)
 
     @property
     def shots(self) -> int:

@@ -246,4 +246,4 @@ class TargetPath(Protocol):
         """Rotation and translation at a time since the start of the run."""
 
     def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
-        """Rotation of the camera since the start: directions of the sky turn back by it."""
+        """Rotation from the camera frame at a time to the inertial frame, that of the camera at the start."""

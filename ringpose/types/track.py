@@ -23,7 +23,7 @@ class Validity(StrEnum):
 
 
 class FusionStatus(StrEnum):
-    """What became of a measurement."""
+    """How a measurement was used."""
 
     FUSED = "fused"
     FUSED_LATE = "fused_late"
@@ -53,7 +53,7 @@ CameraMotion = Literal["inertial_assumed", "robot_poses"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """One measurement and what became of it."""
+    """One measurement and how it was used."""
 
     shot: str
     stamp_s: float
@@ -76,7 +76,7 @@ class GraspState:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NextTick:
-    """The prediction for the next line."""
+    """The predicted grasp point and normal at the time of the next record."""
 
     stamp_s: float
     grasp_m: Float64[Array, "xyz=3"]

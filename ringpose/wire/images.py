@@ -12,7 +12,7 @@ import math
 import re
 import struct
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
@@ -170,7 +170,7 @@ def lengths_in(prefix: bytes, max_payload: int) -> tuple[int, int]:
     return header_bytes, payload_bytes
 
 
-def header_in(encoded: bytes) -> "Fields":
+def header_in(encoded: bytes) -> "Header":
     """The header of a message."""
     try:
         values = json.loads(encoded, parse_constant=_reject_constant)
@@ -178,7 +178,7 @@ def header_in(encoded: bytes) -> "Fields":
         raise MalformedMessage("the header is not valid JSON") from None
     if not isinstance(values, dict):
         raise MalformedMessage("the header is not a JSON object")
-    return Fields(values)
+    return Header(values)
 
 
 def _reject_constant(word: str) -> None:
@@ -195,7 +195,7 @@ def stream_token(secret: bytes) -> str:
     return hmac.new(secret, b"ringpose images stream", hashlib.sha256).hexdigest()[:32]
 
 
-class Fields:
+class Header:
     """The values of a header, checked one by one; a wrong one raises `MalformedMessage`."""
 
     def __init__(self, values: Mapping[str, Any], name: str = "") -> None:
@@ -239,21 +239,20 @@ class Fields:
             raise self.problem(key, f"must be a printable text of at most {longest} characters")
         return value
 
-    def items(self, key: str, longest: int) -> Sequence[Any]:
-        """A list."""
+    def items(self, key: str, longest: int) -> "Header":
+        """The items of a list, by their numbers from 0 as keys."""
         value = self.values.get(key)
         if not isinstance(value, list) or len(value) > longest:
             raise self.problem(key, f"must be a list of at most {longest} items")
-        return value
+        return Header({str(number): item for number, item in enumerate(value)}, f"{self._name}: {key}")
 
     def vector(self, key: str) -> tuple[float, float, float]:
         """Three finite numbers."""
         parts = self.items(key, 3)
-        each = Fields({str(k): part for k, part in enumerate(parts)}, f"{self._name}: {key}")
-        return each.number("0"), each.number("1"), each.number("2")
+        return parts.number("0"), parts.number("1"), parts.number("2")
 
 
-def request_in(header: Fields) -> Request:
+def request_in(header: Header) -> Request:
     """The request in a header from a client."""
     reader = _REQUESTS.get(str(header.type))
     if reader is None:
@@ -262,7 +261,7 @@ def request_in(header: Fields) -> Request:
     return request
 
 
-def _pose_in(header: Fields) -> ServedPose:
+def _pose_in(header: Header) -> ServedPose:
     normal = header.vector("normal")
     if not 1e-6 < math.hypot(*normal) < 1e6:
         raise header.problem("normal", "must not be zero")
@@ -274,13 +273,13 @@ def _pose_in(header: Fields) -> ServedPose:
     )
 
 
-def _trajectory_in(header: Fields) -> SetTrajectory:
+def _trajectory_in(header: Header) -> SetTrajectory:
     if not header.has("poses"):
         return SetTrajectory(poses=())
-    poses = header.items("poses", MAX_VIEWS)
+    poses = list(header.items("poses", MAX_VIEWS).values.values())
     if not all(isinstance(each, dict) for each in poses):
         raise header.problem("poses", "must be a list of objects with center_m and normal")
-    return SetTrajectory(poses=tuple(_pose_in(Fields(each, f"pose {k}")) for k, each in enumerate(poses, start=1)))
+    return SetTrajectory(poses=tuple(_pose_in(Header(each, f"pose {k}")) for k, each in enumerate(poses, start=1)))
 
 
 _REQUESTS: Mapping[str, Any] = {
@@ -305,7 +304,7 @@ def greeting_header(greeting: Greeting) -> dict[str, Any]:
     return {"type": "greeting", "protocol": PROTOCOL, **asdict(greeting)}
 
 
-def greeting_in(header: Fields) -> Greeting:
+def greeting_in(header: Header) -> Greeting:
     """The greeting of a server."""
     protocol = header.text("protocol")
     if protocol != PROTOCOL:
@@ -313,8 +312,7 @@ def greeting_in(header: Fields) -> Greeting:
     clock = header.text("clock")
     if clock not in ("wall", "lockstep"):
         raise header.problem("clock", "must be wall or lockstep")
-    lasers = Fields({str(k): name for k, name in enumerate(header.items("lasers", 8))}, "greeting: lasers")
-    masks = Fields({str(k): mask for k, mask in enumerate(header.items("sequence", MAX_SEQUENCE))}, "sequence")
+    lasers, masks = header.items("lasers", 8), header.items("sequence", MAX_SEQUENCE)
     if not masks.values:
         raise header.problem("sequence", "is empty")
     names = tuple(lasers.text(key) for key in lasers.values)
@@ -345,7 +343,7 @@ def pixels(image: UInt[Array, "row column"]) -> memoryview:
     return np.ascontiguousarray(image, dtype=stored).data.cast("B")
 
 
-def _shot_name(header: Fields) -> str:
+def _shot_name(header: Header) -> str:
     """The name of a shot, which clients use as that of a file."""
     name = header.text("shot")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", name):
@@ -353,7 +351,7 @@ def _shot_name(header: Fields) -> str:
     return name
 
 
-def frame_in(header: Fields, payload: bytes) -> ServedFrame:
+def frame_in(header: Header, payload: bytes) -> ServedFrame:
     """The frame of a message."""
     width, height = header.integer("width", 1, 1 << 16), header.integer("height", 1, 1 << 16)
     pixel_bytes = header.integer("pixel_bytes", 1, 2)

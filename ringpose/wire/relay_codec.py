@@ -65,7 +65,7 @@ class RelayCodec(Protocol):
         """Whether the protocol has `SwitchRow`."""
 
     def request(self, command: Command) -> bytes:
-        """The bytes of a command."""
+        """The bytes by which a driver sends a command."""
 
     def is_whole(self, command: Command, received: bytes) -> bool:
         """Whether the answer to a command is complete; always true for a command without an answer."""

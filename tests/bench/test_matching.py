@@ -4,7 +4,7 @@ import pytest
 from known_poses import estimate_of, pose_of, truth_of
 
 from ringpose.bench import score
-from ringpose.bench.score import Outcome, PoseEstimate, matching, scores
+from ringpose.bench.score import Outcome, matching, scores
 from ringpose.errors import DataError
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseLine
@@ -33,7 +33,7 @@ def test_every_true_shot_is_scored_for_each_method_in_the_order_of_the_truth():
 
 
 def test_a_line_without_a_method_counts_for_every_method():
-    none = PoseEstimate(shot="b", method="", pose=None)
+    none = score.estimate_of(PoseLine(shot="b", stamp_s=0.0, pose=None), "poses:1")
 
     found = scores([none, estimate_of(shot="a")], [truth_of(shot="a"), truth_of(shot="b")], None)
 
@@ -45,6 +45,6 @@ def test_a_line_is_an_estimate_in_the_camera_frame_with_the_method_of_its_pose()
     without_pose = score.estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=None, reason="dark"), "poses:1")
 
     assert (score.estimate_of(line, "poses:1").shot, score.estimate_of(line, "poses:1").method) == ("a", "paper")
-    assert (without_pose.pose, without_pose.method) == (None, "")
+    assert (without_pose.line.pose, without_pose.method) == (None, "")
     with pytest.raises(DataError, match="poses:7: is in the tool frame"):
         score.estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=pose_of(), frame=PoseFrame.TOOL), "poses:7")

@@ -10,7 +10,6 @@ from ringpose.bench.summary import (
     error_statistics,
     exceeded_error_limits,
     summaries,
-    unknown_groups,
 )
 
 
@@ -46,26 +45,25 @@ def test_a_group_that_a_truth_does_not_name_is_a_dash():
     shots = [scored("a", 1.0, light="dim"), scored("b", 1.0)]
 
     assert [line.group.get("light") for line in summaries(shots, ["light"])] == [ABSENT, "dim", None]
-    assert unknown_groups(shots, ["light", "lihgt"]) == ["lihgt"]
 
 
-def test_failures_are_counted_and_do_not_enter_the_errors():
-    (line,) = summaries([scored("a", 3.0), scored("b"), scored("c", -3.0)], [])
+def test_failures_do_not_enter_the_errors_and_available_are_the_shots_with_a_ring_that_are_ok():
+    common = {"method": "paper", "outcome": Outcome.OK}
+    shots = [
+        scored("a", 3.0),
+        scored("b"),
+        scored("c", -3.0),
+        Score(shot="d", status="degraded", errors={"center_nees": 0.5}, **common),
+        Score(shot="e", status="none", has_target=False, errors={"center_nees": 1.7}, **common),
+    ]
 
-    assert sum(line.outcomes.values()) == line.shots
-    assert set(line.errors) == {"center_x_m"}
-    assert (line.outcomes[Outcome.OK], line.outcomes[Outcome.MISSED], line.outcomes[Outcome.LOST]) == (2, 1, 0)
-    assert line.errors["center_x_m"].count == 2
-    assert line.errors["center_x_m"].rmse == 3.0
+    (line,) = summaries(shots, [])
 
-
-def test_nees_is_a_mean_not_a_root():
-    one = Score(shot="a", method="ml", outcome=Outcome.OK, status="ok", errors={"center_nees": 0.5})
-    two = Score(shot="b", method="ml", outcome=Outcome.OK, status="ok", errors={"center_nees": 1.7})
-
-    (line,) = summaries([one, two], [])
-
-    assert line.nees["center_nees"] == pytest.approx(1.1)
+    assert sum(line.outcomes.values()) == line.shots == 5
+    assert (line.outcomes[Outcome.OK], line.outcomes[Outcome.MISSED], line.outcomes[Outcome.LOST]) == (4, 1, 0)
+    assert (line.available, line.targets) == (2, 4)
+    assert {name: (each.count, each.rmse) for name, each in line.errors.items()} == {"center_x_m": (2, 3.0)}
+    assert line.nees["center_nees"] == pytest.approx(1.1)  # a mean, not a root
 
 
 def judged(name: str, correct: int, wrong: int, gross: int = 0) -> list[Score]:
@@ -109,20 +107,6 @@ def test_none_is_wrong_if_chance_allows_it_and_none_is_gross():
     ]
 
     assert verdicts == [True, True, False, False]
-
-
-def test_availability_is_the_share_of_the_shots_with_a_ring_that_are_ok():
-    common = {"method": "ml", "outcome": Outcome.OK}
-    shots = [
-        Score(shot="a", status="ok", **common),
-        Score(shot="b", status="degraded", **common),
-        Score(shot="c", status="none", **common),
-        Score(shot="d", status="none", has_target=False, **common),
-    ]
-
-    (line,) = summaries(shots, [])
-
-    assert (line.available, line.targets) == (1, 3)
 
 
 def test_a_limit_to_which_no_shot_has_an_error_is_missed():

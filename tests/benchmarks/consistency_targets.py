@@ -6,15 +6,14 @@ and an outer radius, which is unknown, or known with its standard deviation. Of 
 a weak flag at most two may lie outside their 99 % bands, and none outside 99.99 %.
 """
 
-import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from benchmarks.limits import Figure, figure_line
-from benchmarks.track_targets import band
+from benchmarks.limits import Figure
+from benchmarks.targets import band, options, printed, target
 
 from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
 from ringpose.files.scenes.scene import read_scene
@@ -115,22 +114,14 @@ def figures(runs: int) -> Iterator[Figure]:
             outside += not least <= mean <= most
             far_outside += not low <= mean <= high
             name = f"NEES of {quantity}, {kind}, {distance_m} m, {light}, {said}, {len(values)} runs"
-            yield Figure(name=name, measured=mean, min_value=least, max_value=most)
-    yield Figure(name="mean NEES outside their 99 % bands", measured=outside, max_value=2)
-    yield Figure(name="mean NEES outside their 99.99 % bands", measured=far_outside, max_value=0)
+            yield target(name, mean, most, least)
+    yield target("mean NEES outside their 99 % bands", outside, 2)
+    yield target("mean NEES outside their 99.99 % bands", far_outside, 0)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100)
-    *_, outside, far_outside = printed(figures(parser.parse_args().runs))
+    *_, outside, far_outside = printed(figures(options(__doc__, runs=100).parse_args().runs))
     return 0 if outside.is_kept and far_outside.is_kept else 3
-
-
-def printed(found: Iterator[Figure]) -> Iterator[Figure]:
-    for figure in found:
-        print(figure_line(figure), flush=True)
-        yield figure
 
 
 if __name__ == "__main__":

@@ -108,17 +108,8 @@ def _mostly(near: Bool[Array, "center"], piece: Int64[Array, "center"]) -> Bool[
 
 
 def _no_errors(expected: int) -> BreakPointErrors:
-    nothing = np.zeros(0)
-    return BreakPointErrors(
-        expected=expected,
-        along_px=nothing,
-        across_px=nothing,
-        along_sigma_px=nothing,
-        across_sigma_px=nothing,
-        nees=nothing,
-        bound_px=nothing,
-        flags=np.zeros(0, np.int64),
-    )
+    names = ("along_px", "across_px", "along_sigma_px", "across_sigma_px", "nees", "bound_px")
+    return BreakPointErrors(expected=expected, flags=np.zeros(0, np.int64), **dict.fromkeys(names, np.zeros(0)))
 
 
 def column_bound_px(peak_dn: float, sigma_px: float) -> float:

@@ -6,14 +6,14 @@ moved besides. `still` shots have one ring each; the rings of `tumbling` ones tu
 centre of mass 1 m behind them, drift at up to 0.1 m/s, and are seen by each laser at another time.
 """
 
-import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
-from benchmarks.limits import Figure, figure_line
-from benchmarks.track_targets import WRONG_SIGMAS
+from benchmarks.limits import Figure
+from benchmarks.targets import WRONG_SIGMAS, options, status, target
 from moving_rings import Motion
 from ring_scenes import RIGS, Scene, face_points_of, make_scene, pixels_of, visible_edges_of
 from ring_streams import ASSUMED, measured_stream, moved, poses_before, within_stability
@@ -162,34 +162,22 @@ def warned(kind: str, changed: str, rng) -> bool:
     return any((name or "") in text for text in warnings.values())
 
 
+def figures(kinds: Iterable[str], changes: Iterable[str], streams: int) -> Iterator[Figure]:
+    wrong, left, obvious = single_shots(np.random.default_rng(11), 10 * streams)
+    yield target(f"ok and wrong of {10 * streams} single shots, planes moved", wrong, poisson.ppf(0.99, left))
+    yield target("of them with a noncentrality above 60", obvious, 0)
+    for kind, changed in product(kinds, changes):
+        share = np.mean([warned(kind, changed, np.random.default_rng([17, stream])) for stream in range(streams)])
+        name = f"share of {streams} {kind} streams with a warning, planes moved: {changed}"
+        yield target(name, share, 1 / 1000) if changed == "none" else target(name, share, 1.0, 0.9)
+
+
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--streams", type=int, default=60)
+    parser = options(__doc__, streams=60)
     parser.add_argument("--kind", choices=list(STREAMS), action="append")
     parser.add_argument("--changed", choices=["none", *PLANES], action="append")
     chosen = parser.parse_args()
-    wrong, left, obvious = single_shots(np.random.default_rng(11), 10 * chosen.streams)
-    figures = [
-        Figure(
-            name=f"ok and wrong of {10 * chosen.streams} single shots, planes moved",
-            measured=wrong,
-            max_value=poisson.ppf(0.99, left),
-        ),
-        Figure(name="of them with a noncentrality above 60", measured=obvious, max_value=0),
-    ]
-    missed = sum(not figure.is_kept for figure in figures)
-    print(*map(figure_line, figures), sep="\n", flush=True)
-    for kind in chosen.kind or STREAMS:
-        for changed in chosen.changed or ["none", *PLANES]:
-            share = np.mean(
-                [warned(kind, changed, np.random.default_rng([17, stream])) for stream in range(chosen.streams)]
-            )
-            name = f"share of {chosen.streams} {kind} streams with a warning, planes moved: {changed}"
-            limits = {"max_value": 1 / 1000} if changed == "none" else {"min_value": 0.9, "max_value": 1.0}
-            figure = Figure(name=name, measured=float(share), **limits)
-            print(figure_line(figure), flush=True)
-            missed += not figure.is_kept
-    return 3 if missed else 0
+    return status(figures(chosen.kind or STREAMS, chosen.changed or ["none", *PLANES], chosen.streams))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import io
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from itertools import pairwise
 from pathlib import Path
@@ -27,10 +27,11 @@ SHOTS = ("B_z0500_p01_dim", "B_z0500_p01_normal")
 
 def main() -> None:
     """Print all tables."""
-    modules = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
-    print_sizes(modules)
-    print_small_modules(modules)
-    print_private_functions(modules)
+    sources = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+    trees = {name: ast.parse(path.read_text()) for name, path in sources.items()}
+    print_sizes()
+    print_small_modules(sources, trees)
+    print_private_functions(trees)
     print_path("the second of two shots through `ringpose pose`", trace_of_shot())
     print_path("`ringpose calibrate-planes` on board shots", trace_of_planes())
 
@@ -45,64 +46,43 @@ def lines_of(path: Path) -> int:
     return len(path.read_text().splitlines())
 
 
-def print_sizes(modules: dict[str, Path]) -> None:
+def print_sizes() -> None:
     """Modules and lines by folder, C sources beside them."""
-    print(f"{'folder':28}{'modules':>8}{'lines':>8}{'C files':>9}{'C lines':>9}")
-    folders = sorted({path.parent for path in [*modules.values(), *PACKAGE.rglob("*.c")]})
+    columns = ("modules", "lines", "C files", "C lines")
     totals = Counter[str]()
-    for folder in folders:
-        python = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
-        sources = [path for pattern in ("*.c", "*.h") for path in folder.glob(pattern)]
-        row = {
-            "modules": len(python),
-            "lines": sum(map(lines_of, folder.glob("*.py"))),
-            "C files": len(sources),
-            "C lines": sum(map(lines_of, sources)),
-        }
+    print(f"{'folder':28}" + "".join(f"{name:>9}" for name in columns))
+    for folder in sorted({path.parent for suffix in ("py", "c") for path in PACKAGE.rglob(f"*.{suffix}")}):
+        python, sources = list(folder.glob("*.py")), [*folder.glob("*.c"), *folder.glob("*.h")]
+        sizes = (sum(map(lines_of, files)) for files in (python, sources))
+        modules = sum(path.name != "__init__.py" for path in python)
+        row = dict(zip(columns, (modules, next(sizes), len(sources), next(sizes)), strict=True))
         totals.update(row)
-        print_row(str(folder.relative_to(ROOT)), row)
-    print_row("all", totals)
+        print(f"{folder.relative_to(ROOT)!s:28}" + "".join(f"{row[name]:9}" for name in columns))
+    print(f"{'all':28}" + "".join(f"{totals[name]:9}" for name in columns))
     print(f"\nlines in all: {totals['lines'] + totals['C lines']}")
 
 
-def print_row(name: str, row: dict[str, int]) -> None:
-    """One folder's numbers in columns."""
-    print(f"{name:28}{row['modules']:8}{row['lines']:8}{row['C files']:9}{row['C lines']:9}")
-
-
-def print_small_modules(modules: dict[str, Path]) -> None:
+def print_small_modules(sources: dict[str, Path], trees: dict[str, ast.Module]) -> None:
     """Short modules that a single other module imports: candidates for a merge."""
     importers = defaultdict(set)
-    for name, path in modules.items():
-        for imported in imported_modules(ast.parse(path.read_text()), modules):
-            importers[imported].add(name)
-    small = [
-        name
-        for name, path in modules.items()
-        if path.name != "__init__.py" and len(importers[name]) == 1 and lines_of(path) < SHORT_LINES
-    ]
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [node.module, *(f"{node.module}.{each}" for each in names)]
+            for imported in names:
+                importers[imported].add(name)
+    short = {name for name, path in sources.items() if path.name != "__init__.py" and lines_of(path) < SHORT_LINES}
+    small = {name: min(importers[name]) for name in sorted(short) if len(importers[name]) == 1}
     print(f"\nmodules under {SHORT_LINES} lines with a single importer: {len(small)}")
-    for name in small:
-        print(f"  {name} <- {min(importers[name])}")
+    for name, importer in small.items():
+        print(f"  {name} <- {importer}")
 
 
-def imported_modules(tree: ast.Module, modules: Iterable[str]) -> set[str]:
-    """Modules of the package that a source imports, at any depth."""
-    known = set(modules)
-    names = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-    return names & known
-
-
-def print_private_functions(modules: dict[str, Path]) -> None:
+def print_private_functions(trees: dict[str, ast.Module]) -> None:
     """How many private functions of modules are referenced exactly once."""
     private, once = 0, 0
-    for path in modules.values():
-        tree = ast.parse(path.read_text())
+    for tree in trees.values():
         uses = Counter(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
         names = [node.name for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("_")]
         private += len(names)
@@ -161,24 +141,11 @@ def trace(arguments: Sequence[str], output: io.StringIO, wanted: Callable[[], bo
 def print_path(title: str, entered: Sequence[str]) -> None:
     """Modules and switches of a trace, and the modules in the order of their first entry."""
     order = list(dict.fromkeys(entered))
-    pairs = switches(entered)
+    pairs = [frozenset(pair) for pair in pairwise(entered) if len(set(pair)) == 2]
+    once = sum(pair != before for before, pair in pairwise([frozenset[str](), *pairs]))
     print(f"\n{title}: {len(entered)} calls, {len(order)} modules, {len(pairs)} switches, ", end="")
-    print(f"{without_loops(pairs)} with alternations of one pair counted once")
+    print(f"{once} with alternations of one pair counted once")
     print("  " + " > ".join(name.removeprefix("ringpose.") for name in order))
-
-
-def switches(entered: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of modules between which the trace changes."""
-    return [(a, b) for a, b in pairwise(entered) if a != b]
-
-
-def without_loops(pairs: Sequence[tuple[str, str]]) -> int:
-    """Number of switches if a run that goes to and fro between the same two modules counts as one."""
-    count, last = 0, frozenset[str]()
-    for pair in map(frozenset, pairs):
-        count += pair != last
-        last = pair
-    return count
 
 
 if __name__ == "__main__":

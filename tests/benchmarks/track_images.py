@@ -4,7 +4,6 @@
 computer's clock. One line a figure.
 """
 
-import argparse
 import contextlib
 import io
 import json
@@ -21,10 +20,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
-from benchmarks.limits import Figure, figure_line
-from benchmarks.track_targets import DEGREES_OF_FREEDOM, WRONG_SIGMAS, band, errors_at, nees
+from benchmarks.limits import Figure
+from benchmarks.targets import WRONG_SIGMAS, band, options, status, target
 from moving_rings import START_S
 from ring_scenes import Ring
+from tracked_rings import DEGREES_OF_FREEDOM, errors_at, nees_at
 
 from ringpose.cli.main import main as ringpose
 from ringpose.files.scenes.scene import read_scene
@@ -137,27 +137,22 @@ def rendered(rng, folder: Path) -> Iterator[Figure]:
             at = tracker.line_at(tracker.track.stamp_s)
             if number < 2 or at.pose is None or not np.isfinite(at.pose.center_m).all():
                 continue
-            for name, (error, covariance) in errors_at(truth, at).items():
-                squares.setdefault(name, []).append(nees(error, covariance) * len(error))
-                if name == "grasp":
-                    grasps_m.append(float(np.linalg.norm(error)))
+            for name, value in nees_at(truth, at).items():
+                squares.setdefault(name, []).append(value * DEGREES_OF_FREEDOM[name])
+            grasps_m.append(float(np.linalg.norm(errors_at(truth, at)["grasp"][0])))
     yield from scores(squares, grasps_m, 5, "five rendered runs, 1 to 8 deg/s")
-    yield Figure(name="share of shots used, five rendered runs", measured=used / shots, min_value=0.9, max_value=1.0)
+    yield target("share of shots used, five rendered runs", used / shots, 1.0, 0.9)
 
 
 def scores(squares: dict[str, list[float]], grasps_m: list[float], runs: int, where: str) -> Iterator[Figure]:
     """NEES of each quantity and the number of wrong ones; lines of one run are correlated, bands are those of runs."""
     every = [value for values in squares.values() for value in values]
     wrong = sum(value > WRONG_SIGMAS**2 for value in every) + sum(each > GRASP_WRONG_M for each in grasps_m)
-    yield Figure(name=f"wrong of {len(every)} quantities, {where}", measured=wrong, max_value=0)
+    yield target(f"wrong of {len(every)} quantities, {where}", wrong, 0)
     for name, values in squares.items():
         value = float(np.mean(values)) / DEGREES_OF_FREEDOM[name]
-        yield Figure(name=f"NEES of {name}, {where}", measured=value, max_value=band(runs, DEGREES_OF_FREEDOM[name])[1])
-    yield Figure(
-        name=f"grasp point, rms in mm, {where}",
-        measured=1e3 * float(np.sqrt(np.mean(np.square(grasps_m)))),
-        max_value=1.0,
-    )
+        yield target(f"NEES of {name}, {where}", value, band(runs, DEGREES_OF_FREEDOM[name])[1])
+    yield target(f"grasp point, rms in mm, {where}", 1e3 * float(np.sqrt(np.mean(np.square(grasps_m)))), 1.0)
 
 
 class Playback:
@@ -244,18 +239,12 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     camera = Process(target=play, args=(scene, there), daemon=True)
     camera.start()
     here.recv()
-    words = [
-        "pose",
-        "--track",
-        "--rig",
-        str(folder / "rig.yaml"),
-        "--camera",
-        f"aravis://{ADDRESS}?packet={JUMBO_BYTES}",
-    ]
+    camera_uri = f"aravis://{ADDRESS}?packet={JUMBO_BYTES}"
+    words = ["pose", "--track", "--rig", str(folder / "rig.yaml"), "--camera", camera_uri]
     words += ["--lasers", "line:Line1,Line2,Line3", "--duration", str(PLAYED_S - 0.5), "--quiet"]
     busy_s = -time.process_time()
     with contextlib.redirect_stdout(TimedOutput()) as out:
-        status = ringpose(words)
+        status_of_pose = ringpose(words)
     busy_s += time.process_time()
     here.send("end")
     began_s, exposed = here.recv()
@@ -272,44 +261,34 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     fused = sum(record["fusion_status"] == "fused" for record in records)
     lit = [sum(share > 0.5 for share in shares) for _, shares in exposed]
     where = f"live, {width} px wide"
-    yield Figure(name=f"exit status, {where}", measured=status, max_value=0)
     frames = f"{len(lit)} frames ({lit.count(0)} off, {lit.count(1)} with one laser)"
-    yield Figure(name=f"frames with all lasers of {frames}, {where}", measured=lit.count(3), min_value=1)
-    yield Figure(name=f"records fused of {len(records)}, {where}", measured=fused, min_value=len(records) - 1)
-    yield Figure(name=f"largest chi-squared of the centre, {where}", measured=max(squares), max_value=WRONG_SIGMAS**2)
-    yield Figure(
-        name=f"poses a second (median interval), {where}", measured=1.0 / float(np.median(gaps)), min_value=30.0
-    )
-    yield Figure(
-        name=f"processor time of a pose in ms, {where}", measured=1e3 * busy_s / len(records), max_value=1e3 / PLAYED_HZ
-    )
+    yield target(f"exit status, {where}", status_of_pose, 0)
+    yield target(f"frames with all lasers of {frames}, {where}", lit.count(3), np.inf, 1)
+    yield target(f"records fused of {len(records)}, {where}", fused, np.inf, len(records) - 1)
+    yield target(f"largest chi-squared of the centre, {where}", max(squares), WRONG_SIGMAS**2)
+    yield target(f"poses a second (median interval), {where}", 1.0 / np.median(gaps), np.inf, 30.0)
+    yield target(f"processor time of a pose in ms, {where}", 1e3 * busy_s / len(records), 1e3 / PLAYED_HZ)
     for share in (0.5, 0.99):
-        late_ms = 1e3 * float(np.quantile(late_s, share))
+        late_ms = 1e3 * np.quantile(late_s, share)
         name = f"ms from the end of an exposure to the line, quantile {share:g}, {where}"
-        yield Figure(name=name, measured=late_ms, max_value=2e3 / PLAYED_HZ)
-    missed = int(np.round(gaps * PLAYED_HZ - 1.0).clip(0).sum())
+        yield target(name, late_ms, 2e3 / PLAYED_HZ)
+    missed = np.round(gaps * PLAYED_HZ - 1.0).clip(0).sum()
     periods = round((followed[-1] - followed[0]) * PLAYED_HZ)
-    yield Figure(
-        name=f"periods of 1/30 s without a pose of {periods}, {where}", measured=missed, max_value=0.1 * periods
-    )
+    yield target(f"periods of 1/30 s without a pose of {periods}, {where}", missed, 0.1 * periods)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--width", type=int, default=800, help="of the images that are played live")
+    parser = options(__doc__, width=800)  # of the images that are played live
     parser.add_argument("targets", nargs="*", default=["rendered", "live"])
     chosen = parser.parse_args()
     targets: dict[str, Callable[..., Iterator[Figure]]] = {
         "rendered": rendered,
         "live": partial(live, width=chosen.width),
     }
-    missed = 0
     with tempfile.TemporaryDirectory() as folder:
-        for name in chosen.targets:
-            for figure in targets[name](np.random.default_rng(18), Path(folder)):
-                print(figure_line(figure), flush=True)
-                missed += not figure.is_kept
-    return 3 if missed else 0
+        return status(
+            each for name in chosen.targets for each in targets[name](np.random.default_rng(18), Path(folder))
+        )
 
 
 if __name__ == "__main__":

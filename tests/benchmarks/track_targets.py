@@ -5,14 +5,14 @@ points 0.3 px, lines 0.02 px, in the dark, radius unknown) are tracked, and erro
 a target: figure, limit, and whether it is reached. `--runs` sets the number of independent runs of each.
 """
 
-import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from benchmarks.limits import Figure, figure_line
+from benchmarks.limits import Figure
+from benchmarks.targets import WRONG_SIGMAS, band, options, status, target
 from moving_cameras import SeenByRobot, in_base, robot
 from moving_rings import (
     START_S,
@@ -28,14 +28,13 @@ from moving_rings import (
 )
 from ring_scenes import RIGS, pixels_of
 from scipy.stats import binom, chi2
+from tracked_rings import DEGREES_OF_FREEDOM, errors_at, nees_at, newest, track_of
 
-from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.track.common_errors import common_errors
-from ringpose.track.explanations import TrackOptions
+from ringpose.track.explanations import Gripper, TrackOptions
 from ringpose.track.filters import continued, predicted
-from ringpose.track.lines import Gripper, LineOptions
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import MotionPrior, RigStability
@@ -47,40 +46,16 @@ SPEED_M_S, RATE_DEG_S = 0.01, 0.5
 """Standard deviations per axis of the motion of a typical dead satellite."""
 
 
-def motions(rng, runs: int, **options) -> Iterator[Motion]:
+def motions(rng, runs: int, **drawn) -> Iterator[Motion]:
     """Slow motions at 0.3 to 0.7 m."""
     for _ in range(runs):
-        yield drawn_motion(rng, rng.uniform(0.3, 0.7), **{"speed_m_s": SPEED_M_S, "rate_deg_s": RATE_DEG_S, **options})
-
-
-def track_of(
-    lines: Iterable[PoseLine], options: TrackOptions | None = None, camera: CameraMotion | None = None
-) -> Tracker:
-    """The track of all records."""
-    tracker = Tracker(None, options, camera=camera)
-    for line in lines:
-        tracker.add(line)
-    return tracker
-
-
-def nees(error, covariance) -> float:
-    return float(error @ np.linalg.solve(covariance, error)) / len(error)
-
-
-def band(runs: int, dof: int, probability: float = 0.99) -> tuple[float, float]:
-    """Two-sided band of the mean NEES over independent runs."""
-    least, most = chi2.ppf([(1 - probability) / 2, (1 + probability) / 2], runs * dof) / (runs * dof)
-    return float(least), float(most)
-
-
-DEGREES_OF_FREEDOM = {"centre": 3, "normal": 2, "grasp": 2, "velocity": 3}
+        yield drawn_motion(rng, rng.uniform(0.3, 0.7), **{"speed_m_s": SPEED_M_S, "rate_deg_s": RATE_DEG_S, **drawn})
 
 
 def add_nees(found: dict, motion, line, *key) -> None:
     """The NEES of each quantity of a line, by its name and the key; none of a line without a centre."""
-    if line.pose is not None and np.isfinite(line.pose.center_m).all():
-        for name, (error, covariance) in errors_at(motion, line).items():
-            found.setdefault((name, *key), []).append(nees(error, covariance))
+    for name, value in nees_at(motion, line).items():
+        found.setdefault((name, *key), []).append(value)
 
 
 def nees_figures(found: dict, runs: int, where: str, two_sided=lambda name, *key: False) -> Iterator[Figure]:
@@ -88,29 +63,7 @@ def nees_figures(found: dict, runs: int, where: str, two_sided=lambda name, *key
     for (name, *key), values in found.items():
         least, most = band(min(len(values), runs), DEGREES_OF_FREEDOM[name])
         least = least if two_sided(name, *key) else -np.inf
-        yield Figure(
-            name=f"NEES of {name}, {where.format(*key)}",
-            measured=float(np.mean(values)),
-            min_value=least,
-            max_value=most,
-        )
-
-
-def errors_at(motion, line) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Errors of a line and their covariances."""
-    time_s = line.stamp_s - START_S
-    ring, basis = motion.at(time_s), tilt_basis(line.pose.normal)
-    away = line.grasp.point_m - ring.center_m
-    axial = float(away @ ring.normal)
-    radial = away - axial * ring.normal
-    across = np.stack([radial / np.linalg.norm(radial), ring.normal])
-    grasp = np.array([np.linalg.norm(radial) - ring.radius_m.mean(), axial])
-    return {
-        "centre": (line.pose.center_m - ring.center_m, line.pose.covariance_center_m2),
-        "normal": (basis @ (ring.normal - line.pose.normal), line.pose.covariance[:2, :2]),
-        "grasp": (grasp, across @ line.grasp.covariance[:3, :3] @ across.T),
-        "velocity": (line.velocity.center_m_s - motion.velocity_at(time_s), line.velocity.covariance[:3, :3]),
-    }
+        yield target(f"NEES of {name}, {where.format(*key)}", np.mean(values), most, least)
 
 
 def single_still_shot(rng, runs: int) -> tuple[float, float]:
@@ -138,7 +91,7 @@ def steady(rng, runs: int) -> Iterator[Figure]:
             if number not in (SHOTS_HZ, 5 * SHOTS_HZ):
                 continue
             for ahead_s in (0.0, 0.1, 0.5, 2.0):
-                at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                at = newest(tracker, ahead_s)
                 add_nees(found, motion, at, number / SHOTS_HZ, ahead_s)
                 for name, (error, _) in errors_at(motion, at).items():
                     squares.setdefault((name, number / SHOTS_HZ, ahead_s), []).append(float(error @ error))
@@ -148,9 +101,7 @@ def steady(rng, runs: int) -> Iterator[Figure]:
         ("centre", 5.0, center_m, 0.35),
     ):
         ratio = np.sqrt(np.mean(squares[name, time_s, 0.0])) / single
-        yield Figure(
-            name=f"{name} after {time_s:.0f} s, by that of a single still shot", measured=ratio, max_value=most
-        )
+        yield target(f"{name} after {time_s:.0f} s, by that of a single still shot", ratio, most)
     yield from nees_figures(found, runs, "constant velocity, {:.0f} s of track, {:g} s ahead")
 
 
@@ -162,7 +113,7 @@ def wandering(rng, runs: int) -> Iterator[Figure]:
             truth = Wandering(motion, noise, 7.5, rng)
             tracker = track_of(stream(truth, 5.0, Shots(), rng, SHOTS_HZ))
             for ahead_s in (0.1, 0.5, 2.0):
-                add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), ahead_s)
+                add_nees(found, truth, newest(tracker, ahead_s), ahead_s)
         where = f"process noise {noise[0]:g}, 5 s of track, {{:g}} s ahead"
         yield from nees_figures(found, runs, where, lambda *_: True)
 
@@ -190,7 +141,7 @@ def robot_poses(rng, runs: int) -> Iterator[Figure]:
         seen = SeenByRobot(truth, turn_rad, shift_m, delay_sd_s * rng.normal())
         tracker = track_of(stream(seen, 3.0, Shots(), rng, SHOTS_HZ), camera=known)
         for ahead_s in (0.0, 0.5):
-            add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), ahead_s)
+            add_nees(found, truth, newest(tracker, ahead_s), ahead_s)
     # constant velocity: the models' process noise widens the covariance of velocities and predictions
     where = "mount and clock drawn, 3 s of track, {:g} s ahead"
     yield from nees_figures(found, runs, where, lambda name, ahead_s: name != "velocity" and not ahead_s)
@@ -198,7 +149,7 @@ def robot_poses(rng, runs: int) -> Iterator[Figure]:
 
 def precession(rng, runs: int) -> Iterator[Figure]:
     """5 degrees a second with a half-cone of 20 degrees about a centre of mass 1 m behind the ring, 10 s of track."""
-    options = TrackOptions(motion=MotionPrior(speed_sd_m_s=0.05, rate_sd_rad_s=np.deg2rad(2.5)))
+    prior = TrackOptions(motion=MotionPrior(speed_sd_m_s=0.05, rate_sd_rad_s=np.deg2rad(2.5)))
     errors, chosen = [], []
     for _ in range(runs):
         first = drawn_motion(rng, 0.5, speed_m_s=0.005, rate_deg_s=0.0)
@@ -206,7 +157,7 @@ def precession(rng, runs: int) -> Iterator[Figure]:
         momentum = cv2.Rodrigues(turn * axis / np.linalg.norm(axis))[0] @ first.ring.normal
         body = replace(first, rate_rad_s=rng.choice([-1, 1]) * np.deg2rad(5.0) * momentum, lever_m=1.0)
         motion = _Shifted(body, 6.0)  # the drawn pose is in the middle of the track
-        tracker = track_of(stream(motion, 10.0, Shots(), rng, SHOTS_HZ), options)
+        tracker = track_of(stream(motion, 10.0, Shots(), rng, SHOTS_HZ), prior)
         stamp_s = tracker.track.stamp_s + 2.0
         ring, bank = motion.at(stamp_s - START_S), tracker.track.likeliest
         states = predicted(bank, stamp_s).states
@@ -219,15 +170,8 @@ def precession(rng, runs: int) -> Iterator[Figure]:
     kinds = bank.models.precession
     for name, row in zip(("centre", "normal"), mean, strict=True):
         ratio = row[kinds].min() / row[~kinds].min()
-        yield Figure(
-            name=f"2 s prediction of {name}: best precession by best constant velocity", measured=ratio, max_value=0.5
-        )
-    yield Figure(
-        name="share of tracks whose evidence prefers precession",
-        measured=float(np.mean(chosen)),
-        min_value=0.9,
-        max_value=1,
-    )
+        yield target(f"2 s prediction of {name}: best precession by best constant velocity", ratio, 0.5)
+    yield target("share of tracks whose evidence prefers precession", float(np.mean(chosen)), 1, 0.9)
 
 
 @dataclass(frozen=True)
@@ -250,7 +194,7 @@ def relays(rng, runs: int) -> Iterator[Figure]:
         for kind, truth in (("constant velocity", motion), ("wandering", Wandering(motion, noise, 7.5, rng))):
             tracker = track_of(stream(truth, 5.0, Shots(frame_s=0.1), rng, 2.0))
             for ahead_s in (0.0, 0.5, 2.0):
-                add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), kind, ahead_s)
+                add_nees(found, truth, newest(tracker, ahead_s), kind, ahead_s)
     where = "10 frames/s, {}, 5 s of track, {:g} s ahead"
     yield from nees_figures(found, runs, where, lambda name, kind, ahead_s: kind == "wandering")
 
@@ -268,15 +212,12 @@ def tumbling(rng, runs: int) -> Iterator[Figure]:
                 records += 1
                 rejected += tracker.add(line).fusion_status is FusionStatus.REJECTED_GATE
                 for ahead_s in (0.0, 0.5) if number in (2, 6, 17) else ():
-                    add_nees(found, truth, tracker.line_at(tracker.track.stamp_s + ahead_s), ahead_s)
+                    add_nees(found, truth, newest(tracker, ahead_s), ahead_s)
         where = f"{rate_deg_s:g} deg/s, 30 degrees of nutation"
         count, beyond, limit = wrong_quantities(found)
-        yield Figure(name=f"quantities beyond 5 sigma of {count}, {where}", measured=beyond, max_value=limit)
-        yield Figure(name=f"share of shots rejected, {where}", measured=rejected / records, max_value=0.01)
+        yield target(f"quantities beyond 5 sigma of {count}, {where}", beyond, limit)
+        yield target(f"share of shots rejected, {where}", rejected / records, 0.01)
         yield from nees_figures(found, runs, where + ", {:g} s ahead")
-
-
-WRONG_SIGMAS = 5.0
 
 
 def wrong_quantities(found: dict) -> tuple[int, int, float]:
@@ -324,10 +265,8 @@ def pushed(rng, runs: int) -> Iterator[Figure]:
                         add_nees(found, truth, at, ahead_s)
         where = f"pushed by {1e3 * change_m_s:g} mm/s and {change_deg_s:g} deg/s"
         count, beyond, limit = wrong_quantities(found)
-        yield Figure(
-            name=f"quantities beyond 5 sigma without flag of {count}, {where}", measured=beyond, max_value=limit
-        )
-        yield Figure(name=f"later shots with the flag in a run, {where}", measured=flagged / runs, max_value=0.5)
+        yield target(f"quantities beyond 5 sigma without flag of {count}, {where}", beyond, limit)
+        yield target(f"later shots with the flag in a run, {where}", flagged / runs, 0.5)
         yield from nees_figures(found, runs, where + ", {:g} s ahead")
 
 
@@ -354,13 +293,9 @@ def outliers(rng, runs: int) -> Iterator[Figure]:
                     found.append(attempt.fusion_status is FusionStatus.REJECTED_GATE)
             tracker.add(line)
     share = {sigmas: float(np.mean(found)) for sigmas, found in rejected.items()}
-    yield Figure(
-        name="share rejected of poses offset by 9 innovation sigmas", measured=share[9.0], min_value=1.0, max_value=1.0
-    )
-    yield Figure(
-        name="share rejected of poses offset by 6 innovation sigmas", measured=share[6.0], min_value=0.85, max_value=1.0
-    )
-    yield Figure(name="share rejected of undisturbed poses", measured=share[0.0], max_value=0.003)
+    yield target("share rejected of poses offset by 9 innovation sigmas", share[9.0], 1.0, 1.0)
+    yield target("share rejected of poses offset by 6 innovation sigmas", share[6.0], 1.0, 0.85)
+    yield target("share rejected of undisturbed poses", share[0.0], 0.003)
 
 
 def _displaced(line, tracker: Tracker, sigmas: float, rng):
@@ -378,13 +313,13 @@ def _displaced(line, tracker: Tracker, sigmas: float, rng):
 
 def sides(rng, runs: int) -> Iterator[Figure]:
     """Rig A in the dark at 0.5 m, tumbling at 5 degrees a second."""
-    options = TrackOptions(motion=MotionPrior(speed_sd_m_s=0.05, rate_sd_rad_s=np.deg2rad(4.0)))
+    prior = TrackOptions(motion=MotionPrior(speed_sd_m_s=0.05, rate_sd_rad_s=np.deg2rad(4.0)))
     resolved, wrong = [], 0
     for _ in range(runs):
         first = drawn_motion(rng, 0.5, speed_m_s=0.01, rate_deg_s=0.0, rig="A", side=rng.choice([-1, 1]))
         axis = rng.normal(size=2) @ tilt_basis(first.ring.normal)
         motion = replace(first, rate_rad_s=np.deg2rad(5.0) * axis / np.linalg.norm(axis))
-        tracker, known_s = Tracker(None, options), np.inf
+        tracker, known_s = Tracker(None, prior), np.inf
         for number in range(int(3 * SHOTS_HZ) + 1):
             tracker.add(record(motion, number / SHOTS_HZ, Shots(rig="A"), rng))
             track = tracker.track
@@ -395,13 +330,8 @@ def sides(rng, runs: int) -> Iterator[Figure]:
             ring = motion.at(track.stamp_s - START_S)
             wrong += bool(inward @ (ring.center_m - track.likeliest.chart.origin[0]) < 0)
         resolved.append(known_s <= 3.0)
-    yield Figure(
-        name="rig A: share of tracks whose side is known within 3 s",
-        measured=float(np.mean(resolved)),
-        min_value=0.95,
-        max_value=1,
-    )
-    yield Figure(name="rig A: wrong sides with a weight over 0.999", measured=float(wrong), max_value=0.0)
+    yield target("rig A: share of tracks whose side is known within 3 s", float(np.mean(resolved)), 1, 0.95)
+    yield target("rig A: wrong sides with a weight over 0.999", float(wrong), 0.0)
 
 
 def capture(rng, runs: int) -> Iterator[Figure]:
@@ -415,7 +345,7 @@ def capture(rng, runs: int) -> Iterator[Figure]:
     for motion in motions(rng, 30 * wanted, **drawn):
         tracker = track_of(stream(motion, rng.integers(2, 5) / SHOTS_HZ, Shots(), rng, SHOTS_HZ))
         gripper = _gripper(tracker.line_at(0.0), rng)
-        tracker._lines = LineOptions(gripper=gripper)
+        tracker.options = TrackOptions(gripper=gripper)
         found = tracker.line_at(0.0)
         ring, reported = motion.at(found.stamp_s - START_S), found.capture_probability
         tilt = float(angle_between(found.pose.normal, ring.normal))
@@ -430,11 +360,9 @@ def capture(rng, runs: int) -> Iterator[Figure]:
         inside += least <= count <= most
         beyond += not low <= count <= high
     fewest = min(min(map(len, outcomes)), wanted)
-    yield Figure(name="capture probability: outcomes in each bin", measured=fewest, min_value=wanted, max_value=wanted)
-    yield Figure(
-        name="capture probability: bins in their 99 % band, of 10", measured=float(inside), min_value=9, max_value=10
-    )
-    yield Figure(name="capture probability: bins beyond 99.99 %", measured=float(beyond), max_value=0)
+    yield target("capture probability: outcomes in each bin", fewest, wanted, wanted)
+    yield target("capture probability: bins in their 99 % band, of 10", float(inside), 10, 9)
+    yield target("capture probability: bins beyond 99.99 %", float(beyond), 0)
 
 
 def _gripper(line: TrackLine, rng) -> Gripper:
@@ -455,16 +383,11 @@ TARGETS = {each.__name__: each for each in _IN_ORDER}
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100)
+    parser = options(__doc__, runs=100)
     parser.add_argument("targets", nargs="*", choices=[[], *TARGETS], default=[])
     chosen = parser.parse_args()
-    missed = 0
-    for name in chosen.targets or TARGETS:
-        for figure in TARGETS[name](np.random.default_rng(18), chosen.runs):
-            print(figure_line(figure), flush=True)
-            missed += not figure.is_kept
-    return 3 if missed else 0
+    names = chosen.targets or TARGETS
+    return status(each for name in names for each in TARGETS[name](np.random.default_rng(18), chosen.runs))
 
 
 if __name__ == "__main__":

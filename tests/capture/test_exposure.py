@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import SERVED_RIG, SMALL_RIG
+from fake_camera import FakeCamera
+from small_rig import SERVED_RIG, write_scene
 
-from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.cameras.simulated import SimulatedLasers
 from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
 from ringpose.capture.pipeline import Procedure, captured_shots
@@ -22,8 +22,10 @@ ROWS = (30.0, 60.0, 90.0)
 STEPS = parsed_sequence("off,1,2,3,off")
 
 
-class Scene(CameraDriver):
+class Scene(FakeCamera):
     """A camera before three horizontal stripes; grey values are rates times the exposure, with noise."""
+
+    image_width, image_height = 200, 120
 
     def __init__(self, stripe_dn_s: tuple[float, ...], ambient_dn_s: float = 0.0, first_s: float = 0.01) -> None:
         y = np.arange(120.0)[:, None]
@@ -35,15 +37,6 @@ class Scene(CameraDriver):
         self._armed_s = self._first_s = first_s
         self._rng = np.random.default_rng(5)
         self._stamp_s = 0.0
-
-    def open(self) -> None:
-        """Nothing to open."""
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-    def describe(self) -> CameraDescription:
-        return CameraDescription(name="scene", image_width=200, image_height=120, saturation_dn=FULL_DN)
 
     def bounds(self, feature: str) -> tuple[float, float]:
         return 10.0, 50_000.0
@@ -140,24 +133,10 @@ def test_an_exposure_is_seconds_or_auto(words, tmp_path, monkeypatch, capsys):
     assert "--exposure" in capsys.readouterr().err
 
 
-SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [1.6, 1.6, 1.0]}
-exposure_s: 0.05
-sequence: off,all
-trajectory:
-- generate: {count: 1, distances_m: [0.5], tilt_rad: 0.05}
-"""
-
-
 @pytest.fixture
 def scene_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
-    (tmp_path / "scene.yaml").write_text(SCENE)
-    return tmp_path / "scene.yaml"
+    return write_scene(tmp_path, "exposure_s: 0.05", "sequence: off,all", count=1)
 
 
 @pytest.mark.parametrize("rig", [[], ["--rig", "rig.yaml"]])

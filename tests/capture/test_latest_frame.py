@@ -5,9 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.stripe_images import Kind, switched_frames, switched_shot
 
-from ringpose.capture.latest_frame import NewestShots
+from ringpose.capture.latest_frame import EarlyStripes, NewestShots
+from ringpose.detect.difference_images import laser_images
+from ringpose.detect.pipeline import detect
 from ringpose.errors import DeviceError
+from ringpose.files.records import line_of
+from ringpose.files.records.detections import detection_record
 from ringpose.types.image import Shot
 
 
@@ -114,3 +119,42 @@ def test_leaving_the_block_ends_the_acquisition():
 
     assert live.shot.name == "a"
     assert "shots" not in {thread.name for thread in threading.enumerate()}
+
+
+@pytest.fixture(scope="module")
+def switched():
+    image, frames = switched_frames(Kind.FOIL, 0)
+    shot = switched_shot(np.concatenate([frames[1:], frames[1:2]]))
+    return replace(shot, lasers=np.array([0, 1, 2, 4, 0], np.uint8)), image.rig
+
+
+def early_stripes(shot: Shot) -> EarlyStripes:
+    """Stripes of the frames, which arrive one after the other."""
+    early = EarlyStripes()
+    for frame in shot.frames:
+        early.add(frame, shot.saturation_dn)
+    return early
+
+
+def test_stripes_found_before_the_shot_is_complete_give_the_same_detection(switched):
+    complete, rig = switched
+    early = early_stripes(complete)
+
+    found = detect(complete, rig, searched=early.stripes_of)
+
+    assert line_of(detection_record(found)) == line_of(detection_record(detect(complete, rig)))
+
+
+def test_a_frame_that_is_nearer_to_a_later_background_is_searched_with_that_one(switched):
+    complete, _ = switched
+    early = early_stripes(complete)
+
+    assert [early.stripes_of(image) is not None for image in laser_images(complete, 3)] == [True, True, False]
+
+
+def test_a_frame_is_not_searched_for_another_shot(switched):
+    complete, _ = switched
+    early = early_stripes(complete)
+    later = replace(complete, stamp_s=complete.stamp_s + 10.0)
+
+    assert not any(early.stripes_of(image) for image in laser_images(later, 3))

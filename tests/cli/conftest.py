@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,8 +20,10 @@ import pytest
 import yaml
 from forked import Forked
 from plane_views import copy_views
+from schemas import validated
 from served_scene import small_scene
 
+from ringpose.cli.main import main
 from ringpose.types.study import TIMES
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 500.0
@@ -102,6 +104,35 @@ def _each_board_found_once() -> Iterator[None]:
         for module in (ringpose.calibrate.planes.shots, ringpose.cli.calibrate.board_views):
             patch.setattr(module, "find_board", found)
         yield
+
+
+class Run(NamedTuple):
+    """What a command line has returned and written."""
+
+    status: int
+    out: list[str]
+    """Lines on standard output."""
+    messages: list[str]
+    """Lines on standard error."""
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """The records on standard output; those with a schema fit it."""
+        records = [json.loads(line) for line in self.out]
+        return [validated(record) if "schema" in record else record for record in records]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
+    """Runs a command line in this process."""
+
+    def run(*words: Any) -> Run:
+        capsys.readouterr()
+        status = main(list(map(str, words)))
+        streams = capsys.readouterr()
+        return Run(status, streams.out.splitlines(), streams.err.splitlines())
+
+    return run
 
 
 @pytest.fixture

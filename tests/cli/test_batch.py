@@ -11,7 +11,7 @@ from study_work import reversed_name
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.main import main
-from ringpose.cli.pose_jobs import SingleShot, parallel_lines
+from ringpose.cli.pose_jobs import SingleShot, recorded_lines
 from ringpose.errors import DataError
 from ringpose.files.records import line_of
 from ringpose.files.records.detections import detection_record
@@ -141,7 +141,7 @@ def test_shots_after_a_correction_of_the_rig_are_measured_again_with_it(carried_
         measured.append(source.name)
         return replace(work(shots[1])[1], reason="with the corrected rig")
 
-    found = list(parallel_lines(list(map(str, shots)), work, 1, Batch(), lambda: rigs.pop(0), measure))
+    found = list(recorded_lines(list(map(str, shots)), work, 2, Batch(), lambda: rigs.pop(0), measure))
 
     assert [line.shot for line in found] == [shot.stem for shot in shots]
     assert measured == [shots[1].stem]

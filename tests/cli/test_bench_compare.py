@@ -105,35 +105,30 @@ def test_better_errors_are_status_0_and_another_rig_is_accepted_on_request(resul
     assert main(["bench", "compare", results["true"], "rig.jsonl", *ALL, "--allow-other-rig"]) == 0
 
 
-def test_one_quantity_that_is_grossly_wrong_is_status_3_where_none_was_wrong(results, capsys):
-    lines = [line(f"s{n}", 0.007 if n == 3 else 0.0) for n in range(SHOTS)]
+@pytest.mark.parametrize(
+    ("wrong", "without_pose", "status", "found"),
+    [
+        ((0, 1), (), 3, "newly wrong: 2: s0 center (ml); s0 grasp (ml)"),
+        ((3, 4), (), 0, "newly wrong: 2: s3 center (ml); s3 grasp (ml)"),
+        ((0, 0), (3,), 0, "newly without a pose: 1: s3 (ml)"),
+    ],
+    ids=["grossly wrong where none was wrong", "one more wrong among wrong ones", "without a pose"],
+)
+def test_quantities_and_poses_that_are_newly_wrong_or_missing_are_named(
+    results, capsys, wrong, without_pose, status, found
+):
+    before, after = (
+        [line(f"s{n}", 0.007 if n < count else 0.0) for n in range(SHOTS)] for count in wrong
+    )  # the first shots are wrong
+    after = [each if n not in without_pose else replace(each, pose=None, reason="x") for n, each in enumerate(after)]
+    files = write_lines("before.jsonl", before), write_lines("after.jsonl", after)
 
-    status = main(["bench", "compare", results["true"], write_lines("off.jsonl", lines), *ALL, "--json", "c.json"])
+    assert main(["bench", "compare", *files, *ALL, "--json", "c.json"]) == status
 
     streams = capsys.readouterr()
-    assert status == 3
-    assert f"none wrong -> 2 of {5 * SHOTS} quantities wrong (ml)" in streams.err
-    assert "newly wrong: 2: s3 center (ml); s3 grasp (ml)" in streams.out
-    assert json.loads(Path("c.json").read_text())["no_longer_correct"] == ["ml"]
-
-
-def test_one_more_wrong_quantity_among_wrong_ones_cannot_tell(results, capsys):
-    before, after = (
-        write_lines(f"{wrong}.jsonl", [line(f"s{n}", 0.007 if n < wrong else 0.0) for n in range(SHOTS)])
-        for wrong in (3, 4)
-    )
-
-    assert main(["bench", "compare", before, after, *ALL]) == 0
-    assert "newly wrong: 2: s3 center" in capsys.readouterr().out
-
-
-def test_shots_that_lose_their_pose_are_named(results, capsys):
-    lines = [line(f"s{n}") if n != 3 else PoseLine(shot="s3", stamp_s=0.0, pose=None, reason="x") for n in range(SHOTS)]
-
-    status = main(["bench", "compare", results["true"], write_lines("none.jsonl", lines), *ALL])
-
-    assert status == 0
-    assert "newly without a pose: 1: s3 (ml)" in capsys.readouterr().out
+    assert found in streams.out
+    assert (f"none wrong -> 2 of {5 * SHOTS} quantities wrong (ml)" in streams.err) == (status == 3)
+    assert json.loads(Path("c.json").read_text())["no_longer_correct"] == (["ml"] if status else [])
 
 
 def test_tables_and_compressed_records_give_the_same_rows_as_records(results, capsys):

@@ -37,16 +37,6 @@ def test_each_time_has_a_ratio_to_its_reference(capsys):
         assert row["time_s"] == pytest.approx(row["ratio"] * times[row["reference"]]["time_s"], rel=1e-9)
 
 
-def test_help_lists_the_options_and_imports_nothing_heavy(started):
-    heavy = "{'numpy', 'cv2', 'scipy', 'yaml', 'rich', 'jaxtyping'}"
-    after = f"import atexit, sys\natexit.register(lambda: print(*sys.modules.keys() & {heavy}, file=sys.stderr))"
-    with started("bench", "speed", "--help", before=after) as process:
-        printed, imported = process.communicate(timeout=600)
-
-    assert (process.returncode, imported.split()) == (0, [])
-    assert "Usage: ringpose bench speed " in printed
-
-
 def test_a_folder_of_that_name_can_still_be_given(capsys):
     Path("speed").mkdir()
 

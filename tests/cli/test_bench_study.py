@@ -226,7 +226,7 @@ def test_bad_usage_is_reported(folder, capsys, words, status, named):
 def test_the_presets_are_valid(name):
     read = read_study(study_path(name))
 
-    assert read.study.shots >= 150
+    assert read.shots >= 150
     assert read_study(study_path(name), count=2).sha256 != read.sha256
 
 

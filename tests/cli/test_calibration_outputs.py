@@ -47,14 +47,6 @@ def test_an_output_that_is_an_input_is_rejected(folder, capsys, words, output, k
     assert Path(kept).read_bytes() == before
 
 
-def test_an_output_with_an_invalid_name_cannot_be_created(folder, capsys):
-    name = 300 * "a"
-
-    status = main([*CAMERA, "--output", name])
-
-    assert (status, capsys.readouterr().err.count("\n")) == (73, 1)
-
-
 def test_an_input_without_permission_cannot_be_opened(folder, capsys, monkeypatch):
     def refuse(file: Path) -> bytes:
         raise PermissionError(f"{file}")

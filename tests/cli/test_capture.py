@@ -8,7 +8,6 @@ import pytest
 import yaml
 from recorded_shots import recorded
 
-from ringpose.cli.main import main
 from ringpose.files.images.codecs import write_image
 from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import read_shot
@@ -20,126 +19,116 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture
+def capture(run):
+    """Runs `ringpose capture` into the session `s`."""
+    return lambda *words, camera="files:in", output="s": run("capture", "--camera", camera, "--output", output, *words)
+
+
 @pytest.mark.parametrize("options", [["--still"], []])
-def test_a_target_that_is_held_still_is_stated_in_the_shot(options):
+def test_a_target_that_is_held_still_is_stated_in_the_shot(capture, options):
     recorded(Path("in"), "a")
 
-    main(["capture", "--camera", "files:in", "--output", "s", *options])
+    capture(*options)
 
     assert read_shot(Path("s/a.npz")).still == bool(options)
 
 
-def test_recorded_shots_keep_their_names_masks_and_stamps(capsys):
+def test_recorded_shots_keep_their_names_masks_and_stamps(capture):
     for name in ("b", "a"):
         recorded(Path("in"), name)
 
-    status = main(["capture", "--camera", "files:in", "--output", "s"])
+    status, out, _ = capture()
 
-    assert status == 0
-    assert capsys.readouterr().out.splitlines() == ["s/a.npz", "s/b.npz"]
+    assert (status, out) == (0, ["s/a.npz", "s/b.npz"])
     shot = read_shot(Path("s/a.npz"))
     assert shot.lasers.tolist() == [0, 1, 2, 4, 7]
     assert shot.stamp_s.tolist() == [100.0, 101.0, 102.0, 103.0, 104.0]
 
 
-def test_a_sequence_chooses_frames(capsys):
+def test_a_sequence_chooses_frames(capture):
     recorded(Path("in"), "a")
 
-    status = main(["capture", "--camera", "files:in", "--sequence", "all,off,2", "--output", "s"])
+    assert capture("--sequence", "all,off,2").status == 0
 
-    assert status == 0
     shot = read_shot(Path("s/a.npz"))
     assert shot.lasers.tolist() == [7, 0, 2]
     assert shot.images[:, 0, 0].tolist() == [4, 0, 2]
 
 
-def test_a_shot_without_the_frame_is_named_and_the_rest_goes_on(capsys):
+def test_a_shot_without_the_frame_is_named_and_the_rest_goes_on(capture):
     recorded(Path("in"), "a", (0, 7))
     recorded(Path("in"), "b", (0, 1, 7))
 
-    status = main(["capture", "--camera", "files:in", "--sequence", "1", "--output", "s"])
+    status, out, messages = capture("--sequence", "1")
 
-    streams = capsys.readouterr()
-    assert status == 65
-    assert streams.out == "s/b.npz\n"
-    assert streams.err.splitlines() == ["ringpose: a: no frame with lasers 1; its frames: off,1+2+3"]
+    assert (status, out) == (65, ["s/b.npz"])
+    assert messages == ["ringpose: a: no frame with lasers 1; its frames: off,1+2+3"]
 
 
-def test_a_damaged_shot_is_named_and_the_rest_goes_on(capsys):
+def test_a_damaged_shot_is_named_and_the_rest_goes_on(capture):
     whole = recorded(Path("in"), "b").read_bytes()
     Path("in/a.npz").write_bytes(whole[: len(whole) // 2])
 
-    status = main(["capture", "--camera", "files:in", "--output", "s"])
+    status, out, (message,) = capture()
 
-    streams = capsys.readouterr()
-    assert status == 65
-    assert streams.out == "s/b.npz\n"
-    assert len(streams.err.splitlines()) == 1
-    assert "in/a.npz" in streams.err
+    assert (status, out) == (65, ["s/b.npz"])
+    assert "in/a.npz" in message
     assert read_session(Path("s")).shots == ("b",)
 
 
-def test_a_pattern_chooses_files(capsys):
+@pytest.mark.parametrize(
+    ("camera", "words", "chosen"),
+    [
+        ("files:in/*_dim.npz", [], ["a_dim", "b_dim"]),
+        ("files:-", [], ["b_dim", "a_dim"]),
+        ("files:in", ["--count", 2], ["a_dim", "a_sun"]),
+    ],
+)
+def test_shots_are_chosen_by_a_pattern_by_names_on_standard_input_or_a_count(
+    capture, monkeypatch, camera, words, chosen
+):
     for name in ("a_dim", "a_sun", "b_dim"):
         recorded(Path("in"), name)
+    monkeypatch.setattr("sys.stdin", io.StringIO("in/b_dim.npz\nin/a_dim.npz\n"))
 
-    main(["capture", "--camera", "files:in/*_dim.npz", "--output", "s"])
+    status, out, _ = capture(*words, camera=camera)
 
-    assert capsys.readouterr().out.splitlines() == ["s/a_dim.npz", "s/b_dim.npz"]
-
-
-def test_names_may_come_on_standard_input(capsys, monkeypatch):
-    recorded(Path("in"), "a")
-    recorded(Path("in"), "b")
-    monkeypatch.setattr("sys.stdin", io.StringIO("in/b.npz\nin/a.npz\n"))
-
-    main(["capture", "--camera", "files:-", "--output", "s"])
-
-    assert capsys.readouterr().out.splitlines() == ["s/b.npz", "s/a.npz"]
+    assert (status, out) == (0, [f"s/{name}.npz" for name in chosen])
 
 
-def test_images_are_shots_of_one_frame_with_all_lasers_on():
+def test_images_are_shots_of_one_frame_with_all_lasers_on(capture):
     Path("in").mkdir()
     write_image(Path("in/x.png"), np.full((4, 6), 9, np.uint8))
 
-    status = main(["capture", "--camera", "files:in", "--output", "s"])
+    assert capture().status == 0
 
     shot = read_shot(Path("s/x.npz"))
-    assert status == 0
     assert (shot.lasers.tolist(), shot.images[0, 0, 0]) == ([ALL_LASERS], 9)
 
 
-def test_consecutive_images_make_shots_and_the_odd_one_is_named(capsys):
+def test_consecutive_images_make_shots_and_the_odd_one_is_named(capture):
     Path("in").mkdir()
     for number in range(5):
         write_image(Path(f"in/{number}.png"), np.full((4, 6), number, np.uint8))
 
-    status = main(["capture", "--camera", "files:in", "--sequence", "off,all", "--output", "s"])
+    status, out, messages = capture("--sequence", "off,all")
 
-    streams = capsys.readouterr()
-    assert status == 65
-    assert streams.out.splitlines() == ["s/0.npz", "s/2.npz"]
-    assert streams.err == "ringpose: 4: 1 of 2 images for a last shot; check --sequence\n"
-
-
-def test_count_ends_a_recording_early(capsys):
-    for name in "abc":
-        recorded(Path("in"), name)
-
-    status = main(["capture", "--camera", "files:in", "--count", "2", "--output", "s"])
-
-    assert status == 0
-    assert capsys.readouterr().out.splitlines() == ["s/a.npz", "s/b.npz"]
+    assert (status, out) == (65, ["s/0.npz", "s/2.npz"])
+    assert messages == ["ringpose: 4: 1 of 2 images for a last shot; check --sequence"]
+    shot = read_shot(Path("s/2.npz"))
+    assert shot.lasers.tolist() == [0, ALL_LASERS]
+    assert shot.images[:, 0, 0].tolist() == [2, 3]
 
 
-def test_the_session_file_says_what_was_done():
+def test_the_session_file_states_what_was_done(capture):
     recorded(Path("in"), "a")
 
-    main(["capture", "--camera", "files:in", "--sequence", "off,all", "--rate", "50", "--output", "s"])
+    capture("--sequence", "off,all", "--rate", "50")
 
-    (capture,) = yaml.safe_load(Path("s/session.yaml").read_text())["captures"]
-    provenance = capture.pop("provenance")
-    assert capture == {
+    (session,) = yaml.safe_load(Path("s/session.yaml").read_text())["captures"]
+    provenance = session.pop("provenance")
+    assert session == {
         "camera": "files:in",
         "lasers": "none:",
         "sequence": "off,all",
@@ -150,13 +139,13 @@ def test_the_session_file_says_what_was_done():
     assert list(provenance["inputs"]) == ["in/a.npz"]
 
 
-def test_without_an_output_the_folder_is_named_by_the_time(capsys):
+def test_without_an_output_the_folder_is_named_by_the_time(run):
     recorded(Path("in"), "a")
 
-    main(["capture", "--camera", "files:in"])
+    _, out, _ = run("capture", "--camera", "files:in")
 
     (session,) = Path().glob("session-*Z")
-    assert capsys.readouterr().out == f"{session}/a.npz\n"
+    assert out == [f"{session}/a.npz"]
 
 
 @pytest.mark.parametrize(
@@ -185,94 +174,77 @@ def test_without_an_output_the_folder_is_named_by_the_time(capsys):
         ([], 2, "--camera"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_captured_leaves_nothing_behind(capsys, words, status, complaint):
+def test_what_cannot_be_captured_leaves_nothing_behind(run, words, status, complaint):
     recorded(Path("in"), "a")
     Path("empty").mkdir()
 
-    ended = main(["capture", *words, "--output", "s"])
+    ended, out, (message,) = run("capture", *words, "--output", "s")
 
-    streams = capsys.readouterr()
-    assert (ended, streams.out) == (status, "")
-    assert len(streams.err.splitlines()) == 1
-    assert complaint in streams.err
+    assert (ended, out) == (status, [])
+    assert complaint in message
     assert not Path("s").exists()
 
 
-def test_a_session_is_not_overwritten_unasked(capsys):
+def test_a_session_is_not_overwritten_unasked(capture):
     recorded(Path("in"), "a")
-    main(["capture", "--camera", "files:in", "--output", "s"])
+    capture()
     before = Path("s/session.yaml").read_text()
 
-    status = main(["capture", "--camera", "files:in", "--output", "s"])
+    status, _, (message,) = capture()
 
     assert status == 73
-    assert "add --append to go on with it, or --force" in capsys.readouterr().err
+    assert "add --append to go on with it, or --force" in message
     assert Path("s/session.yaml").read_text() == before
 
 
-def test_force_replaces_a_session_and_append_goes_on_with_it():
-    recorded(Path("one"), "a")
-    recorded(Path("two"), "b")
-    recorded(Path("three"), "c")
-    main(["capture", "--camera", "files:one", "--output", "s"])
+def test_force_replaces_a_session_and_append_goes_on_with_it(capture):
+    for name in "abc":
+        recorded(Path(name), name)
+    capture(camera="files:a")
 
-    replaced = main(["capture", "--camera", "files:two", "--output", "s", "--force"])
-    appended = main(["capture", "--camera", "files:three", "--output", "s", "--append"])
+    replaced = capture("--force", camera="files:b")
+    appended = capture("--append", camera="files:c")
 
-    assert (replaced, appended) == (0, 0)
+    assert (replaced.status, appended.status) == (0, 0)
     assert sorted(path.name for path in Path("s").iterdir()) == ["b.npz", "c.npz", "session.yaml"]
     assert read_session(Path("s")).shots == ("b", "c")
 
 
 @pytest.mark.parametrize("camera", ["files:s", "files:s/*.npz", "files:*/*.npz", "files:-"])
 @pytest.mark.parametrize("existing", ["--force", "--append"])
-def test_a_session_is_not_captured_from_itself(capsys, monkeypatch, camera, existing):
+def test_a_session_is_not_captured_from_itself(capture, monkeypatch, camera, existing):
     recorded(Path("in"), "a")
-    main(["capture", "--camera", "files:in", "--output", "s"])
+    capture()
     before = {path: path.read_bytes() for path in Path("s").iterdir()}
     monkeypatch.setattr("sys.stdin", io.StringIO("s/a.npz\n"))
 
-    status = main(["capture", "--camera", camera, "--output", "../" + Path.cwd().name + "/s", existing])
+    status, _, messages = capture(existing, camera=camera, output=f"../{Path.cwd().name}/s")
 
     assert status == 2
-    assert "is where the shots are read from" in capsys.readouterr().err
+    assert "is where the shots are read from" in messages[0]
     assert {path: path.read_bytes() for path in Path("s").iterdir()} == before
 
 
-def test_a_session_is_no_stream(capsys):
-    recorded(Path("in"), "a")
-
-    status = main(["capture", "--camera", "files:in", "--output", "-"])
-
-    assert (status, capsys.readouterr().err.count("\n")) == (2, 1)
-    assert not Path("-").exists()
-
-
-def test_an_output_whose_name_no_folder_can_have_is_one_line(capsys):
-    recorded(Path("in"), "a")
-
-    status = main(["capture", "--camera", "files:in", "--output", 300 * "a"])
-
-    assert (status, capsys.readouterr().err.count("\n")) == (73, 1)
-
-
-def test_an_output_that_cannot_be_made_is_one_line(capsys):
+@pytest.mark.parametrize(
+    ("output", "status", "word"), [("-", 2, "--output"), (300 * "a", 73, "too long"), ("file/s", 73, "file/s")]
+)
+def test_an_output_that_cannot_be_a_folder_is_one_line(capture, output, status, word):
     recorded(Path("in"), "a")
     Path("file").write_text("")
 
-    status = main(["capture", "--camera", "files:in", "--output", "file/s"])
+    ended, _, (message,) = capture(output=output)
 
-    assert status == 73
-    assert "file/s" in capsys.readouterr().err
+    assert ended == status
+    assert word in message
+    assert not Path("-").exists()
 
 
-def test_a_shot_whose_name_is_no_line_is_kept_and_named_on_standard_error(capsys):
+def test_a_shot_whose_name_has_a_line_break_is_kept_and_named_on_standard_error(capture):
     for name in ("a\nb", "c"):
         recorded(Path("in"), name)
 
-    status = main(["capture", "--camera", "files:in", "--output", "s"])
+    status, out, messages = capture()
 
-    streams = capsys.readouterr()
-    assert (status, streams.out) == (65, "s/c.npz\n")
-    assert "line break; rename it" in streams.err
+    assert (status, out) == (65, ["s/c.npz"])
+    assert "line break; rename it" in "".join(messages)
     assert read_session(Path("s")).shots == ("a\nb", "c")

@@ -4,67 +4,61 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import SMALL_RIG
+from small_rig import write_scene
 
-from ringpose.cli.main import main
 from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import read_shot
 
-SMALL_SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [1.6, 1.6, 1.0]}
-stripe_dn: 200
-sequence: off,all
-trajectory:
-- generate: {count: 3, distances_m: [0.5], tilt_rad: 0.05}
-"""
+FIRST = Path("s/z0500_p00_dim.npz")
 
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
+    """Writes a small scene with these lines, and enters its folder."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
-    (tmp_path / "scene.yaml").write_text(SMALL_SCENE)
-    return tmp_path / "scene.yaml"
+    return lambda *lines: write_scene(tmp_path, "stripe_dn: 200", *lines)
 
 
-def test_a_scene_is_captured_under_the_names_of_its_views(scene, capsys):
-    status = main(["capture", "--camera", f"sim:{scene}", "--count", "2", "--output", "s"])
+@pytest.fixture
+def capture(run, scene):
+    """Runs `ringpose capture` of the scene into the session `s`."""
+    file = scene("sequence: off,all")
+    return lambda *words: run("capture", "--camera", f"sim:{file}", "--output", "s", *words)
 
-    names = [Path(line).stem for line in capsys.readouterr().out.splitlines()]
-    assert status == 0
-    assert names == ["z0500_p00_dim", "z0500_p01_dim"]
-    shot = read_shot(Path("s") / f"{names[0]}.npz")
+
+def test_a_scene_is_captured_under_the_names_of_its_views(capture):
+    status, out, _ = capture("--count", 2)
+
+    assert (status, out) == (0, [str(FIRST), "s/z0500_p01_dim.npz"])
+    shot = read_shot(FIRST)
     assert shot.lasers.tolist() == [0, 7]
     assert shot.read_lasers is not None
     assert shot.read_lasers.tolist() == [0, 7]
     assert shot.images[0].max() < 50 < shot.images[1].max()
 
 
-def test_a_simulated_shot_lights_one_laser_after_the_other(scene):
-    main(["capture", "--camera", f"sim:{scene}", "--sequence", "1,2,3", "--count", "1", "--output", "s"])
+def test_a_simulated_shot_lights_one_laser_after_the_other(capture):
+    capture("--sequence", "1,2,3", "--count", 1)
 
-    shot = read_shot(Path("s/z0500_p00_dim.npz"))
+    shot = read_shot(FIRST)
     rows = [int(np.argmax((image > 60).sum(axis=1))) for image in shot.images]
     assert shot.lasers.tolist() == [1, 2, 4]
     assert len(set(rows)) == 3
 
 
-def test_the_exposure_that_is_asked_for_is_taken(scene):
-    main(["capture", "--camera", f"sim:{scene}", "--exposure", "0.002", "--count", "1", "--output", "s"])
+def test_the_exposure_that_is_asked_for_is_taken(capture):
+    capture("--exposure", 0.002, "--count", 1)
 
-    assert read_shot(Path("s/z0500_p00_dim.npz")).exposure_s.tolist() == [0.002, 0.002]
+    assert read_shot(FIRST).exposure_s.tolist() == [0.002, 0.002]
 
 
-def test_the_session_of_a_scene_names_camera_lasers_and_sequence(scene):
-    main(["capture", "--camera", f"sim:{scene}", "--count", "1", "--output", "s"])
+def test_the_session_of_a_scene_names_camera_lasers_and_sequence(capture, tmp_path):
+    capture("--count", 1)
 
-    (capture,) = read_session(Path("s")).captures
-    assert (capture.camera_name, capture.laser_count, capture.lasers) == ("small", 3, "sim:")
-    assert capture.sequence == "off,all"
-    assert list(capture.provenance["inputs"]) == [str(scene)]
+    (session,) = read_session(Path("s")).captures
+    assert (session.camera_name, session.laser_count, session.lasers) == ("small", 3, "sim:")
+    assert session.sequence == "off,all"
+    assert list(session.provenance["inputs"]) == [str(tmp_path / "scene.yaml")]
 
 
 @pytest.mark.parametrize(
@@ -74,52 +68,49 @@ def test_the_session_of_a_scene_names_camera_lasers_and_sequence(scene):
         (["--lasers", "none:", "--sequence", "off,all"], 'nothing switches the lasers for step "off"'),
     ],
 )
-def test_lasers_that_cannot_do_a_step_are_wrong_usage(scene, capsys, words, complaint):
-    status = main(["capture", "--camera", f"sim:{scene}", *words, "--output", "s"])
+def test_lasers_that_cannot_do_a_step_are_wrong_usage(capture, words, complaint):
+    status, _, messages = capture(*words)
 
     assert status == 2
-    assert complaint in capsys.readouterr().err
+    assert complaint in messages[0]
     assert not Path("s").exists()
 
 
-def test_lasers_that_nothing_switches_are_on(scene):
-    status = main(["capture", "--camera", f"sim:{scene}", "--lasers", "none:", "--count", "1", "--output", "s"])
+def test_lasers_that_nothing_switches_are_on(capture):
+    assert capture("--lasers", "none:", "--count", 1).status == 0
 
-    shot = read_shot(Path("s/z0500_p00_dim.npz"))
-    assert status == 0
+    shot = read_shot(FIRST)
     assert shot.lasers.tolist() == [7]
     assert shot.images.max() > 100
 
 
-BLINKING_SCENE = SMALL_SCENE.replace("off,all", "off,1,2,3,off").replace(
-    "trajectory", "sensor: {pixel_m: 18.0e-6}\nlights: {dim: {beacon: {ambient_w_m2: 8.0, ON_AND_OFF}}}\ntrajectory"
-)
+def blinking(times: str) -> tuple[str, ...]:
+    """Lines of a scene that is lit by a beacon."""
+    beacon = f"beacon: {{ambient_w_m2: 8.0, {times}}}"
+    return "sequence: off,1,2,3,off", "sensor: {pixel_m: 18.0e-6}", f"lights: {{dim: {{{beacon}}}}}"
 
 
-def test_shots_that_a_beacon_spoils_are_taken_again_and_counted(scene, capsys):
+def test_shots_that_a_beacon_spoils_are_taken_again_and_counted(capture, scene):
     """The beacon changes 5 ms after the beginning of each shot, of which one lasts for 12 ms."""
-    scene.write_text(BLINKING_SCENE.replace("ON_AND_OFF", "on_s: 0.05, off_s: 0.05, phase_s: 1767225600.005"))
+    scene(*blinking("on_s: 0.05, off_s: 0.05, phase_s: 1767225600.005"))
 
-    status = main(["capture", "--camera", f"sim:{scene}", "--output", "s", "--exposure", "0.0005"])
+    status, out, (message,) = capture("--exposure", 0.0005)
 
-    names, said = capsys.readouterr()
-    shots = [read_shot(Path(name)) for name in names.splitlines()]
+    shots = [read_shot(Path(name)) for name in out]
     assert status == 0
     assert [shot.name for shot in shots] == ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"]
-    assert "ambient light: 3 shots were lost" in said
-    assert "settle" not in said
+    assert "ambient light: 3 shots were lost" in message
+    assert "settle" not in message
     for shot in shots:
         assert len(shot.meta["attempts_lost"]["ambient_changed"]) == 1
         assert abs(float(shot.images[0].mean()) - float(shot.images[-1].mean())) < 0.5
 
 
-def test_light_that_changes_in_every_shot_ends_the_capture_with_one_line(scene, capsys):
-    scene.write_text(BLINKING_SCENE.replace("ON_AND_OFF", "on_s: 0.006, off_s: 0.006"))
+def test_light_that_changes_in_every_shot_ends_the_capture_with_one_line(capture, scene):
+    scene(*blinking("on_s: 0.006, off_s: 0.006"))
 
-    status = main(["capture", "--camera", f"sim:{scene}", "--output", "s", "--exposure", "0.0005"])
+    status, out, (message,) = capture("--exposure", 0.0005)
 
-    names, said = capsys.readouterr()
-    assert (status, names) == (69, "")
-    assert said.count("\n") == 1
-    assert "ambient light: changed within each of 10 shots" in said
-    assert "settle" not in said
+    assert (status, out) == (69, [])
+    assert "ambient light: changed within each of 10 shots" in message
+    assert "settle" not in message

@@ -17,6 +17,7 @@ from ringpose.cli.main import main
 from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import read_shot
 from ringpose.simulate.serve import genicam as features
+from ringpose.types.image import Shot
 from ringpose.wire import gige_registers as bootstrap
 
 pytestmark = pytest.mark.usefixtures("_aravis")
@@ -24,8 +25,16 @@ pytestmark = pytest.mark.usefixtures("_aravis")
 COMMAND = "import sys; from ringpose.cli.main import run; run()"
 
 
-def capture(uris: dict[str, str], *options: str) -> int:
-    return main(["capture", "--camera", uris["camera"], "--lasers", uris["lasers"], "--output", "s", *options])
+@pytest.fixture
+def capture(run):
+    """Runs `ringpose capture` with served devices into the session `s`."""
+    return lambda uris, *words: run(
+        "capture", "--camera", uris["camera"], "--lasers", uris["lasers"], "--output", "s", *words
+    )
+
+
+def shots() -> list[Shot]:
+    return [read_shot(path) for path in sorted(Path("s").glob("*.npz"))]
 
 
 def notes_of_log() -> list[dict]:
@@ -39,25 +48,23 @@ def truly_lit(shot) -> list[list[float]]:
     return [notes[number]["laser_shares"] for number in shot.frame_id.tolist()]
 
 
-def wrong_labels(folder: str = "s") -> list[str]:
+def wrong_labels() -> list[str]:
     """Shots whose masks, commanded or seen, are not what truly shone."""
     wrong = []
-    for path in sorted(Path(folder).glob("*.npz")):
-        shot = read_shot(path)
+    for shot in shots():
         truth = [sum(1 << k for k, share in enumerate(shares) if share > 0.99) for shares in truly_lit(shot)]
         dark = [sum(0.0 < share < 0.99 for share in shares) for shares in truly_lit(shot)]
         if shot.lasers.tolist() != truth or shot.seen_lasers.tolist() != truth or any(dark):
-            wrong.append(path.stem)
+            wrong.append(shot.name)
     return wrong
 
 
-def test_what_went_wrong_on_the_way_is_kept_with_the_shot(serve):
+def test_what_went_wrong_on_the_way_is_kept_with_the_shot(serve, capture):
     uris = serve("--fault", "loss=0.01", "--fault", "no-resend")
 
-    status = capture(uris, "--sequence", "off,1", "--count", "8")
+    status = capture(uris, "--sequence", "off,1", "--count", "8").status
 
-    shots = [read_shot(path) for path in sorted(Path("s").glob("*.npz"))]
-    attempts = [shot.meta.get("attempts", [1, 1]) for shot in shots]
+    attempts = [shot.meta.get("attempts", [1, 1]) for shot in shots()]
     assert status == 0
     assert max(map(max, attempts)) > 1
     assert read_session(Path("s")).captures[0].camera_name.startswith("ringpose-Stand-in-RP")
@@ -66,20 +73,20 @@ def test_what_went_wrong_on_the_way_is_kept_with_the_shot(serve):
 @pytest.mark.parametrize(
     "relay", ["none", "lcus", *(pytest.param(relay, marks=pytest.mark.slow) for relay in ("numato", "modbus", "ascii"))]
 )
-def test_every_kind_of_laser_switch_gives_frames_with_true_labels(serve, relay):
+def test_every_kind_of_laser_switch_gives_frames_with_true_labels(serve, capture, relay):
     uris = serve("--relay", relay)
 
-    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3").status
 
     assert status == 0
     assert len(list(Path("s").glob("*.npz"))) == 3
     assert wrong_labels() == []
 
 
-def test_exposures_differ_from_step_to_step(serve):
+def test_exposures_differ_from_step_to_step(serve, capture):
     uris = serve()
 
-    status = capture(uris, "--exposure", "0.004", "--sequence", "off,1,2", "--count", "1")
+    status = capture(uris, "--exposure", "0.004", "--sequence", "off,1,2", "--count", "1").status
 
     (path,) = Path("s").glob("*.npz")
     assert status == 0
@@ -87,92 +94,91 @@ def test_exposures_differ_from_step_to_step(serve):
 
 
 @pytest.mark.slow
-def test_a_dead_camera_ends_the_capture_with_its_finished_shots(serve, capsys):
+def test_a_dead_camera_ends_the_capture_with_its_finished_shots(serve, capture):
     uris = serve("--relay", "lcus", "--fault", "dead-camera=7")
     uris["camera"] += "?timeout=2"
 
-    status = capture(uris, "--sequence", "off,1,2", "--count", "5")
+    status, out, messages = capture(uris, "--sequence", "off,1,2", "--count", "5")
 
-    streams = capsys.readouterr()
-    assert status == 69
-    assert "check its cable" in streams.err
-    assert len(streams.out.splitlines()) == 2
+    assert (status, len(out)) == (69, 2)
+    assert "check its cable" in messages[-1]
     assert "state: stopped" in Path("s/session.yaml").read_text()
 
 
 @pytest.mark.slow
-def test_lasers_at_the_lines_of_a_camera_that_is_lost_may_be_on(serve, capsys):
+def test_lasers_at_the_lines_of_a_camera_that_is_lost_may_be_on(serve, capture):
     uris = serve("--fault", "dead-camera=7")
     uris["camera"] += "?timeout=2"
 
-    status = capture(uris, "--sequence", "off,1,2", "--count", "5")
+    status, _, messages = capture(uris, "--sequence", "off,1,2", "--count", "5")
 
     assert status == 70
-    assert "cut the power" in capsys.readouterr().err
+    assert "cut the power" in messages[-1]
 
 
-def test_a_laser_that_follows_too_late_is_noticed(serve):
+def test_a_laser_that_follows_too_late_is_noticed(serve, capture):
     uris = serve("--relay", "lcus", "--fault", "late:2=0.3")
 
-    status = capture(uris, "--sequence", "off,1,2,3,off", "--settle", "0.02", "--count", "1")
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--settle", "0.02", "--count", "1").status
 
     assert status != 0 or wrong_labels() == []
 
 
-def test_a_laser_that_sticks_is_a_safety_fault(serve, capsys):
+def test_a_laser_that_sticks_is_a_safety_fault(serve, capture):
     uris = serve("--relay", "modbus", "--fault", "stuck:2")
 
-    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
+    status, _, messages = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
 
     assert status == 70
-    assert "laser 2" in capsys.readouterr().err
+    assert "laser 2" in messages[-1]
 
 
-def test_a_pulled_cable_is_a_safety_fault(serve):
+def test_a_pulled_cable_is_a_safety_fault(serve, capture):
     uris = serve("--relay", "lcus", "--fault", "unplug=7")
 
-    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3").status
 
     assert status == 70
     assert len(list(Path("s").glob("*.npz"))) == 1
 
 
-def test_poses_come_straight_from_devices(serve, example_folder, capsys):
+def test_poses_come_straight_from_devices(serve, example_folder, run):
     uris = serve("--move", "never", scene=str(example_folder / "scene.yaml"))
 
     devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
-    rig = str(example_folder / "scene-rig.yaml")
-    status = main(["pose", "--rig", rig, *devices, "--count", "3", "--sequence", "off,1,2,3,off"])
+    rig = example_folder / "scene-rig.yaml"
+    found = run("pose", "--rig", rig, *devices, "--count", 3, "--sequence", "off,1,2,3,off")
 
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert status == 0
+    lines = found.records
+    assert found.status == 0
     assert len(lines) + sum(line["shots_dropped"] for line in lines) == 3
     assert min(line["latency_s"] for line in lines) > 0.0
     assert {line["status"] for line in lines} <= {"ok", "degraded"}
 
 
-def test_without_lasers_the_inputs_or_a_camera_are_wanted(capsys):
-    assert main(["pose", "--rig", "rig.yaml"]) == 2
-    assert main(["pose", "--rig", "rig.yaml", "a.npz", "--camera", "sim:scene.yaml"]) == 2
-    assert main(["pose", "--rig", "rig.yaml", "--camera", "files:shots"]) == 2
-    assert main(["pose", "--rig", "rig.yaml", "a.npz", "--lasers", "none:"]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 4
+@pytest.mark.parametrize("words", ["", "a.npz --camera sim:scene.yaml", "--camera files:shots", "a.npz --lasers none:"])
+def test_shots_come_either_from_inputs_or_from_a_live_camera(run, words):
+    status, _, messages = run("pose", "--rig", "rig.yaml", *words.split())
+
+    assert (status, len(messages)) == (2, 1)
 
 
-def test_a_camera_is_served_to_this_machine_alone(capsys, tmp_path):
+def test_a_camera_is_served_to_this_machine_alone(run, tmp_path):
     small_scene(tmp_path)
 
-    assert main(["simulate", "serve", "--scene", str(tmp_path / "scene.yaml"), "--camera", "192.168.0.1"]) == 2
-    assert "is no loopback address" in capsys.readouterr().err
+    status, _, messages = run("simulate", "serve", "--scene", tmp_path / "scene.yaml", "--camera", "192.168.0.1")
+
+    assert status == 2
+    assert "loopback address" in messages[0]
 
 
-def test_two_cameras_need_two_addresses(serve, loopback_address, capsys):
+def test_two_cameras_need_two_addresses(serve, loopback_address, run):
     serve()
 
-    status = main(["simulate", "serve", "--scene", "scene.yaml", "--camera", loopback_address])
+    status, _, messages = run("simulate", "serve", "--scene", "scene.yaml", "--camera", loopback_address)
 
     assert status == 69
-    assert "choose another address" in capsys.readouterr().err
+    assert "choose another address" in messages[0]
 
 
 def no_room_for_much() -> None:
@@ -205,25 +211,24 @@ def test_a_camera_that_cannot_write_its_log_ends_loudly(tmp_path, loopback_addre
     [("none", ()), ("lcus", ("operate=0.008", "release=0.004")), ("none", ("loss=0.002",))],
     ids=["lines", "relays", "loss"],
 )
-def test_two_hundred_shots_have_no_wrong_label(serve, relay, faults):
+def test_two_hundred_shots_have_no_wrong_label(serve, capture, relay, faults):
     uris = serve("--relay", relay, *(word for fault in faults for word in ("--fault", fault)))
 
-    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "200", "--quiet")
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "200", "--quiet").status
 
     assert status == 0
     assert len(list(Path("s").glob("*.npz"))) == 200
     assert wrong_labels() == []
 
 
-def test_stamps_are_the_hosts_clock_and_the_cameras(serve):
+def test_stamps_are_the_hosts_clock_and_the_cameras(serve, capture):
     uris = serve()
     before_s = time.time()
 
     capture(uris, "--sequence", "off,1,off", "--count", "2")
 
-    shots = [read_shot(path) for path in sorted(Path("s").glob("*.npz"))]
-    stamps_s = np.concatenate([shot.stamp_s for shot in shots])
-    device_s = np.concatenate([shot.device_stamp_s for shot in shots])
+    stamps_s = np.concatenate([shot.stamp_s for shot in shots()])
+    device_s = np.concatenate([shot.device_stamp_s for shot in shots()])
     assert before_s < stamps_s[0] < stamps_s[-1] < time.time()
     assert np.all(np.diff(stamps_s) > 0)
     assert np.all(np.diff(device_s) > 0)
@@ -267,14 +272,13 @@ def test_a_killed_capture_leaves_lasers_at_lines_to_the_cameras_heartbeat(serve,
     assert (last["laser_shares"] == [0.0, 0.0, 0.0]) is goes_dark
 
 
-def test_live_shots_that_the_rig_does_not_fit_end_the_measurement(serve, capsys):
+def test_live_shots_that_the_rig_does_not_fit_end_the_measurement(serve, run):
     uris = serve()
     devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
     Path("other.yaml").write_text(SMALL_RIG)
 
-    status = main(["pose", "--rig", "other.yaml", *devices, "--count", "3"])
+    status, out, messages = run("pose", "--rig", "other.yaml", *devices, "--count", 3)
 
-    streams = capsys.readouterr()
     assert status == 65
-    assert streams.out == ""
-    assert "200 x 150 pixels, the rig's camera has 160 x 120; give the rig that took the shot" in streams.err
+    assert out == []
+    assert "200 x 150 pixels, the rig's camera has 160 x 120; give the rig that took the shot" in messages[-1]

@@ -47,7 +47,7 @@ def test_a_dry_walk_ends_at_a_laser_that_stays_on(serve, capsys):
     status = main(["capture", "--test", "--camera", uris["camera"], "--lasers", uris["lasers"]])
 
     assert status == 70
-    assert "laser 2: is seen after it was switched off; cut the power" in capsys.readouterr().err
+    assert "laser 2 was seen while all are off; cut the power" in capsys.readouterr().err
 
 
 def test_recorded_shots_are_not_tested(capsys, example_folder):

@@ -36,6 +36,28 @@ def drawn_shot():
     return draw_shot(SCENE, DRAWN_RIG, [0, 1, 2, 4], np.random.default_rng(1))
 
 
+def without_times(line):
+    return pose_record(replace(line, latency_s=0.0, stage_s={}))
+
+
+def test_a_shot_and_its_detection_give_the_same_line(drawn_shot):
+    read = read_back(detect(drawn_shot, DRAWN_RIG), DRAWN_RIG)
+
+    line = pose_line(drawn_shot, DRAWN_RIG)
+
+    assert read.ring is not None
+    assert records.line_of(without_times(pose_line(read, DRAWN_RIG))) == records.line_of(without_times(line))
+
+
+def test_a_detection_whose_ring_is_far_off_gives_the_same_pose(drawn_shot):
+    detection = detect(drawn_shot, DRAWN_RIG)
+    far = replace(detection.ring, origin_m=detection.ring.origin_m + 1e3, curvature_per_m=-1e3)
+
+    lines = [pose_line(replace(detection, ring=ring), DRAWN_RIG) for ring in (far, None)]
+
+    np.testing.assert_allclose(*(line.pose.center_m for line in lines), rtol=1e-9)
+
+
 def with_glint(shot, laser, edge, start_px, length_px, level):
     """The shot with a bright patch in all frames: from so far outside a stripe's end, negative inside, outward."""
     x, y = ENDS_PX[laser, edge].astype(int)

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from plane_views import ORDER, calibrate, copy_views, run_in, written
 
+from ringpose.calibrate.camera.parameters import parameters_of
+from ringpose.cli.main import main
 from ringpose.files.rigs import read_rig
+from ringpose.geometry.rotations import tilt_basis
 
 TRUE_NORMALS = np.array(
     [
@@ -61,11 +64,7 @@ def test_the_rig_file_has_the_true_planes_with_their_quality_and_provenance(run)
     beside = found["quality"]["paper"]
     assert [laser["name"] for laser in beside] == ["left", "middle", "right"]
     assert max(np.degrees(laser["angle_rad"]) for laser in beside) < 0.1
-
-
-def test_the_rig_is_read_back_with_its_covariance(run):
     covariance = read_rig(run.folder / "rig.yaml").covariance
-
     assert covariance.data.shape == (9, 9)
     assert covariance.parameters[:2] == ("left.tilt_1", "left.tilt_2")
     assert np.linalg.eigvalsh(covariance.data).min() > 0
@@ -96,3 +95,24 @@ def test_the_report_shows_residuals_and_uncertainty(run):
     html = (run.folder / "out.html").read_text()
     assert html.count("data:image/png;base64,") == 3
     assert "Verdict: can be improved" in html
+
+
+@pytest.mark.slow
+def test_freed_camera_and_planes_of_rendered_boards_lie_within_three_deviations(
+    shared_data, rig_of_rendered_boards, tmp_path
+):
+    boards, rig_file = shared_data / "rendered" / "calib_b", tmp_path / "rig.yaml"
+    camera = str(rig_of_rendered_boards.parent / "camera.yaml")
+    words = ["--board", str(boards / "plane_board.yaml"), "--camera", camera, "--laser-order", "right,middle,left"]
+
+    main(["calibrate-planes", str(boards / "planes"), *words, "--free-camera", "--output", str(rig_file), "--quiet"])
+
+    found, true = read_rig(rig_file), read_rig(boards / "true_rig.yaml")
+    errors = [parameters_of(found.camera) - parameters_of(true.camera)]
+    for name, normal, distance_m in zip(found.lasers.names, found.lasers.normal, found.lasers.distance_m, strict=True):
+        laser = true.lasers.names.index(name)
+        along = true.lasers.normal[laser] @ normal
+        errors.append(-tilt_basis(normal) @ true.lasers.normal[laser] / along)
+        errors.append(np.array([distance_m - np.sign(along) * true.lasers.distance_m[laser]]))
+    deviations = np.array(list(found.covariance.standard_deviations.values()))
+    assert np.abs(np.concatenate(errors) / deviations).max() < 3.0

@@ -1,49 +1,29 @@
 """`ringpose pose --overlay` and `--report`."""
 
 import base64
-import json
 import re
 
 import cv2
 import numpy as np
-import pytest
-
-from ringpose.cli.main import main
 
 
-def records(text):
+def test_pictures_do_not_change_the_lines(carried_data, tmp_path, run):
+    shot, rig = carried_data / "rig_b/shots/B_z0500_p01_dim.npz", carried_data / "rig_b/rig.yaml"
+    (plain,) = run("pose", shot, "--rig", rig).records
+
+    (record,) = run("pose", shot, "--rig", rig, "--overlay", tmp_path / "drawn").records
+
     times = {"latency_s": None, "stage_s": None}
-    return [json.loads(line) | times for line in text.splitlines()]
-
-
-@pytest.fixture
-def shots(carried_data):
-    return str(carried_data / "rig_b" / "shots")
-
-
-@pytest.fixture
-def shots_rig(carried_data):
-    return str(carried_data / "rig_b" / "rig.yaml")
-
-
-def test_pictures_do_not_change_the_lines(shots, shots_rig, tmp_path, capsys):
-    shot = f"{shots}/B_z0500_p01_dim.npz"
-    main(["pose", shot, "--rig", shots_rig])
-    plain = capsys.readouterr().out
-
-    assert main(["pose", shot, "--rig", shots_rig, "--overlay", str(tmp_path / "drawn")]) == 0
-
-    line = capsys.readouterr().out
-    assert records(line) == records(plain)
-    assert set(json.loads(line)["stage_s"]) == {"detect", "pose"}
+    assert record | times == plain | times
+    assert set(record["stage_s"]) == {"detect", "pose"}
     assert cv2.imread(str(tmp_path / "drawn" / "B_z0500_p01_dim.png")).shape == (1200, 1600, 3)
 
 
-def test_a_shot_without_a_pose_is_drawn_and_reported(rig, detections, picture, tmp_path, capsys):
+def test_a_shot_without_a_pose_is_drawn_and_reported(rig, detections, picture, tmp_path, run):
     dark = picture("dark.png")
-    words = ["--overlay", str(tmp_path / "drawn"), "--report", str(tmp_path / "r.html"), "--method", "paper"]
+    words = ["--overlay", tmp_path / "drawn", "--report", tmp_path / "r.html", "--method", "paper"]
 
-    assert main(["pose", str(detections), str(dark), "--rig", str(rig), *words]) == 3
+    assert run("pose", detections, dark, "--rig", rig, *words).status == 3
 
     assert {path.stem for path in (tmp_path / "drawn").iterdir()} == {"a", "b", "c", "dark"}
     html = (tmp_path / "r.html").read_text()
@@ -58,35 +38,33 @@ def test_a_shot_without_a_pose_is_drawn_and_reported(rig, detections, picture, t
     assert all(image is not None and image.std() > 0 for image in decoded)
 
 
-def test_existing_pictures_are_not_replaced_without_force(rig, detections, tmp_path, capsys):
+def test_existing_pictures_are_not_replaced_without_force(rig, detections, tmp_path, run):
     (tmp_path / "a.png").touch()
     (tmp_path / "r.html").touch()
-    words = ["pose", str(detections), "--rig", str(rig), "--method", "paper"]
+    words = ["pose", detections, "--rig", rig, "--method", "paper"]
 
-    assert main([*words, "--report", str(tmp_path / "r.html")]) == 73
-    assert capsys.readouterr().out == ""
-    assert main([*words, "--overlay", str(tmp_path)]) == 73
-    assert main([*words, "--overlay", str(tmp_path), "--force"]) == 0
+    assert run(*words, "--report", tmp_path / "r.html")[:2] == (73, [])
+    assert run(*words, "--overlay", tmp_path).status == 73
+    assert run(*words, "--overlay", tmp_path, "--force").status == 0
     assert (tmp_path / "a.png").stat().st_size > 0
 
 
-def test_second_shot_of_a_name_is_reported_and_not_drawn_over_the_first(rig, detections, tmp_path, capsys):
-    words = ["--rig", str(rig), "--method", "paper", "--overlay", str(tmp_path / "drawn")]
+def test_second_shot_of_a_name_is_reported_and_not_drawn_over_the_first(rig, detections, tmp_path, run):
+    words = ["--rig", rig, "--method", "paper", "--overlay", tmp_path / "drawn"]
 
-    assert main(["pose", str(detections), str(detections), *words]) == 65
+    status, out, messages = run("pose", detections, detections, *words)
 
-    captured = capsys.readouterr()
-    assert len(captured.out.splitlines()) == 6
-    assert captured.err.count("earlier shot") == 3
+    assert (status, len(out)) == (65, 6)
+    assert ["earlier shot" in message for message in messages] == [True] * 3
 
 
-def test_overlays_stay_in_their_folder(rig, detections, tmp_path, capsys):
+def test_overlays_stay_in_their_folder(rig, detections, tmp_path, run):
     (tmp_path / "drawn").mkdir()
     detections.write_text(detections.read_text().replace('"shot": "a"', '"shot": "../a"'))
-    words = ["--rig", str(rig), "--method", "paper", "--overlay", str(tmp_path / "drawn")]
 
-    assert main(["pose", str(detections), *words]) == 65
+    status, _, messages = run("pose", detections, "--rig", rig, "--method", "paper", "--overlay", tmp_path / "drawn")
 
+    assert status == 65
     assert {path.name for path in (tmp_path / "drawn").iterdir()} == {"b.png", "c.png"}
     assert not (tmp_path / "a.png").exists()
-    assert capsys.readouterr().err.count("../a") == 1
+    assert ["../a" in message for message in messages] == [True]

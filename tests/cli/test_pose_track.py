@@ -9,9 +9,6 @@ import pytest
 import yaml
 from forked import Forked
 from ros_messages import fits
-from schemas import validated
-
-from ringpose.cli.main import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -55,15 +52,12 @@ def served(tmp_path, monkeypatch, forker):
         process.kill()
 
 
-def lines(capsys) -> list[dict]:
-    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-
-
 @pytest.mark.slow
-def test_a_live_track_switches_to_all_lasers_in_every_frame_and_follows_the_target(served, capsys):
-    assert main(["pose", "--track", "--rig", "rig.yaml", "--camera", served, "--count", "16"]) == 0
+def test_a_live_track_switches_to_all_lasers_in_every_frame_and_follows_the_target(served, run):
+    found = run("pose", "--track", "--rig", "rig.yaml", "--camera", served, "--count", 16)
 
-    records = [validated(record) for record in lines(capsys)]
+    assert found.status == 0
+    records = found.records
     truths = [json.loads(line) for line in Path("truth.jsonl").read_text().splitlines()]
     assert {record["fusion_status"] for record in records} == {"fused"}
     frames = np.diff([record["stamp_s"] for record in records]) * RATE_HZ
@@ -81,44 +75,17 @@ def test_a_live_track_switches_to_all_lasers_in_every_frame_and_follows_the_targ
 
 
 @pytest.mark.slow
-def test_recorded_shots_give_one_track_record_each_which_is_that_of_the_command_track(served, capsys):
-    words = ["--camera", served, "--sequence", "all", "--count", "6"]
-    assert main(["capture", *words, "--output", "session", "--quiet"]) == 0
-    capsys.readouterr()
-    assert main(["pose", "session", "--rig", "rig.yaml"]) == 0
-    Path("poses.jsonl").write_text(capsys.readouterr().out)
-    assert main(["track", "poses.jsonl", "--rig", "rig.yaml"]) == 0
-    separate = lines(capsys)
+def test_recorded_shots_give_one_track_record_each_which_is_that_of_the_command_track(served, run):
+    run("capture", "--camera", served, "--sequence", "all", "--count", 6, "--output", "session", "--quiet")
+    Path("poses.jsonl").write_text("\n".join(run("pose", "session", "--rig", "rig.yaml").out))
+    separate = run("track", "poses.jsonl", "--rig", "rig.yaml").records
 
-    assert main(["pose", "session", "--rig", "rig.yaml", "--track"]) == 0
+    together = run("pose", "session", "--rig", "rig.yaml", "--track").records
 
-    together = lines(capsys)
+    assert len(together) == 6
     assert [record["shot"] for record in together] == [record["shot"] for record in separate]
     apart_m = np.subtract(together[-1]["grasp"]["point_m"], separate[-1]["grasp"]["point_m"])
     assert np.abs(apart_m).max() < 2e-4  # bands hold the same stripes; weak light behind them is not searched
-
-
-@pytest.mark.parametrize(
-    ("words", "key_word"),
-    [
-        (["--predict-for", "1"], "--track"),
-        (["--track", "--method", "paper"], "--method"),
-        (["--track", "--frame", "tool"], "--frame"),
-        (["--track", "--max-speed", "0"], "--max-speed"),
-        (["--track", "--lost-after", "1"], "--lost-after"),
-        (["--track", "--gripper-tilt-deg", "1"], "--gripper-radial-m"),
-        (["--method", "paper", "--max-rate", "3"], "--max-rate"),
-        (["--method", "paper-constrained", "--ring-tolerance", "0.001"], "--ring-tolerance"),
-    ],
-    ids=lambda words: " ".join(words) if isinstance(words, list) else "",
-)
-def test_options_that_contradict_each_other_are_wrong_usage(rig, detections, capsys, words, key_word):
-    assert main(["pose", str(detections), "--rig", str(rig), *words]) == 2
-
-    streams = capsys.readouterr()
-    assert streams.out == ""
-    assert streams.err.count("\n") == 1
-    assert key_word in streams.err
 
 
 @pytest.fixture
@@ -141,44 +108,40 @@ def robot_poses(file: Path, begin_s: float, end_s: float) -> Path:
     return file
 
 
-def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_base(mounted, tmp_path, capsys):
+def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_base(mounted, tmp_path, run):
     rig, shots = mounted
-    robot, words = robot_poses(tmp_path / "robot.jsonl", -1.0, 1.0), ["pose", str(shots), "--rig", str(rig)]
-    assert main(words) == 0
-    (alone,) = lines(capsys)
+    robot = robot_poses(tmp_path / "robot.jsonl", -1.0, 1.0)
+    (alone,) = run("pose", shots, "--rig", rig).records
 
-    assert main([*words, "--robot-poses", str(robot)]) == 0
-    (record,) = lines(capsys)
-    assert main([*words, "--robot-poses", str(robot), "--track"]) == 0
-    (track,) = lines(capsys)
+    (record,) = run("pose", shots, "--rig", rig, "--robot-poses", robot).records
+    (track,) = run("pose", shots, "--rig", rig, "--robot-poses", robot, "--track").records
 
-    assert validated(record)["measurement"]["camera_motion"] == "robot_poses"
+    assert record["measurement"]["camera_motion"] == "robot_poses"
     assert "mount.delay" in record["measurement"]["nuisance_parameters"]
     np.testing.assert_allclose(record["pose"]["grasp_m"], alone["pose"]["grasp_m"], atol=1e-4)
-    assert (validated(track)["frame"], track["camera"]) == ("base", "robot_poses")
+    assert (track["frame"], track["camera"]) == ("base", "robot_poses")
     away_m = np.array(track["grasp"]["point_m"]) - [1.0, 0.2, 0.3] - alone["pose"]["grasp_m"]
     assert np.abs(away_m[[0, 2]]).max() < 5e-4  # y runs along the face, on which the point is chosen anew
 
 
-def test_a_shot_that_the_robot_poses_do_not_cover_has_no_pose_and_a_reason(mounted, tmp_path, capsys):
+def test_a_shot_that_the_robot_poses_do_not_cover_has_no_pose_and_a_reason(mounted, tmp_path, run):
     rig, shots = mounted
     robot = robot_poses(tmp_path / "robot.jsonl", 5.0, 6.0)
 
-    assert main(["pose", str(shots), "--rig", str(rig), "--robot-poses", str(robot)]) == 3
+    found = run("pose", shots, "--rig", rig, "--robot-poses", robot)
 
-    (record,) = lines(capsys)
+    (record,) = found.records
+    assert found.status == 3
     assert record["pose"] is None
     assert "robot" in record["reason"]
 
 
-def test_poses_are_written_as_messages_of_ros(mounted, capsys):
+def test_poses_are_written_as_messages_of_ros(mounted, run):
     rig, shots = mounted
-    assert main(["pose", str(shots), "--rig", str(rig)]) == 0
-    (record,) = lines(capsys)
+    (record,) = run("pose", shots, "--rig", rig).records
 
-    assert main(["pose", str(shots), "--rig", str(rig), "--format", "ros"]) == 0
+    (message,) = run("pose", shots, "--rig", rig, "--format", "ros").records
 
-    (message,) = lines(capsys)
     assert fits(message["pose"], "geometry_msgs/PoseWithCovarianceStamped")
     assert fits(message["twist"], "geometry_msgs/TwistWithCovarianceStamped")
     assert list(message["pose"]["pose"]["pose"]["position"].values()) == record["pose"]["center_m"]
@@ -187,8 +150,7 @@ def test_poses_are_written_as_messages_of_ros(mounted, capsys):
     assert message["status"] == record["status"]
 
 
-def test_the_newest_lines_state_how_many_were_skipped(rig, detections, capsys):
-    assert main(["pose", str(detections), "--rig", str(rig), "--newest"]) == 0
+def test_the_newest_lines_state_how_many_were_skipped(rig, detections, run):
+    records = run("pose", detections, "--rig", rig, "--newest").records
 
-    records = lines(capsys)
-    assert len(records) + sum(validated(record)["lines_skipped"] for record in records) == 3
+    assert len(records) + sum(record["lines_skipped"] for record in records) == 3

@@ -18,7 +18,7 @@ def test_a_board_is_printed_and_its_missing_file_is_written(folder, capsys):
 
     assert status == 0
     assert yaml.safe_load((folder / "new_board.yaml").read_text())["kind"] == "four_markers"
-    assert "page A4 lying, 297 x 210 mm" in capsys.readouterr().err
+    assert "page A4 landscape, 297 x 210 mm" in capsys.readouterr().err
     assert (folder / "page.pdf").stat().st_size > 1000
 
 

@@ -5,56 +5,37 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import SERVED_RIG
+from small_rig import SERVED_RIG, write_scene
 
-from ringpose.cli.main import main
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in
 from ringpose.files.records.truths import read_truths
 
-SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [2.2, 2.2, 1.0]}
-sensor: {pixel_m: 3.6e-5}
-stripe_dn: 150
-sequence: off,1,2,3
-trajectory:
-- generate: {distances_m: [0.5], count: 3}
-"""
-
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    (tmp_path / "rig.yaml").write_text(SERVED_RIG)
-    (tmp_path / "scene.yaml").write_text(SCENE)
-    return tmp_path / "scene.yaml"
+    lines = ("sensor: {pixel_m: 3.6e-5}", "stripe_dn: 150", "sequence: off,1,2,3")
+    return write_scene(tmp_path, *lines, rig=SERVED_RIG)
 
 
-def features(scene: Path, *options: str) -> int:
-    return main(["simulate", str(scene), "--features", *options])
+@pytest.fixture
+def features(run, scene):
+    return lambda *words: run("simulate", scene, "--features", *words)
 
 
-def records(capsys) -> list[dict]:
-    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+def test_records_are_written_to_stdout(features):
+    found = features()
+
+    assert found.status == 0
+    assert [record["shot"] for record in found.records] == ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"]
+    assert np.shape(found.records[0]["break_points"]["position_px"]) == (3, 2, 2)
 
 
-def test_records_are_written_to_stdout(scene, capsys):
-    status = features(scene)
-
-    lines = records(capsys)
-    assert status == 0
-    assert [line["shot"] for line in lines] == ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"]
-    assert np.shape(lines[0]["break_points"]["position_px"]) == (3, 2, 2)
-
-
-def test_a_folder_has_rig_detections_and_truth(scene, capsys):
+def test_a_folder_has_rig_detections_and_truth(features, scene):
     out = scene.parent / "out"
 
-    status = features(scene, "--output", str(out), "--max-speed", "0.1", "--max-rate", "5")
+    status, names, _ = features("--output", out, "--max-speed", 0.1, "--max-rate", 5)
 
-    names = capsys.readouterr().out.splitlines()
     truths = list(read_truths(out / "truth.jsonl"))
     assert (status, len(names), (out / "rig.yaml").is_file()) == (0, 3, True)
     assert [Path(name).stem for name in names] == [truth.shot for truth in truths]
@@ -66,20 +47,17 @@ def test_a_folder_has_rig_detections_and_truth(scene, capsys):
         assert truth.angular_velocity_rad_s @ truth.normal == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_same_seed_gives_the_same_features(scene, capsys):
-    runs = []
-    for seed in ("1", "1", "2"):
-        features(scene, "--seed", seed, "--ring-tolerance", "0.001", "--displaced", "0.3")
-        runs.append(records(capsys))
+def test_the_same_seed_gives_the_same_features(features):
+    runs = [features("--seed", seed, "--ring-tolerance", 0.001, "--displaced", 0.3).records for seed in (1, 1, 2)]
 
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]
 
 
-def test_outliers_are_named_in_the_truth(scene):
+def test_outliers_are_named_in_the_truth(features, scene):
     out = scene.parent / "out"
 
-    features(scene, "-o", str(out), "--displaced", "1:4,5", "--background", "1:0.01,0.02", "--missing", "0")
+    features("-o", out, "--displaced", "1:4,5", "--background", "1:0.01,0.02", "--missing", 0)
 
     groups = next(read_truths(out / "truth.jsonl")).groups
     assert groups["displaced"] == "left.inner,left.outer,middle.inner,middle.outer,right.inner,right.outer"
@@ -87,37 +65,41 @@ def test_outliers_are_named_in_the_truth(scene):
     assert "missing" not in groups
 
 
-def test_what_exists_is_replaced_with_force_only(scene, capsys):
-    out = str(scene.parent / "out")
-    features(scene, "-o", out)
+def test_what_exists_is_replaced_with_force_only(features, scene):
+    out = scene.parent / "out"
+    features("-o", out)
 
-    assert features(scene, "-o", out, "--count", "1") == 73
-    assert "--force" in capsys.readouterr().err
-    assert features(scene, "-o", out, "--count", "1", "--force") == 0
-    assert len(list((scene.parent / "out" / "detections").iterdir())) == 1
+    status, _, messages = features("-o", out, "--count", 1)
+
+    assert status == 73
+    assert "--force" in messages[0]
+    assert features("-o", out, "--count", 1, "--force").status == 0
+    assert len(list((out / "detections").iterdir())) == 1
 
 
 @pytest.mark.parametrize(
     ("options", "status", "named"),
     [
-        (["--features", "--displaced", "2"], 2, "--displaced"),
-        (["--features", "--displaced", "0.1:5,3"], 2, "--displaced"),
-        (["--features", "--background", "often"], 2, "--background"),
-        (["--features", "--missing", "1.5"], 2, "--missing"),
-        (["--features", "--max-speed", "-1"], 2, "--max-speed"),
-        (["--features", "--ring-tolerance", "nan"], 2, "--ring-tolerance"),
-        (["--features", "--max-rate", "1"], 2, "--max-rate"),  # the scene has a motion
-        (["--features", "--rig-errors"], 65, "covariance"),  # the rig has none, and no stability
-        (["--output", "out", "--max-speed", "0.1"], 2, "--features"),
-        ([], 2, "--output"),
+        ("--features --displaced 2", 2, "--displaced"),
+        ("--features --displaced 0.1:5,3", 2, "--displaced"),
+        ("--features --background often", 2, "--background"),
+        ("--features --missing 1.5", 2, "--missing"),
+        ("--features --max-speed -1", 2, "--max-speed"),
+        ("--features --ring-tolerance nan", 2, "--ring-tolerance"),
+        ("--features --max-rate 1", 2, "--max-rate"),  # the scene has a motion
+        ("--features --rig-errors", 65, "covariance"),  # the rig has none, and no stability
+        ("--output out --max-speed 0.1", 2, "--features"),
+        ("", 2, "--output"),
     ],
 )
-def test_bad_usage_is_reported(scene, capsys, monkeypatch, options, status, named):
+def test_bad_usage_is_reported(run, scene, monkeypatch, options, status, named):
     monkeypatch.chdir(scene.parent)
     if "--max-rate" in options:
         scene.write_text(scene.read_text() + "motion: {preset: geo-bound}\n")
     exact = "stability: {plane_tilt_rad: 0, plane_distance_m: 0, focal_ratio: 0}\n"
     (scene.parent / "rig.yaml").write_text(SERVED_RIG + exact)
 
-    assert main(["simulate", str(scene), *options]) == status
-    assert named in capsys.readouterr().err
+    found = run("simulate", scene, *options.split())
+
+    assert found.status == status
+    assert named in found.messages[0]

@@ -139,8 +139,10 @@ def test_points_project_to_the_same_place_of_a_preview(scene, rng):
     assert preview(scene, 300) is scene  # it is small already
 
 
-@pytest.mark.parametrize("target", [{}, {"model": "sinosat2"}, {"model": "sinosat2", "state": "stowed"}], ids=str)
-@pytest.mark.parametrize("orbit_radius_m", [7.0e6, 4.2164e7])
+@pytest.mark.parametrize(
+    ("target", "orbit_radius_m"),
+    [({}, 7.0e6), ({"model": "sinosat2"}, 7.0e6), ({"model": "sinosat2", "state": "stowed"}, 4.2164e7)],
+)
 def test_the_earth_is_drawn_as_large_as_it_is_and_outside_all_parts(tmp_path, rng, target, orbit_radius_m):
     pytest.importorskip("viser")
     from ringpose.console.page import drawn_earth_m

@@ -5,7 +5,6 @@ import pytest
 from drawn_scene import DrawnScene, light
 
 from ringpose.detect.pipeline import detect
-from ringpose.detect.stripes import find_stripes
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
 
@@ -53,25 +52,3 @@ def test_break_points_of_twelve_bits_are_those_of_eight(camera, told, levels, ri
     sigma_px = np.sqrt(eight.covariance_px2[..., [0, 1], [0, 1]])
     assert np.all(np.abs(twelve.position_px - eight.position_px) < 1.5 * sigma_px)
     np.testing.assert_array_equal(twelve.flags, eight.flags)
-
-
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_the_same_stripes_are_found_where_the_saturation_is_told(camera, levels):
-    steps, most, dtype, factor = CAMERAS[camera]
-    eight = find_stripes(shot_of(levels, 1, 255, np.uint8, 1, {}).images[1])
-
-    image = shot_of(levels, steps, most, dtype, factor, {}).images[1]
-    twelve = find_stripes(image, saturation_dn=most * factor)
-
-    assert len(twelve.laser) == len(eight.laser)
-    assert len(twelve.piece) == pytest.approx(len(eight.piece), rel=0.01)
-    np.testing.assert_allclose(np.median(twelve.sigma_px), np.median(eight.sigma_px), rtol=0.1)
-
-
-def test_sixteen_bits_of_the_same_values_are_the_same_image(levels):
-    image = shot_of(levels, 1, 255, np.uint8, 1, {}).images[1]
-
-    eight, sixteen = find_stripes(image), find_stripes(image.astype(np.uint16), saturation_dn=255)
-
-    np.testing.assert_array_equal(sixteen.position_px, eight.position_px)
-    np.testing.assert_array_equal(sixteen.sigma_px, eight.sigma_px)

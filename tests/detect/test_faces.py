@@ -171,7 +171,7 @@ def points_with_one_wrong(seed, by_px, *, labelled):
 
 @pytest.mark.parametrize("labelled", [True, False])
 def test_a_wrong_end_is_rejected_and_the_line_of_its_stripe_is_kept(labelled):
-    found, rejected = without_outliers(points_with_one_wrong(1, 300.0, labelled=labelled), RIG)
+    found, rejected, _ = without_outliers(points_with_one_wrong(1, 300.0, labelled=labelled), RIG)
 
     # what hid one end may have hidden the other one, which alone would determine the curvature
     assert {(each.what, each.laser) for each in rejected} == {("point", RIG.lasers.names[1])}
@@ -182,7 +182,7 @@ def test_a_wrong_end_is_rejected_and_the_line_of_its_stripe_is_kept(labelled):
 
 
 def test_break_points_of_one_ring_are_all_kept():
-    found, rejected = without_outliers(points_with_one_wrong(1, 0.0, labelled=True), RIG)
+    found, rejected, _ = without_outliers(points_with_one_wrong(1, 0.0, labelled=True), RIG)
 
     assert rejected == ()
     assert found.seen.all()

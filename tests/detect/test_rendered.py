@@ -1,4 +1,4 @@
-"""Break points on shots that this project did not make."""
+"""Break points and visible edges on shots that this project did not make, in laboratory light and in the sun."""
 
 import json
 from dataclasses import replace
@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from true_edges import edge_errors_px
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
@@ -19,19 +20,32 @@ FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]
 
 
 @pytest.fixture(scope="module")
-def errors(shared_data):
-    """Along-stripe error, its sigma, flags and truth of every break point, and shots without any."""
-    rows, lost, missed, false = [], [], [], []
+def shots(shared_data):
+    """Truth, rig and shot of all rendered shots."""
+    found = []
     for folder in FOLDERS:
         root = shared_data / "rendered" / folder
         rig = read_rig(root / "rig.yaml")
-        for line in (root / "truth.jsonl").read_text().splitlines():
-            truth = json.loads(line)
-            found = detect(read_shot(root / "shots" / f"{truth['shot']}.npz"), rig).break_points
-            if isinstance(found, NoBreakPoints):
-                lost.append((truth["shot"], found))
-                continue
-            _compare(truth, found, rows, missed, false)
+        for truth in map(json.loads, (root / "truth.jsonl").read_text().splitlines()):
+            found.append((truth, rig, root / "shots" / f"{truth['shot']}.npz"))
+    return found
+
+
+@pytest.fixture(scope="module")
+def detections(shots):
+    """Truth, rig and detection of all shots."""
+    return [(truth, rig, detect(read_shot(path), rig)) for truth, rig, path in shots]
+
+
+@pytest.fixture(scope="module")
+def errors(detections):
+    """Along-stripe error, its sigma, flags and truth of every break point, and shots without any."""
+    rows, lost, missed, false = [], [], [], []
+    for truth, _, detection in detections:
+        if isinstance(detection.break_points, NoBreakPoints):
+            lost.append((truth["shot"], detection.break_points))
+        else:
+            _compare(truth, detection.break_points, rows, missed, false)
     return {"rows": rows, "lost": lost, "missed": missed, "false": false}
 
 
@@ -89,18 +103,13 @@ def _all_on(shot: Shot) -> Shot:
 
 
 @pytest.fixture(scope="module")
-def single_errors(shared_data):
+def single_errors(shots):
     """The same rows from the frame with all lasers alone."""
     rows: list = []
-    for folder in FOLDERS:
-        root = shared_data / "rendered" / folder
-        rig = read_rig(root / "rig.yaml")
-        for line in (root / "truth.jsonl").read_text().splitlines():
-            truth = json.loads(line)
-            shot = _all_on(read_shot(root / "shots" / f"{truth['shot']}.npz"))
-            found = detect(shot, rig).break_points
-            if isinstance(found, BreakPoints):
-                _compare(truth, found, rows, [], [])
+    for truth, rig, path in shots:
+        found = detect(_all_on(read_shot(path)), rig).break_points
+        if isinstance(found, BreakPoints):
+            _compare(truth, found, rows, [], [])
     return rows
 
 
@@ -119,3 +128,57 @@ def test_without_a_dark_frame_unflagged_ends_have_consistent_covariances(single_
 
 def test_without_a_dark_frame_nearly_all_ends_are_found(single_errors):
     assert len(single_errors) > 230
+
+
+@pytest.fixture(scope="module")
+def edges(detections):
+    """Errors and sigmas of the edge points of each shot by its name and light; None for a shot without."""
+    found = {}
+    for truth, rig, detection in detections:
+        points = detection.ring_edges
+        light = "chamfer" if truth["groups"]["kind"] == "chamfer" else truth["groups"]["light"]
+        off = None if points is None else (edge_errors_px(points, truth, rig), points.sigma_px)
+        found[truth["shot"], light] = off
+    return found
+
+
+def lit(edges: dict, light: str) -> list:
+    return [off for (_, each), off in edges.items() if each == light and off is not None]
+
+
+@pytest.mark.parametrize(("light", "limit_px"), [("normal", 0.3), ("strong", 0.12), ("glare", 0.1)])
+def test_edges_are_found_to_a_fraction_of_a_pixel(edges, light, limit_px):
+    error_px = np.concatenate([error for error, _ in lit(edges, light)])
+
+    assert 1.4826 * np.median(np.abs(error_px)) < limit_px
+
+
+def test_no_shot_has_a_bias_of_a_tenth_of_a_pixel(edges):
+    shots = lit(edges, "normal") + lit(edges, "strong") + lit(edges, "glare")
+
+    biases_px = [np.sum(error / sigma**2) / np.sum(sigma**-2) for error, sigma in shots]
+
+    assert np.abs(biases_px).max() < 0.1
+
+
+@pytest.mark.parametrize("light", ["normal", "strong"])
+def test_sigmas_are_honest(edges, light):
+    squares = np.concatenate([(error / sigma) ** 2 for error, sigma in lit(edges, light)])
+
+    assert 0.8 < np.mean(squares) < 1.25
+    assert np.mean(squares > 25) < 0.001
+
+
+def test_most_lit_shots_show_a_hundred_points(edges):
+    counts = [len(error) for light in ("normal", "strong") for error, _ in lit(edges, light)]
+
+    assert np.median(counts) > 120
+    assert len(counts) >= 22
+
+
+def test_edges_that_show_in_the_light_of_stripes_alone_are_the_rings(edges):
+    shots = lit(edges, "dim")
+
+    assert 1 <= len(shots) <= 2
+    assert all(np.mean((error / sigma) ** 2) < 1.25 for error, sigma in shots)
+    assert all(np.abs(error / sigma).max() < 5 for error, sigma in shots)

@@ -16,6 +16,7 @@ from drawn_edges import (
     radius_m,
 )
 from drawn_scene import RADII_M, DrawnScene, drawn_rig
+from ring_scenes import with_stripes
 from true_edges import edge_errors_px
 
 from ringpose.detect.edge_search import EdgeImage
@@ -117,18 +118,15 @@ def test_an_edge_without_contrast_is_absent(rig, rng):
     assert np.mean(points.edge == 0) < 0.05
 
 
-@pytest.mark.parametrize("level_dn", [2.0, 120.0, 255.0], ids=["dark", "grey", "saturated"])
-def test_an_even_image_shows_no_edges(rig, rng, level_dn):
+@pytest.mark.parametrize("level_dn", [2.0, 120.0, 255.0, None], ids=["dark", "grey", "saturated", "noise"])
+def test_an_even_image_and_noise_show_no_edges(rig, rng, level_dn):
     scene = DrawnScene()
-    even = Surroundings(face_dn=level_dn, inside_dn=level_dn, outside_dn=level_dn)
+    if level_dn is None:
+        image = rng.integers(0, 256, (1200, 1600)).astype(np.uint8)
+    else:
+        image = picture(scene, rig, Surroundings(face_dn=level_dn, inside_dn=level_dn, outside_dn=level_dn), rng)
 
-    assert found_edges(measured(scene, rig, rng), lit(picture(scene, rig, even, rng)), rig) is None
-
-
-def test_noise_alone_shows_no_edges(rig, rng):
-    image = rng.integers(0, 256, (1200, 1600)).astype(np.uint8)
-
-    assert found_edges(measured(DrawnScene(), rig, rng), lit(image), rig) is None
+    assert found_edges(measured(scene, rig, rng), lit(image), rig) is None
 
 
 def test_a_wall_below_the_edge_is_not_taken_for_it(rig, rng):
@@ -168,13 +166,8 @@ def test_saturation_beyond_the_edge_is_left_out(rig, rng):
 def test_two_stripes_lead_to_the_edges_too(rig, rng):
     scene = DrawnScene(center_m=(0.58, 0.05, 0.235))
     both = measured(scene, rig, rng)
-    in_view = (both.position_px[..., 1] > 0) & (both.position_px[..., 1] < 1199)
-    seen = replace(
-        both,
-        position_px=np.where(in_view[..., None], both.position_px, np.nan),
-        face_start_px=np.where(in_view[:, :1], both.face_start_px, np.nan),
-        face_end_px=np.where(in_view[:, :1], both.face_end_px, np.nan),
-    )
+    in_view = ((both.position_px[..., 1] > 0) & (both.position_px[..., 1] < 1199)).all(axis=1)
+    seen = with_stripes(both, *np.flatnonzero(in_view))
 
     points = seen_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig)
 
@@ -184,14 +177,7 @@ def test_two_stripes_lead_to_the_edges_too(rig, rng):
 @pytest.mark.parametrize("laser", [0, 1, 2])
 def test_a_single_stripe_leads_to_the_edges_too(rig, rng, laser):
     scene = DrawnScene()
-    both = measured(scene, rig, rng)
-    only = np.arange(3) == laser
-    seen = replace(
-        both,
-        position_px=np.where(only[:, None, None], both.position_px, np.nan),
-        face_start_px=np.where(only[:, None], both.face_start_px, np.nan),
-        face_end_px=np.where(only[:, None], both.face_end_px, np.nan),
-    )
+    seen = with_stripes(measured(scene, rig, rng), laser)
 
     points = seen_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig)
 

@@ -26,12 +26,6 @@ def shallow(steps, count):
     return [*steps, RIGHT, RIGHT] * count
 
 
-def estimated_length(chain):
-    """The paper's D_r of a whole chain."""
-    steps = abs(np.diff(chain.pixels, axis=0))
-    return np.hypot(*steps.sum(axis=0))
-
-
 def pieces_of(chain, **parameters):
     parameters = SegmentParameters(**parameters)
     return straight_pieces(chain, parameters, parameters.shortest_px).tolist()
@@ -40,11 +34,6 @@ def pieces_of(chain, **parameters):
 CORNER = chain(*[RIGHT] * 40, *[DOWN] * 40)
 SLOPE = chain(*[RIGHT, DOWN] * 40)
 ROOF = chain(*shallow([RISING], 30), *shallow([FALLING], 30))
-
-
-@pytest.mark.parametrize("monotone", [CORNER, SLOPE])
-def test_the_estimated_length_of_a_monotone_chain_is_its_chord(monotone):
-    assert estimated_length(monotone) == np.hypot(*(monotone.pixels[-1] - monotone.pixels[0]))
 
 
 def test_a_corner_is_cut_within_half_a_window():
@@ -188,14 +177,6 @@ def test_a_flat_image_has_no_segments(method, shape, value):
     segments = find_segments(np.full(shape, value, np.uint8), method=method)
 
     assert (segments.start_px.shape, segments.end_px.shape, segments.support.shape) == ((0, 2), (0, 2), (0,))
-
-
-def test_twelve_bits_in_sixteen_give_the_segments_of_eight():
-    image, _ = half_plane(0.3, 0.2)
-
-    eight, twelve = find_segments(image), find_segments(16 * image.astype(np.uint16))
-
-    np.testing.assert_array_equal(twelve.start_px, eight.start_px)
 
 
 def test_an_image_that_is_a_view_gives_the_segments_of_its_copy():

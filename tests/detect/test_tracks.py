@@ -1,23 +1,18 @@
 """Lines through stripe centres have consistent sigmas, also with few centres of correlated errors."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+from drawn_scene import drawn_rig
 
-from ringpose.detect.break_points import mark_params
+from ringpose.detect.break_points import flagged_ends
 from ringpose.detect.stripes import stripe_line_segments
-from ringpose.kernels.ends import flagged_ends
 from ringpose.types.detection import Stripes
-from ringpose.types.rig import Camera
 
-CAMERA = Camera(
-    camera_name="plain",
-    image_width=1600,
-    image_height=1200,
-    camera_matrix=np.array([[1000.0, 0.0, 799.5], [0.0, 1000.0, 599.5], [0.0, 0.0, 1.0]]),
-    distortion_model="plumb_bob",
-    distortion_coefficients=np.zeros(5),
-)
+RIG = drawn_rig()
+RIG = replace(RIG, camera=replace(RIG.camera, distortion_coefficients=np.zeros(5)))
 
 
 def grainy(rng, columns, grain_px):
@@ -36,8 +31,8 @@ def line_errors(rng, columns, grain_px):
         piece=np.zeros(columns, dtype=np.int64),
         laser=np.zeros(1, dtype=np.int64),
     )
-    tracks = stripe_line_segments(stripes, CAMERA)
-    ends = flagged_ends(tracks, np.full((1, 2, 10), np.nan), (0,), 1, mark_params(CAMERA.image_width))
+    tracks = stripe_line_segments(stripes, RIG.camera)
+    ends = flagged_ends(tracks, np.full((1, 2, 10), np.nan), [0], RIG)
     return (ends.straight_px[0, :, 1] - 600.0) / ends.straight_sigma_px[0]
 
 

@@ -6,11 +6,11 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import Scene, pixels_of
+from ring_scenes import Scene, nees, pixels_of
 
 from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
+from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.estimate.residuals import Prior
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
@@ -125,13 +125,10 @@ def test_errors_of_a_moving_ring_are_as_stated(scene_of, face_points, visible_ed
         pose, velocity = result.pose, result.velocity
         assert not isinstance(pose, NoPose)
         truth = moved(scene.ring, result.stamp_s - STAMPS_S[1], *motion)
-        tilt_error = tilt_error_rad(pose.normal, truth.normal)
-        errors["normal"].append(mahalanobis_squared(tilt_error, pose.covariance[:2, :2]) / 2)
-        axes, across_m = circle_error(pose.grasp_m, truth.center_m, truth.normal, truth.radius_m.mean())
-        errors["grasp"].append(mahalanobis_squared(across_m, axes @ pose.covariance_grasp_m2 @ axes.T) / 2)
-        if not result.flags & (PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN):
-            error_m = pose.center_m - truth.center_m
-            errors["center"].append(mahalanobis_squared(error_m, pose.covariance_center_m2) / 3)
+        weak = result.flags & (PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN)
+        for name, value in nees(pose, truth).items():
+            if name != "center" or not weak:
+                errors[name].append(value)
         if velocity is not None:
             rates = tilt_basis(pose.normal) @ (velocity.rate_rad_s - motion[1])
             error = np.concatenate([velocity.center_m_s - motion[0], rates])
@@ -158,8 +155,7 @@ def test_a_fast_target_of_unknown_radius_has_no_wrong_grasp_point_without_a_flag
         result = pose_result(points, scene.rig, assumptions=Assumptions(motion=fast))
         if not isinstance(result.pose, NoPose) and PoseFlag.GRASP_WEAK not in result.flags:
             truth = moved(scene.ring, result.stamp_s - STAMPS_S[1], *motion)
-            axes, across_m = circle_error(result.pose.grasp_m, truth.center_m, truth.normal, truth.radius_m.mean())
-            errors.append(mahalanobis_squared(across_m, axes @ result.pose.covariance_grasp_m2 @ axes.T) / 2)
+            errors.append(nees(result.pose, truth)["grasp"])
 
     assert len(errors) > 40
     assert max(errors) < 12
@@ -247,11 +243,8 @@ def test_a_ring_within_its_tolerance_has_errors_as_stated(scene_of, face_points,
 
         result = pose_result(points, scene.rig, assumptions=Assumptions(ring_tolerance_m=tolerance_m))
 
-        pose = result.pose
-        tilt_error = tilt_error_rad(pose.normal, scene.ring.normal)
-        errors["normal"].append(mahalanobis_squared(tilt_error, pose.covariance[:2, :2]) / 2)
-        axes, across_m = circle_error(pose.grasp_m, scene.ring.center_m, scene.ring.normal, scene.ring.radius_m.mean())
-        errors["grasp"].append(mahalanobis_squared(across_m, axes @ pose.covariance_grasp_m2 @ axes.T) / 2)
+        for name, values in errors.items():
+            values.append(nees(result.pose, scene.ring)[name])
 
     for name, values in errors.items():
         assert np.mean(values) < 1.5, name
@@ -357,12 +350,8 @@ def test_errors_with_a_rig_that_has_changed_within_its_stability_are_as_stated(s
 
         pose = pose_result(points, said, assumptions=Assumptions(stability=TYPICAL_STABILITY)).pose
 
-        tilt_error = tilt_error_rad(pose.normal, scene.ring.normal)
-        errors["normal"].append(mahalanobis_squared(tilt_error, pose.covariance[:2, :2]) / 2)
-        axes, across_m = circle_error(pose.grasp_m, scene.ring.center_m, scene.ring.normal, scene.ring.radius_m.mean())
-        errors["grasp"].append(mahalanobis_squared(across_m, axes @ pose.covariance_grasp_m2 @ axes.T) / 2)
-        error_m = pose.center_m - scene.ring.center_m
-        errors["center"].append(mahalanobis_squared(error_m, pose.covariance_center_m2) / 3)
+        for name, value in nees(pose, scene.ring).items():
+            errors[name].append(value)
 
     for name, values in errors.items():
         assert 0.65 < np.mean(values) < 1.45, name

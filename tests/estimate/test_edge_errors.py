@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import with_stripes
 
 from ringpose.estimate.measurements import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
 from ringpose.pose.pipeline import estimate_pose
@@ -83,9 +84,7 @@ def test_one_stripe_and_a_visible_edge_tell_the_normal_as_well_as_they_say(scene
     for _ in range(30):
         tilt_rad = tuple(rng.uniform(-0.2, 0.2, 2).tolist())
         scene = scene_of("B", distance_m=0.25, tilt_rad=tilt_rad)
-        points = face_points(scene, 0.3, 0.01, rng)
-        for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
-            getattr(points, name)[[0, 2]] = np.nan
+        points = with_stripes(face_points(scene, 0.3, 0.01, rng), 1)
         both = visible_edges(scene, 44, 0.3, rng)
         outer = {name: getattr(both, name)[both.edge == 1] for name in ("position_px", "normal", "sigma_px", "edge")}
         pose = estimate_pose(points, scene.rig, ring_edges=replace(both, **outer))

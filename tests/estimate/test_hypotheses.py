@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import with_stripes
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
@@ -284,8 +285,7 @@ def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(
 
 def test_two_stripes_with_clear_ends_give_a_sure_normal_of_a_known_ring(scene_of, face_points, rng):
     scene = scene_of("B", distance_m=0.25)
-    points = face_points(scene, 0.3, 0.01, rng)
-    points.position_px[2] = points.face_start_px[2] = points.face_end_px[2] = points.face_sigma_px[2] = np.nan
+    points = with_stripes(face_points(scene, 0.3, 0.01, rng), 0, 1)
 
     pose = estimate_pose(points, scene.rig, known=KNOWN)
 

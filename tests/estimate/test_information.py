@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import RIGS, face_points_of, make_scene
+from ring_scenes import RIGS, face_points_of, make_scene, with_stripes
 
 from ringpose.estimate.covariance import (
     POSE,
@@ -35,16 +35,6 @@ def with_covariance(rig):
     correlation = 0.3 + 0.7 * np.eye(len(RIG_SD))
     data = RIG_SD[:, None] * correlation * RIG_SD
     return replace(rig, covariance=ParameterCovariance(parameters=RIG_PARAMETERS, data=data))
-
-
-def with_stripes(points, lasers):
-    """Only these lasers' break points and lines."""
-    others = [laser for laser in range(3) if laser not in lasers]
-    parts = {}
-    for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
-        parts[name] = getattr(points, name).copy()
-        parts[name][others] = np.nan
-    return replace(points, stamp_s=STAMPS_S, **parts)
 
 
 def prior_rows(result, rig):
@@ -83,7 +73,7 @@ def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
 ):
     scene = scene_of("B", distance_m=0.4)
     rig = scene.rig if rig_known else with_covariance(scene.rig)
-    points = with_stripes(face_points(scene, 0.3, 0.02, rng), stripes)
+    points = replace(with_stripes(face_points(scene, 0.3, 0.02, rng), *stripes), stamp_s=STAMPS_S)
     seen = visible_edges(scene, 40, 0.3, rng) if edges else None
 
     result = most_likely_pose(points, rig, seen, known)

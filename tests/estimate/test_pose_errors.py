@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import (
     circle_error,
-    distance_to_circle_m,
     mahalanobis_squared,
     tilt_error_rad,
     truth_at,
@@ -21,27 +20,21 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize(
-    ("point", "distance"),
+    ("point", "along_normal", "radial"),
     [
-        ([2.0, 0.0, 0.0], 0.0),
-        ([0.0, -2.0, 0.0], 0.0),
-        ([5.0, 0.0, 4.0], 5.0),
-        ([0.0, 0.0, 0.0], 2.0),
-        ([0.0, 1.0, 0.0], 1.0),
+        ([2.0, 0.0, 0.0], 0.0, 0.0),
+        ([0.0, -2.0, 0.0], 0.0, 0.0),
+        ([5.0, 0.0, 4.0], 4.0, 3.0),
+        ([0.0, 0.0, 0.0], 0.0, -2.0),
+        ([0.0, 2.5, 0.2], 0.2, 0.5),
     ],
 )
-def test_distance_to_a_circle_of_radius_2_about_the_z_axis(point, distance):
-    assert distance_to_circle_m(np.array(point), ORIGIN, Z, 2.0) == pytest.approx(distance, abs=1e-15)
+def test_a_point_is_off_a_circle_along_the_normal_and_radially(point, along_normal, radial):
+    axes, error_m = circle_error(np.array(point) + 3.0, ORIGIN + 3.0, Z, 2.0)
 
-
-@given(st.floats(0, 2 * np.pi), st.floats(-1, 1), st.floats(-1, 1))
-def test_moving_a_point_off_the_circle_is_seen_in_full(angle, outwards, upwards):
-    direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-    point = (2.0 + outwards) * direction + upwards * Z
-
-    distance = distance_to_circle_m(point + 3.0, ORIGIN + 3.0, Z, 2.0)
-
-    assert distance == pytest.approx(np.hypot(outwards, upwards), abs=1e-14)
+    np.testing.assert_allclose(error_m, [along_normal, radial], atol=1e-14)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-15)
+    np.testing.assert_allclose(axes[0], Z)
 
 
 def test_mahalanobis_distance_of_a_correlated_error():
@@ -78,13 +71,6 @@ def test_tilts_lead_from_the_answer_to_the_truth(tilt_1, tilt_2):
     tilt_rad = tilt_error_rad(normal, truth)
 
     np.testing.assert_allclose(tilt_rad, [tilt_1, tilt_2], atol=1e-12)
-
-
-def test_a_point_beside_a_circle_is_off_along_the_normal_and_radially():
-    axes, error_m = circle_error(np.array([0.0, 2.5, 0.2]), ORIGIN, Z, 2.0)
-
-    np.testing.assert_allclose(axes, [[0, 0, 1], [0, 1, 0]], atol=1e-15)
-    np.testing.assert_allclose(error_m, [0.2, 0.5], atol=1e-15)
 
 
 def test_a_moving_truth_refuses_stamps_of_another_clock():

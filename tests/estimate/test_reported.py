@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import pixels_of
+from ring_scenes import pixels_of, with_stripes
 
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
@@ -12,19 +12,10 @@ from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 
 
-def with_stripe(points, laser):
-    """Only one laser's break points and line."""
-    parts = {}
-    for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
-        parts[name] = np.full_like(getattr(points, name), np.nan)
-        parts[name][laser] = getattr(points, name)[laser]
-    return replace(points, **parts)
-
-
 def test_one_stripe_has_the_covariance_of_its_grasp_point_alone(scene_of, face_points):
     scene = scene_of("B", distance_m=0.25)
 
-    pose = estimate_pose(with_stripe(face_points(scene, 0.3, 0.01), 1), scene.rig)
+    pose = estimate_pose(with_stripes(face_points(scene, 0.3, 0.01), 1), scene.rig)
 
     assert (pose.covariance, pose.covariance_center_m2) == (None, None)
     assert np.sqrt(np.trace(pose.covariance_grasp_m2)) < 1e-3
@@ -33,7 +24,7 @@ def test_one_stripe_has_the_covariance_of_its_grasp_point_alone(scene_of, face_p
 def test_one_stripe_and_the_radii_have_the_covariance_of_the_radii(scene_of, face_points):
     scene = scene_of("B", distance_m=0.25)
 
-    pose = estimate_pose(with_stripe(face_points(scene, 0.3, 0.01), 1), scene.rig, known=KNOWN)
+    pose = estimate_pose(with_stripes(face_points(scene, 0.3, 0.01), 1), scene.rig, known=KNOWN)
 
     assert np.isfinite(np.diag(pose.covariance)).tolist() == [False] * 5 + [True] * 2
 
@@ -49,7 +40,7 @@ def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(
         surface = replace(scene.ring, center_m=scene.ring.center_m - behind_m * scene.ring.normal)
         points_m = surface.break_points_m(scene.rig.lasers)
         behind = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
-        points = with_stripe(face_points(behind, 0.05, 0.01, rng), 1)
+        points = with_stripes(face_points(behind, 0.05, 0.01, rng), 1)
 
         result = pose_result(points, scene.rig, ring_edges=edges)
 

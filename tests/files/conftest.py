@@ -1,4 +1,4 @@
-"""A rig file and a scene that tests modify, and the marker of a deleted value."""
+"""A rig file and a scene that tests modify."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,18 +34,16 @@ RIG: dict[str, Any] = {
 
 
 def changed(values: Any, path: str, value: Any) -> Any:
-    """The nested values with another value at a path such as `lasers.0.normal`; `DELETED` removes it."""
+    """The nested values with another value at a path such as `lasers.0.normal`; `...` removes it."""
     key, _, rest = path.partition(".")
     copy = list(values) if isinstance(values, list) else dict(values)
     index = int(key) if isinstance(copy, list) else key
-    if not rest and value is DELETED:
+    if not rest and value is ...:
         del copy[index]
     else:
         copy[index] = changed(copy[index], rest, value) if rest else value
     return copy
 
-
-DELETED = object()
 
 BOARD: dict[str, Any] = {"kind": "charuco", "squares_x": 7, "squares_y": 5, "square_m": 0.04, "marker_m": 0.03}
 BOARD["dictionary"] = "DICT_4X4_50"
@@ -77,19 +75,13 @@ def rig_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def deleted() -> object:
-    """The value that removes a key."""
-    return DELETED
-
-
-@pytest.fixture
 def scene_of(tmp_path: Path, rig_file: Callable[..., Path]) -> Callable[..., Scene]:
     """Reads the scene with other values at paths; None removes a key."""
 
     def read(*changes: tuple[str, Any], with_projectors: bool = True) -> Scene:
         values: Any = SCENE
         for path, value in changes:
-            values = changed(values, path, DELETED if value is None else value)
+            values = changed(values, path, ... if value is None else value)
         rig_file(*(("lasers.1.projector_m", [0, 0.03, 0.04]) if with_projectors else ()))
         (tmp_path / "scene.yaml").write_text(yaml.safe_dump(values))
         return read_scene(tmp_path / "scene.yaml")

@@ -10,6 +10,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from schemas import validated
+from whole_records import VERSION_1, complete_line, full_detection, record_of
 
 from ringpose.errors import DataError
 from ringpose.files import records
@@ -21,7 +22,6 @@ from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.types.image import Shot
-from ringpose.types.pose import MEASURED_PARAMETERS
 
 NUMBERS = [0, -1, 1e308, -1e-308, 10**400, math.nan, math.inf]
 ODD = st.sampled_from([None, True, *NUMBERS, "", "a", "1e3", [], [[]], {}, {"a": 1}, [None], [[1], 2]])
@@ -55,93 +55,9 @@ TRUTH = {
     "break_points_px": [[[1, 2], None]],
     "groups": {"a": 1},
 }
-POINTS = {
-    "position_px": [[[1, 2], [None, None]]],
-    "covariance_px2": [[[[1, 0], [0, 1]]] * 2],
-    "flags": [[0, 1]],
-    "face_start_px": [[1, 2]],
-    "face_end_px": [[3, 4]],
-    "face_sigma_px": [[1, 1]],
-    "labelled": True,
-    "stamp_s": [1.0],
-}
-STRIPES = {"position_px": [[1, 2]], "sigma_px": [1], "peak_dn": [9], "piece": [0], "laser": [-1], "stamp_s": [1.0]}
-DETECTION = {
-    "schema": "ringpose/detection/2",
-    "shot": "a",
-    "stamp_s": 1.0,
-    "reason": None,
-    "lasers_on": [True],
-    "rejected": [{"what": "point", "laser": "l", "edge": "inner", "chi2": 30.0}],
-    "break_points": POINTS,
-    "stripes": STRIPES,
-    "segments": {"start_px": [[1, 2]], "end_px": [[3, 4]], "support": [20]},
-}
-POSE = {
-    "center_m": [0, 0, 1],
-    "normal": [0, 0, -1],
-    "pitch_rad": 0,
-    "yaw_rad": 0,
-    "radius_inner_m": 0.5,
-    "radius_outer_m": None,
-    "grasp_m": [0, 0, 1],
-    "covariance": {"full": np.eye(7).tolist(), "center": None, "grasp": None},
-    "ring_posterior": None,
-    "method": "paper",
-    "residual_rms_px": 0.1,
-    "condition_number": 10,
-}
-MEASUREMENT = {
-    "linearized_at": {
-        "center_m": [0, 0, 1],
-        "normal": [0, 0, -1],
-        "radius_inner_m": None,
-        "radius_outer_m": 0.5,
-        "velocity_m_s": [0, 0, 0],
-        "rate_rad_s": [0, 0, 0],
-    },
-    "parameters": list(MEASURED_PARAMETERS),
-    "nuisance_parameters": ["fx"],
-    "square_root": np.eye(3, 14).tolist(),
-    "degrees_of_freedom": 2,
-    "chi2": 1.5,
-    "camera_motion": "none",
-}
-PRIORS = {
-    "motion": {"speed_sd_m_s": 0.025, "rate_sd_rad_s": 0.04},
-    "radius": {"inner_m": None, "outer_m": 0.5, "sd_m": 0.001, "source": "given"},
-    "ring_tolerance_m": 0.0001,
-    "rig": {"covariance": "none", "stability": {"plane_tilt_rad": 0, "plane_distance_m": 0, "focal_ratio": 0}},
-    "regularization": np.eye(2, 13).tolist(),
-}
-LINE = {
-    "schema": "ringpose/pose/2",
-    "pose_stamp_s": 1.05,
-    "velocity": {"center_m_s": [0, 0, 0], "rate_rad_s": [0, 0, 0], "covariance": np.eye(5).tolist()},
-    "measurement": MEASUREMENT,
-    "priors": PRIORS,
-    "lasers": {"l": "used"},
-    "rejected": [{"what": "point", "laser": "l", "edge": "inner", "chi2": 30.0}],
-    "stage_s": {"pose": 0.01},
-    "shot": "a",
-    "stamp_s": 1.0,
-    "frame": "camera",
-    "status": "degraded",
-    "reason": None,
-    "flags": ["center_weak"],
-    "pose": POSE,
-    "rig_health": {"l": 0.5},
-    "shots_dropped": 0,
-    "latency_s": 0.1,
-    "rig": None,
-}
-LINE_1 = {
-    **{key: value for key, value in LINE.items() if key in ("shot", "stamp_s", "frame", "status", "reason", "flags")},
-    "schema": "ringpose/pose/1",
-    "pose": POSE | {"condition": 10},
-    "laser_health": {"l": 0.5},
-    "dropped": 0,
-}
+_RNG = np.random.default_rng(1)
+DETECTION = record_of(detection_record(full_detection(_RNG, centers=2)))
+LINE = record_of(pose_record(complete_line(_RNG)))
 
 
 def paths(values, here=()):
@@ -208,7 +124,7 @@ def test_invalid_yaml_values_are_read_or_rejected(tmp_path, read, values, data):
     [
         (detection_of, detection_record, DETECTION),
         (pose_line_of, pose_record, LINE),
-        (pose_line_of, pose_record, LINE_1),
+        (pose_line_of, pose_record, VERSION_1),
     ],
     ids=["detection", "pose line", "pose line of version 1"],
 )

@@ -9,21 +9,15 @@ import numpy as np
 import pytest
 import yaml
 from schemas import SCHEMAS, validated
+from whole_records import record_of
 
 from ringpose.files.images.sessions import write_session
-from ringpose.files.records import line_of, parsed_record
 from ringpose.files.records.detections import detection_record
 from ringpose.files.records.truths import truth_record
 from ringpose.types.detection import Detection, NoBreakPoints
 from ringpose.types.pose import LaserState, PoseFlag
 from ringpose.types.scene import Truth
 from ringpose.types.session import Capture, Session
-
-
-def record_of(values):
-    """The record as it is read from its line."""
-    return parsed_record(line_of(values), "x")
-
 
 DETECTION = record_of(detection_record(Detection(shot="a", stamp_s=1.0, break_points=NoBreakPoints.NO_RING)))
 _TRUTH = Truth(

@@ -46,21 +46,10 @@ CALLS = {
         np.zeros(3, np.int64),
         np.zeros(1, np.int64),
         LENS,
-        (0.6, 0.5, 1.5, 2.5, 3.0, 10.0, 800.0, 40.0),
+        (800.0, 3.0, 0.6, 0.5, 1.25, 2.5, 10.0, 40.0),
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
     "end_columns": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),
-    "marks": (
-        TRACKS,
-        numbers(2, 2, 10),
-        np.arange(2),
-        (1.0,) * 14,
-        numbers(3, 2, 2),
-        numbers(3, 2, 2, 2),
-        np.zeros((3, 2), np.int64),
-        numbers(3, 2, 2),
-        numbers(3, 2),
-    ),
     "edge_places": (ARCS, np.zeros((7, 7)), LENS, (100.0, 90.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4, 10.0)),
     "edge_profiles": (
         IMAGE,
@@ -86,7 +75,7 @@ CALLS = {
 
 ARRAYS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, np.ndarray)]
 TUPLES = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, tuple)]
-FILLED = [("gradient", 3), ("chains", 0), *(("marks", i) for i in range(4, 9)), *(("edge_profiles", i) for i in (4, 5))]
+FILLED = [("gradient", 3), ("chains", 0), *(("edge_profiles", i) for i in (4, 5))]
 
 
 def call(name, i, changed):
@@ -157,43 +146,59 @@ def test_an_array_that_cannot_be_filled_is_a_value_error(name, i):
         call(name, i, read_only(CALLS[name][i]))
 
 
-@pytest.mark.parametrize(("name", "i"), [("stripes", 0), ("end_columns", 0), ("edge_profiles", 0), ("gradient", 0)])
-@pytest.mark.parametrize("shape", [(0, 9), (8, 0)])
-def test_an_image_without_pixels_is_a_value_error(name, i, shape):
-    with pytest.raises(ValueError, match=r"2\^31|extent"):
-        call(name, i, np.zeros(shape, np.uint8))
+def changed(array, place, value):
+    copy = array.copy() if isinstance(array, np.ndarray) else list(array)
+    copy[place] = value
+    return copy if isinstance(array, np.ndarray) else tuple(copy)
 
 
-@pytest.mark.parametrize("name", ["stripes", "end_columns"])
-def test_a_dark_frame_of_another_depth_is_rejected(name):
-    with pytest.raises((TypeError, ValueError), match="dark"):
-        call(name, 1, IMAGE.astype(np.uint16))
+FIGURES, STRIPE_PARAMS = CALLS["stripes"][4], CALLS["stripes"][5]
+OUT_OF_RANGE = {
+    "image without pixels": [
+        (name, 0, np.zeros(shape, np.uint8), r"2\^31|extent")
+        for name in ("stripes", "end_columns", "edge_profiles", "gradient")
+        for shape in ((0, 9), (8, 0))
+    ],
+    "dark frame of another depth": [(name, 1, IMAGE.astype(np.uint16), "dark") for name in ("stripes", "end_columns")],
+    "filter": [
+        ("stripes", 4, changed(FIGURES, (1, figure), value), "filters")
+        for figure, value in ((0, 0.0), (0, np.nan), (1, 0.0), (1, 41.0), (1, np.nan), (1, 5.0), (2, -1.0))
+    ],
+    "stripe parameter": [
+        ("stripes", 5, changed(STRIPE_PARAMS, number, value), "params")
+        for number, value in ((0, -1.0), (1, np.nan), (2, 0.0), (3, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0))
+    ],
+    "anchor threshold": [("gradient", 2, upper, "upper") for upper in (0, -1, 32768, 10**9)],
+    "bits": [("gradient", 1, bits, "bits") for bits in (7, 17, 10**9)],
+    "bits for other elements": [("gradient", 1, 9, "image"), ("gradient", 0, IMAGE.astype(np.uint16), "image")],
+    "anchor on the margin or outside": [
+        ("chains", 1, np.array([anchor], np.int32), "anchors: number 0 has no gradient")
+        for anchor in (-1, 0, 26, 29, 33, 48, 72, 2**31 - 1)
+    ],
+    "anchor on a negative magnitude": [("chains", 0, np.full((8, 9), -5, np.int16), "a negative one")],
+    "walk limit": [("chains", *limit, "must be") for limit in ((3, 0), (3, 32768), (4, 0))],
+    "start": [("cuts", 1, np.array(starts, np.int32), "starts") for starts in ([], [0, 7], [-1, 6], [4, 2, 6])],
+    "cut limit": [("cuts", *limit, "must be") for limit in ((4, 1), (5, 1), (4, 2**31))],
+    "piece": [("fits", 2, np.array([piece], np.int32), "pieces: number 0") for piece in ([-1, 3], [3, 2], [0, 6])],
+    "joining limit": [
+        ("joins", number, value, "gap, aside")
+        for number, value in ((3, -1.0), (4, 0.0), (3, np.nan), (4, np.nan), (3, np.inf), (4, 1e7))
+    ],
+}
 
 
-@pytest.mark.parametrize(("figure", "value"), [(0, 0.0), (0, np.nan), (1, 0.0), (1, 41.0), (1, np.nan), (2, -1.0)])
-def test_filters_out_of_range_are_a_value_error(figure, value):
-    figures = numbers(2, 4)
-    figures[1, figure] = value
+@pytest.mark.parametrize("what", OUT_OF_RANGE)
+def test_values_out_of_range_are_rejected_by_name(what):
+    for name, i, value, words in OUT_OF_RANGE[what]:
+        with pytest.raises((ValueError, TypeError), match=words):
+            call(name, i, value)
+
+
+def test_a_single_filter_is_a_value_error():
+    taps, filters = np.ones((1, 2, 5), np.float32), numbers(1, 4)
 
     with pytest.raises(ValueError, match="filters"):
-        call("stripes", 4, figures)
-
-
-@pytest.mark.parametrize(
-    ("number", "value"), [(0, -1.0), (1, np.nan), (2, 0.0), (3, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0)]
-)
-def test_parameters_of_stripes_out_of_range_are_a_value_error(number, value):
-    params = list(CALLS["stripes"][5])
-    params[number] = value
-
-    with pytest.raises(ValueError, match="params"):
-        call("stripes", 5, tuple(params))
-
-
-@pytest.mark.parametrize("upper", [0, -1, 32768, 10**9])
-def test_a_threshold_outside_sixteen_bits_is_a_value_error(upper):
-    with pytest.raises(ValueError, match="upper"):
-        _kernels.gradient(IMAGE, 8, upper, MAGNITUDE)
+        _kernels.stripes(IMAGE, None, None, taps, filters, STRIPE_PARAMS)
 
 
 def test_an_image_of_more_pixels_than_an_index_can_count_is_a_value_error():
@@ -201,35 +206,6 @@ def test_an_image_of_more_pixels_than_an_index_can_count_is_a_value_error():
 
     with pytest.raises(ValueError, match="2\\^31"):
         _kernels.gradient(image, 8, 100, MAGNITUDE)
-
-
-@pytest.mark.parametrize("bits", [7, 17, 10**9])
-def test_bits_out_of_range_are_a_value_error(bits):
-    with pytest.raises(ValueError, match="bits"):
-        _kernels.gradient(IMAGE, bits, 100, MAGNITUDE)
-
-
-@pytest.mark.parametrize(("image", "bits"), [(IMAGE, 9), (IMAGE.astype(np.uint16), 8)])
-def test_bits_that_do_not_go_with_the_elements_are_a_type_error(image, bits):
-    with pytest.raises(TypeError, match="image"):
-        _kernels.gradient(image, bits, 100, MAGNITUDE)
-
-
-@pytest.mark.parametrize("anchor", [-1, 0, 26, 29, 33, 48, 72, 2**31 - 1])
-def test_an_anchor_outside_the_image_or_on_its_margin_is_a_value_error(anchor):
-    with pytest.raises(ValueError, match="anchors: number 0 has no gradient"):
-        _kernels.chains(MAGNITUDE.copy(), np.array([anchor], np.int32), ORIENTATION, 1, 2)
-
-
-def test_an_anchor_on_a_negative_magnitude_is_a_value_error():
-    with pytest.raises(ValueError, match="a negative one"):
-        _kernels.chains(np.full((8, 9), -5, np.int16), ANCHORS, ORIENTATION, 1, 2)
-
-
-@pytest.mark.parametrize("limits", [(0, 2), (32768, 2), (1, 0)])
-def test_walk_limits_out_of_range_are_a_value_error(limits):
-    with pytest.raises(ValueError, match="must be"):
-        _kernels.chains(MAGNITUDE.copy(), ANCHORS, ORIENTATION, *limits)
 
 
 def test_a_magnitude_that_is_strong_up_to_the_border_keeps_the_walks_inside():
@@ -240,18 +216,6 @@ def test_a_magnitude_that_is_strong_up_to_the_border_keeps_the_walks_inside():
     walked = np.frombuffer(pixels, np.int32).reshape(-1, 2)
     assert sorted(map(tuple, walked.tolist())) == [(x, y) for x in (3, 4, 5) for y in (3, 4)]
     assert (magnitude == 7).all()
-
-
-@pytest.mark.parametrize("starts", [[], [0, 7], [-1, 6], [4, 2, 6]])
-def test_starts_that_do_not_ascend_within_the_pixels_are_a_value_error(starts):
-    with pytest.raises(ValueError, match="starts"):
-        _kernels.cuts(PIXELS, np.array(starts, np.int32), 1.0, 0.7, 8, 12)
-
-
-@pytest.mark.parametrize("params", [(1, 12), (8, 1), (2**31, 12)])
-def test_cut_parameters_out_of_range_are_a_value_error(params):
-    with pytest.raises(ValueError, match="must be"):
-        _kernels.cuts(PIXELS, STARTS, 1.0, 0.7, *params)
 
 
 @pytest.mark.parametrize("deviation", [-1.0, 0.0, float("nan"), float("inf")])
@@ -271,12 +235,6 @@ def test_fitting_takes_the_largest_coordinates_as_chords():
     lines, _ = _kernels.fits(MAGNITUDE, FAR_CORNERS, PIECES, 0)
 
     assert np.frombuffer(lines).tolist() == [-(2.0**31), 2.0**31 - 1, 2.0**31 - 1, -(2.0**31)]
-
-
-@pytest.mark.parametrize("piece", [[-1, 3], [3, 2], [0, 6]])
-def test_a_piece_outside_the_pixels_is_a_value_error(piece):
-    with pytest.raises(ValueError, match="pieces: number 0"):
-        _kernels.fits(MAGNITUDE, PIXELS, np.array([piece], np.int32), 0)
 
 
 FOUND, COUNT, INNER_COLUMNS = 0, 8, 9
@@ -300,16 +258,6 @@ def test_numbers_of_columns_outside_their_arrays_are_a_value_error(count, inner)
 
     with pytest.raises(ValueError, match="columns"):
         _kernels.ends(columns.tobytes(), (1.0,) * 16)
-
-
-LINES = np.zeros((1, 4))
-MOMENTS = np.zeros((1, 6))
-
-
-@pytest.mark.parametrize("params", [(-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.nan), (np.inf, 1.0), (1.0, 1e7)])
-def test_joining_parameters_out_of_range_are_a_value_error(params):
-    with pytest.raises(ValueError, match="gap, aside"):
-        _kernels.joins(LINES, MOMENTS, PIECES, *params, 1)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e300])

@@ -16,7 +16,7 @@ from ringpose.kernels.lines import Lens
 
 LENS = Lens(1778.0, 1781.0, 790.0, 611.0, -0.12, 0.05, 4e-4, -3e-4, 0.01)
 RATIONAL = LENS._replace(k4=0.02, k5=-0.01, k6=0.004)
-PLACES = PlaceParams(1600.0, 1200.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4)
+PLACES = PlaceParams(image_width=1600, image_height=1200, spacing_px=12.0, sigma_px=1.3)
 
 steps_of_state = arrays(np.float64, 7, elements=st.floats(-1, 1)).map(
     lambda part: part * [0.4, 0.4, 0.2, 0.1, 0.7, 3.0, 0.01]

@@ -9,24 +9,7 @@ import pytest
 from ringpose.kernels.ends import EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import Lens
 
-RULES = EndParams(
-    saturation_dn=255.0,
-    beyond_columns=40.0,
-    inside_columns=24.0,
-    outside_columns=12.0,
-    flank_sigmas=3.0,
-    flanks_share=0.6,
-    undimmed_level=0.6,
-    min_headroom=0.05,
-    min_noise=0.01,
-    shape_sigma=0.005,
-    texture_factor=1.5,
-    facet_sigmas=6.0,
-    near_columns=9.0,
-    width_spread=0.1,
-    blunt_gain=3.0,
-    clipped_shape=0.5,
-)
+RULES = EndParams(saturation_dn=255)
 STRAIGHT = Lens(900.0, 900.0, 160.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BENT = Lens(300.0, 300.0, 160.0, 60.0, -0.1, 0.02, 0.001, -0.001, 0.0)
 SIGMA = 3

@@ -5,8 +5,7 @@ import pytest
 from benchmarks.stripe_images import Kind, stripe_rig, switched_frames
 from scipy.ndimage import gaussian_filter1d
 
-from ringpose.detect.stripes import Filters, StripeParams, stripe_centers, stripe_filters
-from ringpose.kernels import _kernels
+from ringpose.detect.stripes import StripeParams, stripe_centers, stripe_filters
 
 FILTERS = stripe_filters(2.5)
 RULES = StripeParams(
@@ -22,7 +21,6 @@ WEAK_RULES = RULES._replace(begin_sigmas=1.5, continue_sigmas=1.0, min_response=
 """Under these noise is full of pieces."""
 
 SEVENTH_RIG = stripe_rig(1 / 3.5)
-IMAGE = np.zeros((60, 100), np.uint8)
 
 
 def drawn(sigma, rng, *, noise=1.0, peak=150.0, skew=0.0, beneath=20.0, shape=(160, 200)):
@@ -200,51 +198,8 @@ def test_an_image_may_be_a_view_of_another(part):
     np.testing.assert_array_equal(found.position_px, expected.position_px)
 
 
-def call(**changed):
-    arguments = {"image": IMAGE, "dark": None, "bands": None, "taps": FILTERS.taps, "filters": FILTERS.figures}
-    return _kernels.stripes(*(arguments | {"params": RULES} | changed).values())
-
-
 @pytest.mark.parametrize("rows", [(-(2**31), 2**31 - 1), (2**31 - 1, -(2**31)), (59, 60), (-9, 0), (60, 99)])
 def test_bands_may_reach_beyond_the_image(rows):
     bands = np.array([[*rows, 0, 60], [0, 100, *rows], [*rows, *rows]], np.int32)
 
-    assert len(call(bands=bands)) == 4
-
-
-@pytest.mark.parametrize(("figure", "value"), [(0, 0.0), (0, np.nan), (1, 0.0), (1, 41.0), (1, np.nan), (2, -1.0)])
-def test_filters_out_of_range_are_a_value_error(figure, value):
-    figures = FILTERS.figures.copy()
-    figures[3, figure] = value
-
-    with pytest.raises(ValueError, match="filters"):
-        call(filters=figures)
-
-
-def test_filters_with_fewer_taps_than_they_reach_are_a_value_error():
-    with pytest.raises(ValueError, match="filters"):
-        call(taps=np.ascontiguousarray(FILTERS.taps[..., :5]))
-
-
-def test_a_single_filter_is_a_value_error():
-    one = Filters(taps=FILTERS.taps[:1], figures=FILTERS.figures[:1])
-
-    with pytest.raises(ValueError, match="filters"):
-        call(taps=one.taps, filters=one.figures)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("begin_sigmas", -1.0),
-        ("continue_sigmas", np.nan),
-        ("min_response", 0.0),
-        ("coarse_per_response", -1.0),
-        ("gap", -1),
-        ("gap", 1001),
-        ("shortest", 0),
-    ],
-)
-def test_parameters_out_of_range_are_a_value_error(name, value):
-    with pytest.raises(ValueError, match="params"):
-        call(params=RULES._replace(**{name: value}))
+    assert len(stripe_centers(np.zeros((60, 100), np.uint8), None, bands, FILTERS, RULES).piece) == 0

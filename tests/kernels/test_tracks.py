@@ -7,16 +7,7 @@ import pytest
 from ringpose.detect.stripes import straight_segments
 from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
 
-RULES = TrackParams(
-    kink_px=0.6,
-    joined_px=0.5,
-    short_series=1.5,
-    on_line_px=2.5,
-    border_px=3.0,
-    min_columns=10,
-    image_width=800,
-    max_lag=40,
-)
+RULES = TrackParams(image_width=800, border_px=3.0)
 STRAIGHT = Lens(900.0, 900.0, 400.0, 300.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BENT = Lens(900.0, 905.0, 400.0, 300.0, -0.2, 0.1, 0.001, -0.002, 0.03, 0.01, 0.002, 0.0)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from ring_scenes import nees
 
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag
@@ -102,16 +103,6 @@ def center_by_parameters(ring):
     return np.stack([plus - minus for plus, minus in pairs], axis=-1) / (2.0 * STEPS)
 
 
-def squares_of(pose, ring):
-    """Squared errors of centre and normal in the told covariance, by degree of freedom."""
-    center_m = pose.center_m - ring.center_m
-    tilt_rad = axes_across(pose.normal) @ ring.normal / (pose.normal @ ring.normal)
-    return (
-        center_m @ np.linalg.solve(pose.covariance_center_m2, center_m) / 3.0,
-        tilt_rad @ np.linalg.solve(pose.covariance[:2, :2], tilt_rad) / 2.0,
-    )
-
-
 WEAK = PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN
 
 
@@ -133,7 +124,8 @@ def errors_and_bound(scene, known, face_points, rng, samples):
         true = replace(true, radius_inner_m=scene.ring.radius_m[0], radius_outer_m=scene.ring.radius_m[1])
         errors.append(values_of(pose, scene.ring.normal) - values_of(true, scene.ring.normal))
         if PoseFlag.CENTER_WEAK not in pose.flags:
-            squares.append(squares_of(pose, scene.ring))
+            of = nees(pose, scene.ring)
+            squares.append((of["center"], of["normal"]))
     assert len(errors) >= samples - 6
     return np.array(errors), np.array(squares).reshape(-1, 2), sd
 

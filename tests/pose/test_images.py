@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_scene import RADII_M, DrawnScene, draw_shot, drawn_rig
+from ring_scenes import Ring, nees
 
 from ringpose.detect.pipeline import detect
 from ringpose.estimate.measurements import integrated_autocorrelation_time
@@ -19,19 +20,6 @@ detector's floors make the errors smaller than told. So does speckle a little: i
 behind the lens, while the detector takes them for finer than the blur, as a laser's are."""
 
 
-def squares(scene, pose):
-    """Squared errors in standard deviations, by degree of freedom: centre and normal."""
-    error = pose.center_m - np.array(scene.center_m)
-    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
-    first = np.cross([0.0, 0.0, 1.0], pose.normal)
-    first /= np.linalg.norm(first)
-    tilt = np.stack([first, np.cross(pose.normal, first)]) @ normal / (normal @ pose.normal)
-    return (
-        error @ np.linalg.solve(pose.covariance_center_m2, error) / 3,
-        tilt @ np.linalg.solve(pose.covariance[:2, :2], tilt) / 2,
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["radius unknown", "radius known"])
 @pytest.mark.parametrize("speckle", sorted(BANDS))
@@ -43,7 +31,10 @@ def test_errors_on_drawn_images_are_those_that_are_told(rng, known, speckle):
         scene = DrawnScene(center_m=(x, y, z), normal=(*tilt, -1.0), speckle=speckle)
         shot = draw_shot(scene, rig, [0, 1, 2, 4], rng)
         given = known and replace(known, radius_m=known.radius_m + known.sd_m * rng.normal(size=2))
-        all_squares.append(squares(scene, estimate_pose(detect(shot, rig).break_points, rig, known=given)))
+        normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
+        ring = Ring(center_m=np.array(scene.center_m), normal=normal, radius_m=np.array(RADII_M))
+        of = nees(estimate_pose(detect(shot, rig).break_points, rig, known=given), ring)
+        all_squares.append((of["center"], of["normal"]))
 
     for mean, (least, most) in zip(np.mean(all_squares, axis=0), BANDS[speckle], strict=True):
         assert least < mean < most

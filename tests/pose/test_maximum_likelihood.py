@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import with_stripes, without
 
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
@@ -13,14 +14,6 @@ from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 POINT_PX, LINE_PX = 0.3, 0.01
 """Of a break point, and of the middle of a stripe's line: 0.1 px a column, a hundred independent columns."""
-
-
-def without(points, *places):
-    """Without these break points."""
-    position, covariance = points.position_px.copy(), points.covariance_px2.copy()
-    for place in places:
-        position[place], covariance[place] = np.nan, np.nan
-    return replace(points, position_px=position, covariance_px2=covariance)
 
 
 def without_line(points, laser):
@@ -78,7 +71,7 @@ def test_without_one_edge_the_other_radius_and_the_grasp_point_are_not_known(sce
 
 def test_two_stripes_give_normal_and_grasp_point_without_a_center(scene_of, face_points):
     scene = scene_of("B", distance_m=0.25)
-    points = without_line(without(face_points(scene, POINT_PX, LINE_PX), (2, 0), (2, 1)), 2)
+    points = with_stripes(face_points(scene, POINT_PX, LINE_PX), 0, 1)
 
     pose = estimate_pose(points, scene.rig)
 
@@ -88,7 +81,7 @@ def test_two_stripes_give_normal_and_grasp_point_without_a_center(scene_of, face
 
 def test_two_stripes_and_the_radius_give_the_center(scene_of, face_points):
     scene = scene_of("B", distance_m=0.25)
-    points = without_line(without(face_points(scene, POINT_PX, LINE_PX), (2, 0), (2, 1)), 2)
+    points = with_stripes(face_points(scene, POINT_PX, LINE_PX), 0, 1)
 
     pose = estimate_pose(points, scene.rig, known=KNOWN)
 
@@ -97,9 +90,9 @@ def test_two_stripes_and_the_radius_give_the_center(scene_of, face_points):
 
 def test_one_stripe_gives_a_grasp_point_without_a_normal(scene_of, face_points):
     scene = scene_of("B", distance_m=0.25)
-    points = without(face_points(scene, POINT_PX, LINE_PX), (0, 0), (0, 1), (2, 0), (2, 1))
+    points = with_stripes(face_points(scene, POINT_PX, LINE_PX), 1)
 
-    pose = estimate_pose(without_line(without_line(points, 0), 2), scene.rig)
+    pose = estimate_pose(points, scene.rig)
 
     offset = pose.grasp_m - scene.points_m[1].mean(axis=0)
     assert np.linalg.norm(offset) < 0.5e-3

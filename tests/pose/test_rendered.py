@@ -5,41 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
+from ringpose.files.rigs import read_rig
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.pose.pipeline import estimate_pose as most_likely_pose
 from ringpose.types.options import Method
 from ringpose.types.pose import NoPose
-from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 FOLDERS = pytest.mark.parametrize("folder", ["rig_a", "rig_b", "variants_a", "variants_b"])
 ROUNDING_SIGMA_PX = 1e-4 / np.sqrt(12)
-
-
-def read_rig(path: Path) -> Rig:
-    document = yaml.safe_load(path.read_text())
-    camera, lasers = document["camera"], document["lasers"]
-    return Rig(
-        camera=Camera(
-            camera_name=camera["camera_name"],
-            image_width=camera["image_width"],
-            image_height=camera["image_height"],
-            camera_matrix=np.array(camera["camera_matrix"]["data"]).reshape(3, 3),
-            distortion_model=camera["distortion_model"],
-            distortion_coefficients=np.array(camera["distortion_coefficients"]["data"]),
-        ),
-        lasers=LaserPlanes(
-            names=tuple(laser["name"] for laser in lasers),
-            normal=np.array([laser["normal"] for laser in lasers]),
-            distance_m=np.array([laser["distance_m"] for laser in lasers]),
-            projector_m=np.array([laser["projector_m"] for laser in lasers]),
-        ),
-    )
 
 
 def pixels(record):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ring_scenes import Ring, nees
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
@@ -33,16 +34,10 @@ def detections(request):
 
 
 def squares(pose, truth):
-    """Squared errors of centre and normal in the told covariance, by degree of freedom."""
-    center_m = pose.center_m - truth.center_m
-    first = np.cross([0.0, 0.0, 1.0], pose.normal)
-    first /= np.linalg.norm(first)
-    axes = np.stack([first, np.cross(pose.normal, first)])
-    tilt_rad = axes @ truth.normal / (pose.normal @ truth.normal)
-    return (
-        center_m @ np.linalg.solve(pose.covariance_center_m2, center_m) / 3.0,
-        tilt_rad @ np.linalg.solve(pose.covariance[:2, :2], tilt_rad) / 2.0,
-    )
+    """Squared errors of centre and normal over their covariance, by degree of freedom."""
+    radius_m = np.array([truth.radius_inner_m, truth.radius_outer_m])
+    of = nees(pose, Ring(center_m=truth.center_m, normal=truth.normal, radius_m=radius_m))
+    return of["center"], of["normal"]
 
 
 @pytest.mark.slow

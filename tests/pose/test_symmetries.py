@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import pixels_of
 
 from ringpose.pose.closed_form import FORMS, constrained_form, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
@@ -27,14 +28,7 @@ def test_turning_rig_and_ring_about_the_camera_turns_the_pose(scene_of, method, 
     still = scene_of("B")
     turn = cv2.Rodrigues(np.array(angles))[0]
     lasers = replace(still.rig.lasers, normal=still.rig.lasers.normal @ turn.T)
-    camera = still.rig.camera
-    position_px = cv2.projectPoints(
-        still.points_m.reshape(-1, 3) @ turn.T,
-        np.zeros(3),
-        np.zeros(3),
-        camera.camera_matrix,
-        camera.distortion_coefficients,
-    )[0].reshape(3, 2, 2)
+    position_px = pixels_of(still.points_m @ turn.T, still.rig.camera)
 
     pose = estimate_pose(
         replace(still.break_points(), position_px=position_px), replace(still.rig, lasers=lasers), method

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from ringpose.calibrate.boards.drawing import board_print
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.simulate.placement import board_poses, middle_of_board_m
-from ringpose.simulate.target.board import board_print
 from ringpose.types.board import Board, BoardView
 from ringpose.types.rig import Camera
 from ringpose.types.scene import BoardApproach, BoardSet

@@ -13,7 +13,6 @@ from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import target_placement
-from ringpose.simulate.stripe_ends import drawn_common_errors
 from ringpose.types.arrays import EDGES
 from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
@@ -130,14 +129,7 @@ def test_form_displaces_the_edges_with_the_tolerance_as_standard_deviation(switc
     depth_m = 0.47
     radial_px = tolerance_m * switched.rig.camera.camera_matrix[0, 0] / depth_m
     assert np.std(off_px, axis=0)[:, 0] == pytest.approx(radial_px, rel=0.25)
-
-
-def test_form_has_no_part_that_is_radius_centre_offset_or_tilt(switched, view, rng):
-    form = drawn_common_errors(switched.rig, rng, ring_tolerance_m=1e-3).form
-
-    assert min(FORM_ORDERS) == 2
-    assert form.radial_m.shape == (2, 3, 2)
-    assert np.std(form.radial_m) == pytest.approx(1e-3 / np.sqrt(3), rel=0.6)
+    assert min(FORM_ORDERS) == 2  # lower ones would be a centre, a radius, an offset or a tilt
 
 
 def test_outliers_are_where_the_truth_has_them(switched, view, rng):
@@ -185,9 +177,8 @@ def test_rig_errors_move_the_features_as_the_rigs_covariance_says(switched, view
         drawn = draw_detection(calibrated, view, rng, replace(EXACT, rig_errors=True))
         position = found(drawn).position_px
         assert np.abs(position[[0, 2]] - exact[[0, 2]]).max() < 1e-9
-        shift_m = drawn.common.rig.lasers.distance_m[1] - switched.rig.lasers.distance_m[1]
-        off.append(shift_m)
-        assert np.sign(position[1, 0, 1] - exact[1, 0, 1]) == np.sign(shift_m)
+        off.append(drawn.common.rig.lasers.distance_m[1] - switched.rig.lasers.distance_m[1])
+        assert np.sign(position[1, 0, 1] - exact[1, 0, 1]) == np.sign(off[-1])
 
     assert np.std(off) == pytest.approx(sd_m, rel=0.3)
 

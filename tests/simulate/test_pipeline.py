@@ -22,7 +22,7 @@ def test_the_seed_determines_the_images(scene):
 
 
 def test_processes_do_not_change_the_images(scene):
-    several = replace(scene, views=(), approaches=(Approach(count=8, distances_m=(0.5,)),), sequence=(7,))
+    several = replace(scene, views=(), approaches=(Approach(count=4, distances_m=(0.5,)),), sequence=(7,))
 
     one, two = images_of(several, jobs=1), images_of(several, jobs=2)
 
@@ -90,13 +90,12 @@ def test_exposure_reaches_the_requested_grey_value(clean_scene, view):
     assert max(peaks) == pytest.approx(150, rel=0.15)
 
 
-@pytest.mark.parametrize("target", ["body", "none"])
-def test_a_view_without_the_ring_is_exposed_as_with_it(clean_scene, view, target):
-    scene = replace(clean_scene, stripe_dn=150.0, views=(view, replace(view, name="other", target=target)))
+def test_a_view_without_the_ring_is_exposed_as_with_it(clean_scene, view):
+    views = tuple(replace(view, name=target, target=target) for target in ("ring", "body", "none"))
 
-    with_ring, without = [shot.exposure_s[0] for shot, _ in simulate(scene)]
+    exposures_s = {shot.exposure_s[0] for shot, _ in simulate(replace(clean_scene, stripe_dn=150.0, views=views))}
 
-    assert without == with_ring
+    assert len(exposures_s) == 1
 
 
 def test_a_moment_of_the_simulated_camera_equals_the_shot_of_the_view(scene):

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_scene import line_of
 from scipy.stats import norm
 
 from ringpose.geometry.rays import intersect, project, rays
@@ -17,10 +18,7 @@ def rendered(scene, view):
 
 def line_on_face(scene, view, laser):
     """A point and the direction of the line in which a light plane meets the plane of the face."""
-    normal, distance_m = scene.rig.lasers.normal[laser], scene.rig.lasers.distance_m[laser]
-    along = np.cross(view.normal, normal)
-    start = np.linalg.solve(np.stack([view.normal, normal, along]), [view.normal @ view.center_m, distance_m, 0.0])
-    return start, along / np.linalg.norm(along)
+    return line_of(scene.rig, laser, view.normal, float(view.normal @ view.center_m))
 
 
 def stripe_pixels(scene, view, laser):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_scene import line_of
 
 from ringpose.files.images.shots import read_shot
 from ringpose.files.records.truths import read_truths
@@ -48,12 +49,8 @@ def errors_px(shot, truth, rig):
 
 
 def errors_of_laser(shot, truth, rig, laser):
-    normal = rig.lasers.normal[laser]
-    along = np.cross(truth.normal, normal)
-    start = np.linalg.solve(
-        np.stack([truth.normal, normal, along]), [truth.normal @ truth.center_m, rig.lasers.distance_m[laser], 0.0]
-    )
-    line = project(start + np.linspace(-1.0, 1.0, 20001)[:, None] * along / np.linalg.norm(along), rig.camera)
+    start, along = line_of(rig, laser, truth.normal, float(truth.normal @ truth.center_m))
+    line = project(start + np.linspace(-1.0, 1.0, 20001)[:, None] * along, rig.camera)
     first, last = np.sort(truth.break_points_px[laser, :, 0])
     near = line[(line[:, 0] > first - 5) & (line[:, 0] < last + 5)]
     near = near[np.argsort(near[:, 0])]

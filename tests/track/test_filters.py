@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from moving_rings import START_S, Shots, Wandering, drawn_motion, stream
+from moving_rings import Shots, Wandering, drawn_motion, stream
+from tracked_rings import nees_at, newest, track_of
 
-from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.filters import (
     Innovation,
     covariances_after,
@@ -75,35 +75,17 @@ def test_process_noise_is_that_of_white_acceleration():
         np.testing.assert_allclose(noise[index][both], MODELS.velocity_noise[index] * expected, rtol=1e-12)
 
 
-def nees(error, covariance) -> float:
-    return float(error @ np.linalg.solve(covariance, error)) / len(error)
-
-
-def consistency(motion, tracker, ahead_s=0.0) -> dict[str, float]:
-    """NEES of a track, `ahead_s` after its last record."""
-    line = tracker.line_at(tracker.track.stamp_s + ahead_s)
-    time_s = line.stamp_s - START_S
-    ring, basis = motion.at(time_s), tilt_basis(line.pose.normal)
-    return {
-        f"center, {ahead_s:g} s": nees(line.pose.center_m - ring.center_m, line.pose.covariance_center_m2),
-        f"normal, {ahead_s:g} s": nees(basis @ (ring.normal - line.pose.normal), line.pose.covariance[:2, :2]),
-        f"velocity, {ahead_s:g} s": nees(
-            line.velocity.center_m_s - motion.velocity_at(time_s), line.velocity.covariance[:3, :3]
-        ),
-    }
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [(1e-6, 1e-6), (1e-4, 1e-4)], ids=str)
 def test_errors_of_a_track_are_those_that_it_reports(rng, noise):
     figures = []
     for _ in range(20):
-        motion, tracker = Wandering(drawn_motion(rng, speed_m_s=0.0125, rate_deg_s=1.0), noise, 7.0, rng), Tracker(None)
-        for line in stream(motion, 4.0, Shots(), rng):
-            tracker.add(line)
+        motion = Wandering(drawn_motion(rng, speed_m_s=0.0125, rate_deg_s=1.0), noise, 7.0, rng)
+        tracker = track_of(stream(motion, 4.0, Shots(), rng))
         figures.append({})
         for ahead_s in (0.0, 0.5, 2.0):
-            figures[-1] |= consistency(motion, tracker, ahead_s)
+            found = nees_at(motion, newest(tracker, ahead_s))
+            figures[-1] |= {(name, ahead_s): found[name] for name in ("centre", "normal", "velocity")}
 
     for name in figures[0]:
         # one track in a hundred had been steady by chance: filters with too little process noise follow it for a while
@@ -117,11 +99,9 @@ def test_a_target_of_constant_velocity_is_tracked_several_times_better_than_a_sh
     squares = []
     for _ in range(12):
         motion = drawn_motion(rng, speed_m_s=0.0125, rate_deg_s=1.0)
-        tracker = Tracker(None)
-        for line in stream(motion, 5.0, Shots(), rng):
-            tracker.add(line)
-        assert consistency(motion, tracker)["center, 0 s"] < 10.0
-        squares.append(np.trace(tracker.line_at(0.0).pose.covariance[:2, :2]))
+        line = newest(track_of(stream(motion, 5.0, Shots(), rng)))
+        assert nees_at(motion, line)["centre"] < 10.0
+        squares.append(np.trace(line.pose.covariance[:2, :2]))
 
     single_still_deg = 0.24  # of these shots, with all twelve numbers for seven parameters
     assert np.degrees(np.sqrt(np.mean(squares))) < 0.4 * single_still_deg

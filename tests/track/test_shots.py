@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from moving_rings import START_S, Shots, drawn_motion, stream
 from ring_scenes import RIGS, pixels_of
+from tracked_rings import track_of
 
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
@@ -24,10 +25,7 @@ def predicted_at(tracker: Tracker, ahead_s: float, rig=RIG):
 
 @pytest.fixture(scope="module")
 def tracker(records) -> Tracker:
-    tracker = Tracker(None)
-    for line in records:
-        tracker.add(line)
-    return tracker
+    return track_of(records)
 
 
 @pytest.mark.parametrize("ahead_s", [0.03, 0.3])
@@ -62,9 +60,7 @@ def test_a_prediction_does_not_assign_stripes_that_are_closer_than_five_sigmas(t
 
 def test_the_motion_of_the_edges_in_the_image_is_that_of_the_ring(rng):
     motion = replace(drawn_motion(rng, rate_deg_s=0.0), velocity_m_s=np.array([0.03, 0.0, 0.0]), rate_rad_s=np.zeros(3))
-    tracker = Tracker(None)
-    for line in stream(motion, 2.0, Shots(known_radius_sd_m=5e-4), rng):
-        tracker.add(line)
+    tracker = track_of(stream(motion, 2.0, Shots(known_radius_sd_m=5e-4), rng))
     stamp_s = tracker.track.stamp_s
 
     found_px = motion_px(tracker.track, stamp_s - 0.1, stamp_s, RIG)
@@ -112,21 +108,6 @@ def test_lasers_are_assigned_while_shots_continue_the_track_and_not_after_one_th
 
     assert found[-1]
     assert not shots.assigns_lasers(RIG)
-
-
-def test_shots_that_share_a_background_count_less(rng):
-    still = drawn_motion(rng, speed_m_s=0.0, rate_deg_s=0.0)
-    lines, variances = stream(still, 3.0, Shots(), rng), []
-    for masks in ([0, 7], [7]):
-        shots = ShotTracker(tracker := Tracker(None))
-        for line in lines[:12]:
-            shots.added(line)
-        shots.detected(shot([0, 7], lines[12].pose_stamp_s - 0.02), RIG, USUAL.about_shot(RIG.stability, still=False))
-        shots.detected(shot(masks, lines[12].pose_stamp_s), RIG, USUAL.about_shot(RIG.stability, still=False))
-        shots.added(lines[12])
-        variances.append(np.trace(tracker.line_at(0.0).grasp.covariance[:3, :3]))
-
-    assert variances[1] > 1.05 * variances[0]
 
 
 @pytest.mark.parametrize("count", range(1, 11))

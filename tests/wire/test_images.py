@@ -110,7 +110,7 @@ def test_a_header_that_is_no_object_is_rejected(text):
 )
 def test_a_wrong_request_is_rejected(header):
     with pytest.raises(MalformedMessage):
-        wire.request_in(wire.Fields(header))
+        wire.request_in(wire.Header(header))
 
 
 JSON = st.recursive(
@@ -162,11 +162,11 @@ def test_a_shot_name_that_could_be_a_path_is_rejected(name):
     sent = wire.frame_header(frame_of(np.zeros((2, 3), np.uint8))) | {"shot": name}
 
     with pytest.raises(MalformedMessage, match="shot"):
-        wire.frame_in(wire.Fields(sent), bytes(6))
+        wire.frame_in(wire.Header(sent), bytes(6))
 
 
 def test_another_version_of_the_protocol_is_named():
-    header = wire.Fields({"type": "greeting", "protocol": "ringpose/images/2"})
+    header = wire.Header({"type": "greeting", "protocol": "ringpose/images/2"})
 
     with pytest.raises(MalformedMessage, match="images/2"):
         wire.greeting_in(header)

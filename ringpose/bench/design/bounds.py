@@ -54,7 +54,9 @@ class Bound:
 
 
 def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
-    """The bound at the ring of a pose from exact features; None if it leaves a parameter of the ring open.
+    """The Cramér-Rao bound of a ring from its pose, estimated from features without errors.
+
+    None if the features do not determine every parameter of the ring.
 
     `rig` is the one by which it was measured: its covariance is the prior of the nuisance parameters; those that it
     does not name count as exact. The prior of the radii is that of the pose.

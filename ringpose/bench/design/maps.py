@@ -12,13 +12,7 @@ from math import degrees, inf, nan, radians
 import numpy as np
 
 from ringpose.bench.design.bounds import cramer_rao
-from ringpose.bench.design.rig_changes import (
-    elevations_rad,
-    with_baseline,
-    with_focal_length,
-    with_laser_angle,
-    with_lasers,
-)
+from ringpose.bench.design.rig_changes import elevations_rad, with_changes
 from ringpose.bench.table import number
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.estimate.nuisance import with_stability
@@ -63,7 +57,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceResult:
-    """What a rig can measure at a place."""
+    """How accurately a rig can measure the ring at a place."""
 
     place: Place
     stripes: int
@@ -143,40 +137,14 @@ def designs(
     scene: Scene, sweep: Mapping[str, Sequence[float]], where: Sequence[Place], stability: RigStability
 ) -> Iterator[Design]:
     """The scene's rig, every combination of the sweep, and the angles of the paper's rigs for comparison."""
-    yield Design(name="as given", changes={}, rig=scene.rig, results=tuple(measured(scene, where, stability)))
-    for values in product(*sweep.values()) if sweep else ():
-        changes = dict(zip(sweep, values, strict=True))
-        changed = scene_with(scene, changes)
-        name = ", ".join(change_text(key, value) for key, value in changes.items())
-        yield Design(name=name, changes=changes, rig=changed.rig, results=tuple(measured(changed, where, stability)))
-    for name, angle_rad in PAPER_ANGLES.items():
-        changed = scene_with(scene, {"laser_angle_rad": angle_rad})
-        yield Design(
-            name=name,
-            changes={"laser_angle_rad": angle_rad},
-            rig=changed.rig,
-            results=tuple(measured(changed, where, stability)),
-            reference=True,
-        )
-
-
-def scene_with(scene: Scene, changes: Mapping[str, float]) -> Scene:
-    """The scene with another rig or sensor, by the names of `SWEPT`."""
-    rig = scene.rig
-    if "lasers" in changes:
-        rig = with_lasers(rig, round(changes["lasers"]))
-    if "baseline_m" in changes:
-        rig = with_baseline(rig, changes["baseline_m"])
-    if "focal_px" in changes:
-        rig = with_focal_length(rig, changes["focal_px"])
-    if "laser_angle_rad" in changes:
-        rig = with_laser_angle(rig, changes["laser_angle_rad"])
-    if "dark_noise_e" in changes:
-        scene = replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=changes["dark_noise_e"]))
-    if "lasers" in changes:
-        count = len(rig.lasers.names)
-        scene = replace(scene, sequence=(0, *(1 << laser for laser in range(count)), (1 << count) - 1))
-    return replace(scene, rig=rig)
+    swept = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())] if sweep else []
+    named = [(", ".join(change_text(*change) for change in changes.items()), changes) for changes in swept]
+    references = [(name, {"laser_angle_rad": angle_rad}) for name, angle_rad in PAPER_ANGLES.items()]
+    for index, (name, changes) in enumerate([("as given", {}), *named, *references]):
+        changed = with_changes(scene, changes)
+        uncertain = replace(changed, rig=with_stability(changed.rig, stability))
+        results = tuple(place_result(uncertain, place) for place in where)
+        yield Design(name=name, changes=changes, rig=changed.rig, results=results, reference=index > len(swept))
 
 
 def change_text(name: str, value: float) -> str:
@@ -195,13 +163,6 @@ def best(found: Iterable[Design], quantity: str, min_coverage: float) -> Design 
     allowed = [design for design in found if not design.reference and design.coverage() >= min_coverage]
     finite = [design for design in allowed if design.median(quantity) < inf]
     return min(finite, key=lambda design: design.median(quantity), default=None)
-
-
-def measured(scene: Scene, where: Iterable[Place], stability: RigStability) -> Iterator[PlaceResult]:
-    """What the scene's rig can measure at each place."""
-    uncertain = replace(scene, rig=with_stability(scene.rig, stability))
-    for place in where:
-        yield place_result(uncertain, place)
 
 
 def place_result(scene: Scene, place: Place) -> PlaceResult:
@@ -239,7 +200,7 @@ def place_result(scene: Scene, place: Place) -> PlaceResult:
 
 
 def scene_at(scene: Scene, place: Place) -> Scene:
-    """The scene with one view: the middle of the face at the place, the centre of the ring to its right."""
+    """The scene with one view, in which the visible section of the face is at a place, left of the ring's centre."""
     normal = facing_normal(place.pitch_rad, place.yaw_rad)
     point_m = place.distance_m * image_ray(scene.rig.camera, np.array([place.offset_x, place.offset_y]))
     axis = ring_rotation(normal, 0.0)[:, 0]
@@ -286,40 +247,23 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
     return False
 
 
-HEADINGS = (
-    "distance",
-    "in view",
-    "center mm",
-    "normal deg",
-    "r_out mm",
-    "grasp mm",
-    "center mm (r known)",
-    "above bound",
-)
-
-
 def design_rows(found: Sequence[Design]) -> list[list[str]]:
     """A row for each design and distance: medians over the places."""
-    rows = [["rig", *HEADINGS]]
+    medians = {
+        "center mm": ("center_m", 1e3),
+        "normal deg": ("normal_rad", degrees(1.0)),
+        "r_out mm": ("radius_outer_m", 1e3),
+        "grasp mm": ("grasp_m", 1e3),
+        "center mm (r known)": ("center_known_m", 1e3),
+    }
+    rows = [["rig", "distance", "in view", *medians, "above bound"]]
     for design in found:
         for distance_m in sorted({result.place.distance_m for result in design.results}):
-            here = replace(
-                design,
-                results=tuple(result for result in design.results if result.place.distance_m == distance_m),
-            )
-            rows.append(
-                [
-                    design.name,
-                    f"{1e3 * distance_m:.0f} mm",
-                    f"{100 * here.coverage():.0f} %",
-                    number(1e3 * here.median("center_m")),
-                    number(degrees(here.median("normal_rad"))),
-                    number(1e3 * here.median("radius_outer_m")),
-                    number(1e3 * here.median("grasp_m")),
-                    number(1e3 * here.median("center_known_m")),
-                    f"{100 * here.share('above_bound'):.0f} %",
-                ]
-            )
+            results = tuple(result for result in design.results if result.place.distance_m == distance_m)
+            here = replace(design, results=results)
+            shares = [f"{100 * share:.0f} %" for share in (here.coverage(), here.share("above_bound"))]
+            values = [number(factor * here.median(name)) for name, factor in medians.values()]
+            rows.append([design.name, f"{1e3 * distance_m:.0f} mm", shares[0], *values, shares[1]])
     return rows
 
 
@@ -329,10 +273,8 @@ def summary_lines(found: Sequence[Design]) -> list[str]:
     for design in found:
         camera, range_m = design.rig.camera, design.full_view_m()
         focal = camera.camera_matrix[0, 0], camera.camera_matrix[1, 1]
-        view = [
-            2 * degrees(np.arctan2(size / 2, length))
-            for size, length in zip((camera.image_width, camera.image_height), focal, strict=True)
-        ]
+        size = np.array([camera.image_width, camera.image_height])
+        view = np.degrees(2 * np.arctan2(size / 2, focal)).tolist()
         seen = "never" if range_m is None else f"from {1e3 * range_m[0]:.0f} to {1e3 * range_m[1]:.0f} mm"
         angles = ", ".join(f"{round(degrees(each), 2) + 0.0:g}" for each in elevations_rad(design.rig.lasers))
         lines.append(
@@ -342,9 +284,12 @@ def summary_lines(found: Sequence[Design]) -> list[str]:
     return lines
 
 
+PLACE_FLAGS = ("weak", "weak_known", "light_beyond", "ambiguous")
+"""What is true or false of a place (`PlaceResult`)."""
+
 CSV_HEADING = (
     "rig", "reference", *SWEPT, "distance_m", "offset_x", "offset_y", "pitch_rad", "yaw_rad", "stripes",
-    *(f"sd_{name}" for name in QUANTITIES), "weak", "weak_known", "light_beyond", "ambiguous",
+    *(f"sd_{name}" for name in QUANTITIES), *PLACE_FLAGS,
 )  # fmt: skip
 
 
@@ -356,14 +301,10 @@ def csv_rows(found: Iterable[Design]) -> Iterator[list[str | float | int]]:
             place, sds = result.place, [result.sd[name] for name in QUANTITIES]
             yield [
                 design.name,
-                _truth(design.reference),
+                str(design.reference).lower(),
                 *(design.changes.get(name, "") for name in SWEPT),
                 *(place.distance_m, place.offset_x, place.offset_y, place.pitch_rad, place.yaw_rad),
                 result.stripes,
                 *(sd if np.isfinite(sd) else "" for sd in sds),
-                *map(_truth, (result.weak, result.weak_known, result.light_beyond, result.ambiguous)),
+                *(str(getattr(result, name)).lower() for name in PLACE_FLAGS),
             ]
-
-
-def _truth(value: bool) -> str:
-    return "true" if value else "false"

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
@@ -85,13 +86,8 @@ def _curves(shown: Sequence[Design]) -> Picture:
         axis.set_ylabel(f"standard deviation ({unit})")
         axis.set_xlabel("distance (mm)")
         axis.grid(alpha=0.3, which="both")
-    figure.legend(
-        list(figure.axes[0].get_lines()),
-        [_name(design) for design in shown],
-        loc="outside upper center",
-        ncols=3,
-        fontsize=8,
-    )
+    labels = [_name(design) for design in shown]
+    figure.legend(list(figure.axes[0].get_lines()), labels, loc="outside upper center", ncols=3, fontsize=8)
     caption = (
         "Median over the places of a distance; dashed: the angles of the paper's rigs. A line ends where the quantity "
         "is not determined at most places."
@@ -109,23 +105,31 @@ def _tick(value: float, _: object) -> str:
     return f"{value:g}" if min(abs(digit - each) for each in (1, 2, 5)) < 1e-6 else ""
 
 
+def _subplots(shown: Sequence[Design], height_in: float, margin_in: float) -> tuple[Figure, list[Axes]]:
+    """A figure with axes for each rig, three in a row, which share their scales."""
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = canvas(11, margin_in + height_in * rows)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    for axis, design in zip(axes, shown, strict=False):
+        axis.set_title(_name(design), fontsize=9)
+    for axis in axes[len(shown) :]:
+        axis.set_visible(False)
+    return figure, axes[: len(shown)]
+
+
 def _maps(shown: Sequence[Design], quantity: str) -> Picture:
     """A map of one quantity for each rig, over distance and offset."""
     label, factor, unit = UNITS[quantity]
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    figure = canvas(11, 1.1 + 2.7 * rows)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    grids = [factor * _grid(design, quantity) for design in shown]
-    finite = np.concatenate([grid[np.isfinite(grid)] for grid in grids])
+    figure, axes = _subplots(shown, 2.7, 1.1)
+    values = factor * np.array([[result.sd[quantity] for result in design.results] for design in shown])
+    finite = values[np.isfinite(values)]
     norm = LogNorm(float(finite.min()), float(finite.max())) if len(finite) and finite.min() < finite.max() else None
-    for axis, design, grid in zip(axes, shown, grids, strict=False):
-        mesh = _map(axis, design, grid, norm, _ABOVE_BOUND.get(quantity, "above_bound"))
-    for axis in axes[len(shown) :]:
-        axis.set_visible(False)
+    for axis, design, of_places in zip(axes, shown, values, strict=True):
+        mesh = _map(axis, design, of_places, norm, _ABOVE_BOUND.get(quantity, "above_bound"))
     figure.supxlabel("offset from the image centre (image widths)", fontsize=9)
     figure.supylabel("distance (mm)", fontsize=9)
-    bar = figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
+    bar = figure.colorbar(mesh, ax=axes, label=f"{label} ({unit})")
     for ticks in (bar.ax.yaxis.set_major_formatter, bar.ax.yaxis.set_minor_formatter):
         ticks(FuncFormatter(_tick))
     caption = (
@@ -136,50 +140,33 @@ def _maps(shown: Sequence[Design], quantity: str) -> Picture:
     return Picture(png=png_of(figure), caption=caption)
 
 
-def _map(axis: Axes, design: Design, grid: Float64[Array, "distance offset"], norm: LogNorm | None, above: str) -> Any:
+def _map(axis: Axes, design: Design, values: Float64[Array, "place"], norm: LogNorm | None, above: str) -> Any:
+    """Draw a map; its places are a grid, row after row (`ringpose.bench.design.maps.places`)."""
+    distances_m = sorted({result.place.distance_m for result in design.results})
+    offsets = sorted({result.place.offset_x for result in design.results})
     axis.set_facecolor("0.85")
-    mesh = axis.pcolormesh(np.ma.masked_invalid(grid), norm=norm, cmap="viridis_r")
-    distances_m, offsets = _axes_of(design)
-    for result in design.results:
-        row, column = distances_m.index(result.place.distance_m), offsets.index(result.place.offset_x)
+    grid = np.ma.masked_invalid(values.reshape(len(distances_m), len(offsets)))
+    mesh = axis.pcolormesh(grid, norm=norm, cmap="viridis_r")
+    for number, result in enumerate(design.results):
+        row, column = divmod(number, len(offsets))
         if getattr(result, above):
-            dark = norm is not None and np.ma.filled(norm(grid[row, column]), 0.0) > 0.5
+            dark = norm is not None and np.ma.filled(norm(values[number]), 0.0) > 0.5
             edge = "0.9" if dark else "0.3"
             axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor=edge, linewidth=0))
         if result.stripes < len(design.rig.lasers.names):
             box = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none"}
             axis.text(column + 0.5, row + 0.5, str(result.stripes), ha="center", va="center", fontsize=8, bbox=box)
-    axis.set_title(_name(design), fontsize=9)
     axis.set_xticks(np.arange(len(offsets)) + 0.5, [f"{offset:g}" for offset in offsets], fontsize=8)
     axis.set_yticks(np.arange(len(distances_m)) + 0.5, [f"{1e3 * each:.0f}" for each in distances_m], fontsize=8)
     return mesh
 
 
-def _axes_of(design: Design) -> tuple[list[float], list[float]]:
-    distances_m = sorted({result.place.distance_m for result in design.results})
-    return distances_m, sorted({result.place.offset_x for result in design.results})
-
-
-def _grid(design: Design, quantity: str) -> Float64[Array, "distance offset"]:
-    distances_m, offsets = _axes_of(design)
-    grid = np.full((len(distances_m), len(offsets)), np.nan)
-    for result in design.results:
-        grid[distances_m.index(result.place.distance_m), offsets.index(result.place.offset_x)] = result.sd[quantity]
-    return grid
-
-
 def _sketches(shown: Sequence[Design]) -> Picture:
     """Side view of each rig: the field of view and the light planes."""
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    figure = canvas(11, 0.6 + 2.2 * rows)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    for axis, design in zip(axes, shown, strict=False):
+    figure, axes = _subplots(shown, 2.2, 0.6)
+    for axis, design in zip(axes, shown, strict=True):
         draw_side_view(axis, design.rig, max(result.place.distance_m for result in design.results))
-        axis.set_title(_name(design), fontsize=9)
         axis.tick_params(labelsize=8)
-    for axis in axes[len(shown) :]:
-        axis.set_visible(False)
     figure.supxlabel("distance z (mm)", fontsize=9)
     figure.supylabel("y (mm), down", fontsize=9)
     return Picture(png=png_of(figure), caption="Side view of the rigs: field of view (grey) and light planes.")

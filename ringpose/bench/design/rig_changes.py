@@ -1,13 +1,58 @@
-"""Rigs that differ from a given one: angles, baseline and number of lasers, focal length."""
+"""Scenes that differ from a given one: in their rig, lens, sensor, ring or laser steps."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
-import cv2
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.geometry.ring import rotation_by
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.scene import Scene
+from ringpose.types.session import parsed_sequence
+
+
+def with_changes(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """The scene with those of the values that `CHANGES` names."""
+    for name, change in CHANGES.items():
+        if name in values:
+            scene = change(scene, values[name])
+    return scene
+
+
+def _with_lasers(scene: Scene, count: float) -> Scene:
+    """A scene whose shots show each laser alone, and all together."""
+    number = round(count)
+    sequence = (0, *(1 << laser for laser in range(number)), (1 << number) - 1)
+    return replace(scene, rig=with_lasers(scene.rig, number), sequence=sequence)
+
+
+def _with_radius(scene: Scene, radius_outer_m: float) -> Scene:
+    """A ring of the same cross-section."""
+    larger_m = np.array([radius_outer_m - scene.ring.radius_outer_m, 0.0])
+    return replace(scene, ring=replace(scene.ring, profile_m=scene.ring.profile_m + larger_m))
+
+
+def _with_sequence(scene: Scene, text: str) -> Scene:
+    lasers = len(scene.rig.lasers.names)
+    return replace(scene, sequence=tuple(step.mask(lasers) for step in parsed_sequence(text)))
+
+
+CHANGES: Mapping[str, Callable[[Scene, Any], Scene]] = {
+    "lasers": _with_lasers,
+    "baseline_m": lambda scene, value: replace(scene, rig=with_baseline(scene.rig, value)),
+    "focal_px": lambda scene, value: replace(scene, rig=with_focal_length(scene.rig, value)),
+    "laser_angle_rad": lambda scene, value: replace(scene, rig=with_laser_angle(scene.rig, value)),
+    "radius_outer_m": _with_radius,
+    "sequence": _with_sequence,
+    "stripe_dn": lambda scene, value: replace(scene, stripe_dn=value),
+    "blur_px": lambda scene, value: replace(scene, lens=replace(scene.lens, blur_px=value)),
+    "speckle_contrast": lambda scene, value: replace(scene, speckle=replace(scene.speckle, contrast=value)),
+    "dark_noise_e": lambda scene, value: replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=value)),
+}
+"""What differs in a sweep of rigs, or in a study, in the order in which it is changed."""
 
 
 def elevations_rad(planes: LaserPlanes) -> Float64[Array, "laser"]:
@@ -24,13 +69,8 @@ def with_laser_angle(rig: Rig, angle_rad: float) -> Rig:
     order = np.argsort(elevations_rad(rig.lasers))
     target = np.zeros(len(order))
     target[order] = np.linspace(-angle_rad, angle_rad, len(order)) if len(order) > 1 else 0.0
-    turns = target - elevations_rad(rig.lasers)
-    normal = np.array(
-        [
-            cv2.Rodrigues(np.array([turn, 0.0, 0.0]))[0] @ each
-            for turn, each in zip(turns, rig.lasers.normal, strict=True)
-        ]
-    )
+    turns_rad = np.array([[1.0, 0.0, 0.0]]) * (target - elevations_rad(rig.lasers))[:, None]
+    normal = (rotation_by(turns_rad) @ rig.lasers.normal[..., None])[..., 0]
     return replace(rig, lasers=_through_projectors(replace(rig.lasers, normal=normal)))
 
 

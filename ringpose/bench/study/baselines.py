@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.geometry.rays import intersect, nearest_plane, rays, towards_camera, undistorted_pixels
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.pose.closed_form import constrained_form, why_undetermined
+from ringpose.pose.closed_form import constrained_form, mean_radii, why_undetermined
 from ringpose.pose.triangulation import triangulated
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.detection import BreakPoints, Detection, RingEdgePoints
@@ -25,6 +25,8 @@ MIN_ELLIPSE_POINTS = 20
 
 PARALLEL_BELOW = 1e-9
 """Sine of the angle between two chords below which their bisectors count as parallel."""
+
+TINY_M = 1e-12
 
 MAX_RADIUS_M = 100.0
 """A larger ring is a fit that diverged."""
@@ -58,8 +60,7 @@ def bisectors_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPos
     if not centers:
         return "the chords' bisectors are parallel"
     center_m = np.mean(centers, axis=0) @ basis + distance_m * normal
-    off_m = np.linalg.norm(points_m - center_m, axis=1)
-    radius_m = np.array([off_m[edges == edge].mean() if (edges == edge).any() else nan for edge in (0, 1)])
+    radius_m = mean_radii(points_m[None], edges, center_m[None])[0]
     return _pose(StudyMethod.BISECTORS, center_m, normal, radius_m, points_m)
 
 
@@ -125,17 +126,20 @@ def ellipse_refined_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> R
     edges = _visible_edges(detection)
     if not isinstance(start, RingPose) or edges is None:
         return start
-    directions, focal_px = rays(edges.position_px, rig.camera), float(rig.camera.camera_matrix[0, 0])
+    directions = rays(edges.position_px, rig.camera)
+    axis_m = intersect(np.array([[0.0, 0.0, 1.0]]), start.normal, np.asarray(start.normal @ start.center_m))[0]
+    outward = np.nan_to_num(start.center_m - axis_m)  # from the point of the ring's plane on the optical axis
+    nearest_m = start.center_m - start.radius_outer_m * outward / max(float(np.linalg.norm(outward)), TINY_M)
+    px_per_m = float(rig.camera.camera_matrix[0, 0] / np.linalg.norm(nearest_m))
 
     def residuals(x: Float64[Array, "5"]) -> Float64[Array, "point"]:
         normal = tilted(start.normal, x[3:])
         off_m = _radial_distances_m(start.center_m + x[:3], normal, directions, edges.edge, radii)
-        depth_m = float(np.linalg.norm(start.center_m - start.radius_outer_m * _nearest(start)))
-        return np.nan_to_num(off_m * focal_px / depth_m, nan=1e3)
+        return np.nan_to_num(off_m * px_per_m, nan=1e3)
 
     from scipy.optimize import least_squares
 
-    solved = least_squares(residuals, np.zeros(5), x_scale=np.array([0.01, 0.01, 0.01, 0.01, 0.01]))
+    solved = least_squares(residuals, np.zeros(5), x_scale=0.01)
     if not solved.success:
         return "the refinement of the ellipse diverges"
     center_m, normal = start.center_m + solved.x[:3], tilted(start.normal, solved.x[3:])
@@ -231,14 +235,6 @@ def _radial_distances_m(
     points_m = intersect(directions, normal, np.asarray(normal @ center_m))
     distance: Float64[Array, "point"] = np.linalg.norm(points_m - center_m, axis=1) - radii.radius_m[edges]
     return distance
-
-
-def _nearest(pose: RingPose) -> Float64[Array, "3"]:
-    """Unit vector in the ring's plane from the optical axis's foot towards the centre."""
-    foot = intersect(np.array([[0.0, 0.0, 1.0]]), pose.normal, np.asarray(pose.normal @ pose.center_m))[0]
-    outward = pose.center_m - foot
-    length = float(np.linalg.norm(outward))
-    return outward / length if length > 0 else np.zeros(3)
 
 
 def _edge_pose(

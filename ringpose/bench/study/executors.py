@@ -82,7 +82,7 @@ def _code_sha256(package: Path) -> str:
 
 
 def here(work: Work, indices: Iterable[int]) -> Iterator[Done]:
-    """The shots one by one, computed by this process."""
+    """Compute the shots one by one in this process."""
     for index in indices:
         yield Done(index, work(index))
 
@@ -91,7 +91,10 @@ def here(work: Work, indices: Iterable[int]) -> Iterator[Done]:
 
 
 def by_processes(work: Work, indices: Iterable[int], jobs: int) -> Iterator[Done]:
-    """The shots in chunks, by this number of processes, in any order; processes that are killed are replaced."""
+    """Compute the shots in chunks by this number of processes; they come in any order.
+
+    A process that is killed is replaced.
+    """
     chunks, pool = _Chunks(indices), Pool(work)
     try:
         while pool.busy or chunks.remain:
@@ -151,7 +154,7 @@ class _Chunks:
 def by_cluster(
     work: Work, indices: Iterable[int], scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:
-    """The shots in chunks, by the workers of a dask.distributed cluster; the extra `cluster` is needed.
+    """Compute the shots in chunks by the workers of a dask.distributed cluster; the extra `cluster` is needed.
 
     Workers with other versions are an error. A cluster that disappears ends the iteration with an error; what was
     yielded before is valid.

@@ -15,7 +15,6 @@ from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
 from ringpose.bench.study.table import worst_shots
 from ringpose.files.studies.results import ResultFolder
-from ringpose.files.studies.specification import StudyFile
 from ringpose.report.page import Picture
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.board import BoardView
@@ -38,13 +37,12 @@ MARGIN_PX = 150
 """... from so many pixels beside the stripes on the ring's face on."""
 
 
-def metadata(read: StudyFile, command: str) -> dict[str, Any]:
+def metadata(study: Study, command: str) -> dict[str, Any]:
     """What identifies the results, and where they come from."""
-    study = read.study
     return {
         "ringpose": "study_results/1",
         "title": study.title,
-        "study_sha256": read.sha256,
+        "study_sha256": study.sha256,
         **executors.software(),
         "seed": study.seed,
         "count": study.count,
@@ -53,14 +51,17 @@ def metadata(read: StudyFile, command: str) -> dict[str, Any]:
         "factors": [factor.name for factor in study.factors],
         "methods": [method.value for method in study.methods],
         "rig_sha256": study.scene.rig.sha256,
-        "files": [str(file) for file in read.files],
+        "files": [str(file) for file in study.files],
         "command": command,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
 def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
-    """The study with the rig that measures: if it asks for that, calibrated first, and kept in the folder."""
+    """The study with the rig by which its shots are measured.
+
+    If the study asks for that, the rig is calibrated from simulated board views first, and kept in the folder.
+    """
     from ringpose.files.rigs import read_rig, write_rig
 
     if not study.calibrate:
@@ -106,16 +107,10 @@ def _board_views(scene: Scene, boards: BoardSet, jobs: int) -> Iterator[tuple[Sh
             yield shot, view
 
 
-def missing(study: Study, folder: ResultFolder) -> list[int]:
-    """Shots that are not finished, in order."""
-    done = folder.finished(study.shots)
-    return [index for index in range(study.shots) if index not in done]
-
-
 def computed(
     study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:
-    """The shots in any order, by a cluster if a scheduler is given, else by processes (0: one per core)."""
+    """Compute shots, in any order: by a cluster if a scheduler is given, else by processes (0: one a core)."""
     work, processes = partial(study_rows, study), jobs or executors.cores()
     if not indices:
         return iter(())
@@ -153,21 +148,22 @@ def _main_method(study: Study) -> str:
 
 
 def write_worst(study: Study, folder: ResultFolder, count: int) -> None:
-    """The shots with the largest errors with their truth: a data set for `ringpose bench`."""
+    """Write the shots with the largest errors, with their truth, as a data set for `ringpose bench`."""
     from ringpose.files.images.simulations import SimulationFolder
 
     content = "shots" if study.level == "images" else "detections"
     rig = study.rig or study.scene.rig
     kept = SimulationFolder(folder.folder / "worst", rig, force=True, inputs=[], content=content)
     for _, shot in _worst(study, folder, count):
-        if isinstance(shot.source, Shot):
-            kept.add(shot.source, shot.truth)
+        source = shot.run[-1]
+        if isinstance(source, Shot):
+            kept.add(source, shot.truth)
         else:
-            kept.add_detection(shot.source, shot.truth)
+            kept.add_detection(source, shot.truth)
 
 
 def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
-    """The images with the largest errors, with what was detected in them; none of features."""
+    """Pictures of the shots with the largest errors, with what was detected; none if features are drawn, not images."""
     import cv2
 
     from ringpose.detect.pipeline import detect
@@ -179,8 +175,9 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     worst = set(worst_shots(folder.rows(), method, OVERLAYS))
     rows = {row["shot"]: row for row in folder.rows() if row["method"] == method and row["shot"] in worst}
     for index, shot in _worst(study, folder, OVERLAYS):
-        assert isinstance(shot.source, Shot)
-        picture = overlay(picture_of(shot.source), detect(shot.source, shot.scene.rig))
+        source = shot.run[-1]
+        assert isinstance(source, Shot)
+        picture = overlay(picture_of(source), detect(source, shot.scene.rig))
         png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
         error, reason = rows[index]["center_m"], rows[index]["reason"]
         found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"

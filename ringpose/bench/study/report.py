@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
@@ -48,7 +49,7 @@ def study_report(
 ) -> str:
     """HTML page: tables, errors beside their bounds, consistency, failures with the worst shots, times, provenance."""
     columns = _columns(study, rows())
-    pictures = [_errors(study, summary), _scatter(study, columns)]
+    pictures = [_errors(summary), _scatter(study, columns)]
     sections = [
         Section(
             title="Set-up",
@@ -79,12 +80,9 @@ def _plain(value: object) -> str:
 
 def _set_up_text(study: Study) -> str:
     ring, level = study.scene.ring, "rendered images" if study.level == "images" else "features drawn from the model"
-    radii = f"{1e3 * ring.radius_inner_m:g} and {1e3 * ring.radius_outer_m:g} mm"
-    return (
-        f"{study.shots} shots ({level}), {study.count} in each cell, seed {study.seed}; ring with radii {radii}; "
-        + "; ".join([*map(factor_text, study.factors), *violation_lines(study)])
-        + "."
-    )
+    shots = f"{study.shots} shots ({level}), {study.count} in each cell, seed {study.seed}"
+    radii = f"ring with radii {1e3 * ring.radius_inner_m:g} and {1e3 * ring.radius_outer_m:g} mm"
+    return "; ".join([shots, radii, *map(factor_text, study.factors), *violation_lines(study)]) + "."
 
 
 # Data of the plots
@@ -93,18 +91,14 @@ def _set_up_text(study: Study) -> str:
 def _columns(study: Study, rows: Iterable[Row]) -> dict[str, dict[str, np.ndarray]]:
     """By method: distance, error, bound, and reported standard deviation of the centre; NaN where there is none."""
     stride = max(1, study.shots // MAX_POINTS)
-    names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m", "true_center_x_m", "true_center_z_m")
+    names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m")
     found: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}
     for row in rows:
         if int(row["shot"] or 0) % stride == 0:
-            values = [row.get(name) for name in names]
-            found[str(row["method"])].append(
-                [float(value) if isinstance(value, int | float) else np.nan for value in values]
-            )
-    return {
-        method: dict(zip(names, np.array(values).reshape(-1, len(names)).T, strict=True))
-        for method, values in found.items()
-    }
+            values = [np.nan if (value := row.get(name)) is None else float(value) for name in names]
+            found[str(row["method"])].append(values)
+    columns = {method: np.array(values).reshape(-1, len(names)).T for method, values in found.items()}
+    return {method: dict(zip(names, values, strict=True)) for method, values in columns.items()}
 
 
 def _color(summary_methods: Sequence[str], method: str) -> str:
@@ -160,18 +154,16 @@ def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
 
 
 def factor_name(name: str) -> str:
-    """A factor's name beside values that have a unit of their own."""
+    """The name of a factor without its unit, as a heading of values that state their unit."""
     return name.removesuffix("_m").removesuffix("_rad").replace("_", " ")
 
 
 def _failures(summary: StudySummary) -> Table:
     rows = [
-        [method, reason, count, f"{100 * int(count) / max(summary.all(method).shots, 1):.3g} %"]
+        [method, reason, count, f"{100 * int(count) / summary.all(method).shots:.3g} %"]
         for method, count, reason in failure_rows(summary)
-    ]
-    return Table(
-        headings=("method", "reason", "shots", "share"), rows=rows or [["-", "no shot without a pose", "0", ""]]
-    )
+    ] or [["-", "no shot without a pose", "0", ""]]
+    return Table(headings=("method", "reason", "shots", "share"), rows=rows)
 
 
 def _times(study: Study, summary: StudySummary) -> Table:
@@ -180,7 +172,7 @@ def _times(study: Study, summary: StudySummary) -> Table:
         each = summary.all(method)
         stages = ["simulate_s", "detect_s", "pose_s"] if study.level == "images" else ["simulate_s", "pose_s"]
         for name in stages if method == summary.methods[0] else ["pose_s"]:
-            values = np.array(each.values.get(name, [np.nan]))
+            values = np.array(each.values[name] if each.count(name) else [np.nan])
             middle, high = (number(1e3 * float(value)) for value in np.quantile(values, [0.5, 0.99]))
             stage = {"simulate_s": "simulation", "detect_s": "detection", "pose_s": f"pose, {method}"}[name]
             rows.append([stage, middle, high])
@@ -190,11 +182,10 @@ def _times(study: Study, summary: StudySummary) -> Table:
 # Errors
 
 
-def _errors(study: Study, summary: StudySummary) -> Picture:
+def _errors(summary: StudySummary) -> Picture:
     """Root mean square errors of each method by the factor of the first table, with the bound."""
     figure = canvas(11, 4)
-    axes = figure.subplots(1, len(ERROR_PLOTS))
-    for axis, (name, label, factor) in zip(axes, ERROR_PLOTS, strict=True):
+    for axis, (name, label, factor) in zip(figure.subplots(1, len(ERROR_PLOTS)), ERROR_PLOTS, strict=True):
         for place, method in enumerate(summary.methods):
             keys, found = wide_columns(summary, method)
             values = np.array([factor * each.rms(name) for each in found])
@@ -203,28 +194,38 @@ def _errors(study: Study, summary: StudySummary) -> Picture:
         bounds = [summary.methods[0], *(method for method in summary.methods if method == "ml-known")]
         for method, style in zip(bounds, ("k--", "k:"), strict=False):
             keys, found = wide_columns(summary, method)
-            values = np.array([factor * each.bound(name) for each in found])
+            values = np.array([factor * each.rms(f"bound_{name}") for each in found])
             if _numeric(keys):
                 axis.plot(_positions(keys, 0, 1), values, style, linewidth=1.2)
             else:
                 at = np.arange(len(keys))
                 axis.hlines(values, at - 0.35, at + 0.35, colors="black", linestyles=style[1:], linewidth=1.2)
-        axis.set_yscale("log")
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
-        _plain_ticks(axis)
-        axis.set_xlabel(drawn(factor_name(summary.table)))
-        names = [value_text(summary.table, key[0]) if key else "all" for key in keys]
-        axis.set_xticks(_positions(keys, 0, 1) if _numeric(keys) else range(len(keys)), names)
-    handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, m)) for m in summary.methods]
-    handles += [Line2D([], [], color="black", dashes=dashes) for dashes in ((4, 2), (1, 1))[: len(bounds)]]
-    labels = [*map(drawn, summary.methods), "bound, radii unknown", "bound, radii known"][: len(handles)]
-    figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=8)
+        _by_main_factor(axis, summary, _positions(keys, 0, 1) if _numeric(keys) else range(len(keys)))
+    bound_lines = [Line2D([], [], color="black", dashes=dashes) for dashes in ((4, 2), (1, 1))]
+    named = dict(zip(("bound, radii unknown", "bound, radii known")[: len(bounds)], bound_lines, strict=False))
+    _legend(figure, summary.methods, summary.methods, named)
     caption = (
         "Root mean square errors of the shots in which a method gives a pose, which differ between methods; "
         "black: Cramér-Rao bound of centre and normal."
     )
     return Picture(png=png_of(figure), caption=caption)
+
+
+def _by_main_factor(axis: Axes, summary: StudySummary, at: Iterable[float]) -> None:
+    """A logarithmic axis of values beside the factor of the first table, whose values are at these places."""
+    keys, _ = wide_columns(summary, summary.methods[0])
+    axis.set_yscale("log")
+    _plain_ticks(axis)
+    axis.set_xlabel(drawn(factor_name(summary.table)))
+    axis.set_xticks(list(at), [value_text(summary.table, key[0]) if key else "all" for key in keys])
+
+
+def _legend(figure: Figure, methods: Sequence[str], shown: Sequence[str], others: Mapping[str, Line2D]) -> None:
+    handles = {drawn(each): Line2D([], [], marker="o", linestyle="", color=_color(methods, each)) for each in shown}
+    handles |= others
+    figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=6, fontsize=8)
 
 
 def _numeric(keys: Sequence[Key]) -> bool:
@@ -283,11 +284,10 @@ def _nees(summary: StudySummary) -> Picture:
 
     figure = canvas(11, 3.8)
     for axis, (name, dof) in zip(figure.subplots(1, 2), NEES_DOF.items(), strict=True):
-        shown = [method for method in summary.methods if name in summary.all(method).values]
+        shown = [method for method in summary.methods if summary.all(method).count(name)]
         for place, method in enumerate(shown):
-            keys, found = wide_columns(summary, method)
-            for at, each in enumerate(found):
-                count = len(each.values.get(name, ()))
+            for at, each in enumerate(wide_columns(summary, method)[1]):
+                count = each.count(name)
                 if not count:
                     continue
                 x = at + 0.6 * ((place + 0.5) / len(shown) - 0.5)
@@ -295,18 +295,12 @@ def _nees(summary: StudySummary) -> Picture:
                 axis.plot([x, x], [low, high], color="0.75", linewidth=6, solid_capstyle="butt")
                 axis.plot(x, each.mean(name), "o", color=_color(summary.methods, method), markersize=5)
         axis.axhline(1.0, color="black", linewidth=0.7)
-        keys, _ = wide_columns(summary, summary.methods[0])
-        axis.set_xticks(range(len(keys)), [value_text(summary.table, key[0]) if key else "all" for key in keys])
-        axis.set_xlabel(drawn(factor_name(summary.table)))
-        axis.set_yscale("log")
         axis.set_title(
-            f"NEES of the {name.partition('_')[0].replace('center', 'centre')}, by degree of freedom", fontsize=10
+            f"NEES of the {name.removesuffix('_nees').replace('center', 'centre')}, by degree of freedom", fontsize=10
         )
         axis.grid(alpha=0.3, axis="y", which="both")
-        _plain_ticks(axis)
-    shown = [method for method in summary.methods if "center_nees" in summary.all(method).values]
-    handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, method)) for method in shown]
-    figure.legend(handles, list(map(drawn, shown)), loc="outside upper center", ncols=6, fontsize=8)
+        _by_main_factor(axis, summary, range(len(wide_columns(summary, summary.methods[0])[0])))
+    _legend(figure, summary.methods, [each for each in summary.methods if summary.all(each).count("center_nees")], {})
     caption = (
         "Mean NEES of all poses, also flagged ones; grey: 99 % band of a correct covariance. Above: too small a "
         "covariance; below: too large."

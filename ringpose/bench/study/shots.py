@@ -9,6 +9,7 @@ beginning of the last shot.
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -16,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.bench.design.bounds import Bound, cramer_rao
-from ringpose.bench.design.rig_changes import with_laser_angle
-from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
+from ringpose.bench.design.rig_changes import with_changes
+from ringpose.bench.score import Judgement, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
@@ -36,10 +37,9 @@ from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrio
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, PoseLine, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Approach, RingView, Scene, Truth
-from ringpose.types.session import parsed_sequence
+from ringpose.types.scene import Approach, Scene, Truth
 from ringpose.types.study import CASE, Factor, Row, ShotRun, Study, StudyMethod, Value, columns
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
@@ -64,16 +64,17 @@ ERROR = "error"
 
 
 class StudyShot(NamedTuple):
-    """A simulated shot with its truth, and those before it in its run."""
+    """A simulated shot with its truth, after those before it in its run."""
 
     setting: Mapping[str, Value]
     scene: Scene
     """With the rig that measures; the shot itself may have been taken by another one."""
-    source: Shot | Detection
+    run: tuple[Shot | Detection, ...]
+    """The shot is the last of them."""
     truth: Truth
+    """Of the last one."""
     simulate_s: float
     """For all shots of the run."""
-    before: tuple[Shot | Detection, ...] = ()
 
 
 def study_rows(study: Study, index: int) -> list[Row]:
@@ -88,7 +89,7 @@ def study_rows(study: Study, index: int) -> list[Row]:
 
 
 def failed_rows(study: Study, index: int, reason: str) -> list[Row]:
-    """The rows of a shot without any result."""
+    """The rows of a shot that could not be computed, with the reason."""
     empty: Row = dict.fromkeys(columns(study))
     common = {"shot": index, **setting_of(study, index), "outcome": ERROR, "status": "none", "reason": reason}
     return [{**empty, **common, "method": method.value} for method in study.methods]
@@ -123,11 +124,11 @@ def _drawn(factor: Factor, rng: np.random.Generator) -> Value:
 
 
 def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyShot:
-    """The shot of an index, rendered or drawn."""
+    """Simulate a shot of a study: its images are rendered, or its features drawn."""
     start_s = perf_counter()
     scene = scene_of(study, index, setting)
-    drawn: Mapping[str, Any] = {name: setting[name] for name in _DEVIATIONS if name in setting}
-    deviations = Deviations(**drawn)
+    stated: Mapping[str, Any] = {name: setting[name] for name in _DEVIATIONS if name in setting}
+    deviations = Deviations(**stated)
     turned = _with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
     taken_by = replace(scene, rig=turned)
     run: list[tuple[Shot | Detection, Truth]]
@@ -138,33 +139,15 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
         taken_by = replace(taken_by, rig=rig, ring=replace(scene.ring, form=form if form.any() else None))
         run = [simulated_shot(taken_by, taken_by.views, number) for number in range(len(taken_by.views))]
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
-    source, truth = run[-1]
-    before = tuple(earlier for earlier, _ in run[:-1])
-    return StudyShot(setting, measured_by, source, truth, perf_counter() - start_s, before)
+    sources, truths = zip(*run, strict=True)
+    return StudyShot(setting, measured_by, sources, truths[-1], perf_counter() - start_s)
 
 
 def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     """The scene of one shot: a random view, with a seed of its own, or a run of views that ends in it."""
     seed = int(np.random.SeedSequence([_SCENE, study.seed, _turn(study, index)]).generate_state(1)[0])
     numbers: Mapping[str, Any] = setting
-    scene = study.scene
-    if "laser_angle_rad" in setting:
-        scene = replace(scene, rig=with_laser_angle(scene.rig, numbers["laser_angle_rad"]))
-    if "radius_outer_m" in setting:
-        larger_m = numbers["radius_outer_m"] - scene.ring.radius_outer_m  # with the same cross-section
-        scene = replace(scene, ring=replace(scene.ring, profile_m=scene.ring.profile_m + np.array([larger_m, 0.0])))
-    if "sequence" in setting:
-        lasers = len(scene.rig.lasers.names)
-        masks = tuple(step.mask(lasers) for step in parsed_sequence(str(setting["sequence"])))
-        scene = replace(scene, sequence=masks)
-    if "stripe_dn" in setting:
-        scene = replace(scene, stripe_dn=numbers["stripe_dn"])
-    if "blur_px" in setting:
-        scene = replace(scene, lens=replace(scene.lens, blur_px=numbers["blur_px"]))
-    if "speckle_contrast" in setting:
-        scene = replace(scene, speckle=replace(scene.speckle, contrast=numbers["speckle_contrast"]))
-    if "dark_noise_e" in setting:
-        scene = replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=numbers["dark_noise_e"]))
+    scene = with_changes(study.scene, setting)
     approach = Approach(
         count=1,
         distances_m=(numbers["distance_m"],),
@@ -218,22 +201,22 @@ def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
     start_s = perf_counter()
-    *before, detection = (
+    detections = [
         source
         if isinstance(source, Detection)
         else detect(source, rig, assumptions=options.about_shot(rig.stability, still=source.still))
-        for source in (*shot.before, shot.source)
-    )
+        for source in shot.run
+    ]
     detect_s = perf_counter() - start_s
     radii = _radii(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
     bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
-    points = detection.break_points
+    points, edges = detections[-1].break_points, detections[-1].ring_edges
     common: Row = {
         "shot": index,
         **shot.setting,
         "expect": truth.expect,
         "break_points": int(points.seen.sum()) if isinstance(points, BreakPoints) else 0,
-        "edge_points": 0 if detection.ring_edges is None else len(detection.ring_edges.edge),
+        "edge_points": 0 if edges is None else len(edges.edge),
         **_by_axis("true_center_{}_m", truth.center_m),
         **_by_axis("true_normal_{}", truth.normal),
         "simulate_s": shot.simulate_s,
@@ -242,35 +225,34 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     empty: Row = dict.fromkeys(columns(study))
     for method in study.methods:
         start_s = perf_counter()
-        if method is StudyMethod.TRACK:
-            lines = [pose_line(each, rig, options=options) for each in (*before, detection)]
-            (estimate, reason), bound = tracked(lines, rig, options.about_shot(rig.stability, still=False).motion), None
-        else:
-            line = measured_line(detection, rig, method, radii, options)
-            estimate, reason = replace(estimate_of(line, truth.shot), method=method.value), line.reason
-            bound = bounds[method in WITH_RADII]
+        line = measured_line(detections, rig, method, radii, options)
         pose_s = perf_counter() - start_s
+        estimate = replace(estimate_of(line, truth.shot), method=method.value)
         # the grasp point of a track moves with the ring, also out of the arc that the stripes of the last shot span
         scored = score(truth, estimate, method.value, None if method is StudyMethod.TRACK else rig.camera)
-        row = {**empty, **common, **_scored(scored, estimate, truth, reason), "pose_s": pose_s}
+        row = {**empty, **common, **_scored(scored, line, truth), "pose_s": pose_s}
+        bound = None if method is StudyMethod.TRACK else bounds[method in WITH_RADII]
         if bound is not None:
             row |= {f"bound_{name}": value for name, value in bound.standard_deviations.items()}
         yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
 
 
 def measured_line(
-    detection: Detection, rig: Rig, method: StudyMethod, radii: KnownRadii, options: AssumptionOptions
+    run: Sequence[Detection], rig: Rig, method: StudyMethod, radii: KnownRadii, options: AssumptionOptions
 ) -> PoseLine:
-    """The pose line of a detection by one of the methods."""
+    """The pose line of the last detection of a run by one of the methods."""
+    detection = run[-1]
+    if method is StudyMethod.TRACK:
+        lines = [pose_line(each, rig, options=options) for each in run]
+        return tracked(lines, rig, options.about_shot(rig.stability, still=False).motion)
     if method in _POSE_METHODS:
         of_pose, known = _POSE_METHODS[method]
         return pose_line(detection, rig, of_pose, known=radii if known else None, options=options)
     pose = BASELINES[method](detection, rig, radii)
-    found = pose if isinstance(pose, RingPose) else None
-    reason = pose if isinstance(pose, str) else pose.value if isinstance(pose, NoPose) else None
-    return PoseLine(
-        shot=detection.shot, stamp_s=detection.stamp_s, pose_stamp_s=detection.stamp_s, pose=found, reason=reason
-    )
+    of_shot = partial(PoseLine, shot=detection.shot, stamp_s=detection.stamp_s, pose_stamp_s=detection.stamp_s)
+    if isinstance(pose, RingPose):
+        return of_shot(pose=pose)
+    return of_shot(pose=None, reason=pose.value if isinstance(pose, NoPose) else pose)
 
 
 def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
@@ -297,21 +279,20 @@ def _by_axis(name: str, vector: Float64[Array, "xyz=3"] | None) -> Row:
     return {} if vector is None else {name.format(axis): float(part) for axis, part in zip("xyz", vector, strict=True)}
 
 
-def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, reason: str | None) -> Row:
+def _scored(scored: Score, line: PoseLine, truth: Truth) -> Row:
     """Outcome, errors and reported standard deviations of a method."""
-    flags = " ".join(str(flag.name).lower() for flag in PoseFlag if flag in estimate.flags)
     row: Row = {
         "method": scored.method,
         "outcome": str(scored.outcome),
         "status": scored.status,
-        "reason": reason,
-        "flags": flags,
+        "reason": line.reason,
+        "flags": " ".join(line.flag_names),
         "wrong": " ".join(scored.wrong),
         "gross": " ".join(scored.gross),
         "correct": " ".join(name for name, found in scored.judgements.items() if found is Judgement.CORRECT),
         **{name: float(value) for name, value in scored.errors.items()},
     }
-    pose = estimate.pose
+    pose = line.pose
     if pose is None:
         return row
     if truth.normal is not None and "normal_rad" in scored.errors:
@@ -364,30 +345,25 @@ def with_run(scene: Scene, run: ShotRun, prior: MotionPrior | None, rng: np.rand
     (view,) = scene.views
     if run.shots == 1 and prior is None:
         return scene
-    path = None if prior is None else _drawn_path(scene, view, prior, rng)
     names = [f"{view.name}_{number:04d}" for number in range(run.shots - 1)]
-    begins_s = run.period_s * np.arange(1 - run.shots, 0)
-    views = (
-        replace(view, name=name) if path is None else moved_view(view, path, float(begin_s), path.face_m, name)
-        for name, begin_s in zip(names, begins_s, strict=True)
-    )
-    last = view if path is None else replace(view, path=path)
-    return replace(scene, views=(*views, last), shots=run.shots, period_s=run.period_s)
-
-
-def _drawn_path(scene: Scene, view: RingView, prior: MotionPrior, rng: np.random.Generator) -> SteadyPath:
+    in_run = partial(replace, scene, shots=run.shots, period_s=run.period_s)
+    if prior is None:
+        return in_run(views=(*(replace(view, name=name) for name in names), view))
     unit = rng.standard_normal(5)
-    return SteadyPath(
+    path = SteadyPath(
         center_m=view.center_m,
         rotation=ring_rotation(view.normal, view.roll_rad),
         face_m=np.array([0.0, 0.0, scene.ring.height_m]),
         velocity_m_s=prior.speed_sd_m_s * unit[:3],
         angular_velocity_rad_s=prior.rate_sd_rad_s * unit[3:] @ tilt_basis(view.normal),
     )
+    begins_s = (run.period_s * np.arange(1 - run.shots, 0)).tolist()
+    before = [moved_view(view, path, begin_s, path.face_m, name) for name, begin_s in zip(names, begins_s, strict=True)]
+    return in_run(views=(*before, replace(view, path=path)))
 
 
-def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> tuple[PoseEstimate, str | None]:
-    """The state after the last of the pose lines, and why it has no pose.
+def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> PoseLine:
+    """The last of the pose lines with the pose of the track after it.
 
     The track assumes the motion of `prior`; like `ringpose track` it does not take a target for still, and uses its
     defaults for a speed or rate of 0.
@@ -401,14 +377,12 @@ def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> t
     for line in lines[:-1]:
         tracker.add(line)
     last = tracker.line_of(tracker.add(lines[-1]))
-    estimate = PoseEstimate(
+    return PoseLine(
         shot=lines[-1].shot,
-        method="track",
+        stamp_s=lines[-1].stamp_s,
+        pose_stamp_s=last.stamp_s,
         pose=last.pose,
-        status=last.status,
+        reason=None if last.pose is not None else f"the track is {last.validity}",
         flags=last.flags,
-        stamp_s=last.stamp_s if math.isfinite(last.stamp_s) else lines[-1].stamp_s,
-        shot_stamp_s=lines[-1].stamp_s,
         velocity=last.velocity,
     )
-    return estimate, None if last.pose is not None else f"the track is {last.validity}"

@@ -1,6 +1,7 @@
 """Statistics of a study's rows, and its tables: first in the form of the paper's, then with bounds and baselines."""
 
 from array import array
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees, nan, sqrt
@@ -11,23 +12,14 @@ import numpy as np
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import aligned, number
-from ringpose.types.study import CASE, ERRORS, LIMITS, SIGMAS, Factor, Row, Study, Value
-
-BOUND_OF = {
-    "center_m": "bound_center_m",
-    "normal_rad": "bound_normal_rad",
-    "radius_outer_m": "bound_radius_outer_m",
-}
-"""The Cramér-Rao bound of each error that has one."""
-
-_TIMES = ("simulate_s", "detect_s", "pose_s")
+from ringpose.types.study import BOUNDS, CASE, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
 
 Key = tuple[Value, ...]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Statistics:
-    """Sums over the rows of one method in one cell of the grid."""
+    """Counts and values of the rows of one method in one cell of the grid."""
 
     shots: int = 0
     targets: int = 0
@@ -45,13 +37,11 @@ class Statistics:
     """Shots with the status `ok` and a wrong quantity."""
     judged: int = 0
     gross: int = 0
-    reasons: dict[str, int] = field(default_factory=dict)
+    reasons: Counter[str] = field(default_factory=Counter)
     """Number of shots by the reason why they have no pose."""
-    values: dict[str, "array[float]"] = field(default_factory=dict)
-    """Errors, reported standard deviations and times of the shots that have them."""
-    bounded: dict[str, "array[float]"] = field(default_factory=dict)
-    """Errors of shots with a finite bound, divided by it."""
-    bounds: dict[str, "array[float]"] = field(default_factory=dict)
+    values: dict[str, "array[float]"] = field(default_factory=lambda: defaultdict(lambda: array("d")))
+    """Errors, reported standard deviations, bounds and times of the shots that have them, by the names of the columns;
+    as `ratio_center_m` and so on the errors divided by their bounds."""
 
     def add(self, row: Row) -> None:
         """Include a row."""
@@ -68,20 +58,14 @@ class Statistics:
         self.judged += wrong + len(names_in(row["correct"]))
         self.gross += len(names_in(row["gross"]))
         if not has_pose and (has_target or row["outcome"] == "error"):
-            reason = str(row["reason"] or "no pose").split(":")[0]
-            self.reasons[reason] = self.reasons.get(reason, 0) + 1
-        for name in (*ERRORS, *SIGMAS, *_TIMES):
-            self._append(self.values, name, row.get(name))
-        for name, bound_name in BOUND_OF.items():
-            error, bound = row.get(name), row.get(bound_name)
-            self._append(self.bounds, name, bound)
-            if isinstance(error, float) and isinstance(bound, float) and bound > 0:
-                self._append(self.bounded, name, error / bound)
-
-    @staticmethod
-    def _append(values: dict[str, "array[float]"], name: str, value: object) -> None:
-        if isinstance(value, float | int) and not isinstance(value, bool):
-            values.setdefault(name, array("d")).append(value)
+            self.reasons[str(row["reason"] or "no pose").split(":")[0]] += 1
+        for name in (*ERRORS, *SIGMAS, *BOUNDS, *TIMES):
+            if (value := row.get(name)) is not None:
+                self.values[name].append(float(value))
+        for name in BOUNDS:
+            error, bound = row.get(name.removeprefix("bound_")), row.get(name)
+            if error is not None and bound is not None and float(bound) > 0:
+                self.values[name.replace("bound", "ratio")].append(float(error) / float(bound))
 
     def count(self, name: str) -> int:
         """Number of values."""
@@ -89,29 +73,15 @@ class Statistics:
 
     def rms(self, name: str) -> float:
         """Root mean square; NaN without any value."""
-        return _rms(self.values.get(name))
+        return sqrt(float(np.mean(np.square(self.values[name])))) if self.count(name) else nan
 
     def median(self, name: str) -> float:
         """Median of the absolute values; NaN without any."""
-        values = self.values.get(name)
-        return nan if values is None else float(np.median(np.abs(values)))
+        return float(np.median(np.abs(self.values[name]))) if self.count(name) else nan
 
     def mean(self, name: str) -> float:
         """Mean; NaN without any value."""
-        values = self.values.get(name)
-        return nan if values is None else float(np.mean(values))
-
-    def bound(self, name: str) -> float:
-        """Root mean square of the Cramér-Rao bounds of a quantity; NaN without any."""
-        return _rms(self.bounds.get(name))
-
-    def ratio(self, name: str) -> float:
-        """Root mean square of error over bound; NaN without any."""
-        return _rms(self.bounded.get(name))
-
-
-def _rms(values: "array[float] | None") -> float:
-    return nan if values is None else sqrt(float(np.mean(np.square(values))))
+        return float(np.mean(self.values[name])) if self.count(name) else nan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,12 +98,12 @@ class StudySummary:
     """By method and value of the factor `table` alone."""
 
     def all(self, method: str) -> Statistics:
-        """Those of all shots of a method."""
+        """The statistics of all shots of a method."""
         return self.columns[method, ()]
 
 
 def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
-    """The statistics of all rows; memory grows by the errors alone, a few hundred bytes a row."""
+    """The statistics of all rows, which are read one by one: only numbers are kept, a few hundred bytes a row."""
     by = tuple(factor.name for factor in study.grid if len(factor.values) > 1)
     cells: dict[tuple[str, Key], Statistics] = {}
     wide: dict[tuple[str, Key], Statistics] = {(method.value, ()): Statistics() for method in study.methods}
@@ -239,7 +209,10 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
 
 
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
-    """Values of the study's `table` factor and the statistics of a method for each; `()` for all shots without one."""
+    """The values of the factor in the columns of the first table, and the statistics of a method for each of them.
+
+    Without such a factor the only key is `()`, that of all shots.
+    """
     keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
     return keys, [summary.columns[method, key] for key in keys]
 
@@ -251,7 +224,7 @@ HEADINGS = (
 
 
 def cell_rows(summary: StudySummary, shown: Sequence[str]) -> list[list[str]]:
-    """The heading, then a row for each cell and method with those of the columns `HEADINGS` that are shown."""
+    """A table of all cells and methods as text: a row of headings, then the columns `shown` (of `HEADINGS`)."""
     rows = [[*summary.by, "method", *shown]]
     for key in sorted_keys(key for _, key in summary.cells):
         for method in summary.methods:
@@ -272,11 +245,11 @@ def _statistics_cells(each: Statistics) -> list[str]:
         f"{each.wrong}/{each.judged}",
         number(each.rms("center_m") * 1e3),
         number(each.median("center_m") * 1e3),
-        number(each.bound("center_m") * 1e3),
-        number(each.ratio("center_m")),
+        number(each.rms("bound_center_m") * 1e3),
+        number(each.rms("ratio_center_m")),
         number(degrees(each.rms("normal_rad"))),
-        number(degrees(each.bound("normal_rad"))),
-        number(each.ratio("normal_rad")),
+        number(degrees(each.rms("bound_normal_rad"))),
+        number(each.rms("ratio_normal_rad")),
         number(each.rms("radius_outer_m") * 1e3),
         number(each.rms("grasp_m") * 1e3),
         number(each.mean("center_nees")),
@@ -290,7 +263,7 @@ def failure_rows(summary: StudySummary) -> list[list[str]]:
     return [
         [method, str(count), reason]
         for method in summary.methods
-        for reason, count in sorted(summary.all(method).reasons.items(), key=lambda item: -item[1])
+        for reason, count in summary.all(method).reasons.most_common()
     ]
 
 

@@ -16,6 +16,7 @@ prior on the variance.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -42,8 +43,8 @@ _MIN_VARIATION = 1e-9
 
 _POSE_PARAMETERS = 6
 
-
 _SAMPLES = 33
+"""Points along a marker's side or a circle at which distortion is evaluated."""
 
 
 def whiten(rows: Float64[Array, "coordinate *column"], view: BoardView) -> Float64[Array, "coordinate *column"]:
@@ -62,14 +63,44 @@ def corner_residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float6
     return whiten(residuals(view, pose, camera).ravel(), view)
 
 
+class ViewEquations(NamedTuple):
+    """Linearised equations of a view's corners, one row per coordinate, with independent errors of unit variance.
+
+    The residuals (measured minus projected) are those explained by steps of pose and camera:
+    `residual = wrt_pose @ pose_step + wrt_camera @ camera_step`.
+    """
+
+    wrt_pose: Float64[Array, "row pose=6"]
+    wrt_camera: Float64[Array, "row parameter"]
+    residual: Float64[Array, "row"]
+
+    def without_pose(self) -> tuple[Float64[Array, "row parameter"], Float64[Array, "row"]]:
+        """Camera Jacobian and residuals, projected onto the complement of the pose Jacobian's column space."""
+        orthogonal, _ = np.linalg.qr(self.wrt_pose)
+        wrt_camera = self.wrt_camera - orthogonal @ (orthogonal.T @ self.wrt_camera)
+        return wrt_camera, self.residual - orthogonal @ (orthogonal.T @ self.residual)
+
+    def pose_step(self, step: Float64[Array, "parameter"]) -> Float64[Array, "pose=6"]:
+        """Step of the pose for a step of the camera's parameters (back-substitution)."""
+        return np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
+
+
+def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> ViewEquations:
+    """The equations of a view whose corner coordinates have this standard deviation, decorrelated."""
+    wrt_pose, wrt_camera = projection_jacobians(view.points_board_m, pose, camera)
+    residual_px = residuals(view, pose, camera)[..., None]
+    rows = np.concatenate([wrt_pose, wrt_camera, residual_px], axis=-1).reshape(2 * len(wrt_pose), -1)
+    rows = whiten(rows, view) / sigma_px
+    return ViewEquations(wrt_pose=rows[:, :6], wrt_camera=rows[:, 6:-1], residual=rows[:, -1])
+
+
 def maximum_likelihood_pose(view: BoardView, camera: Camera) -> tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]:
     """The board's pose with correlated corner errors, and its covariance for a standard deviation of one pixel."""
     pose = board_pose(view, camera)
-    pixel_wrt_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
-    jacobian = whiten(pixel_wrt_pose.reshape(-1, 6), view)
+    jacobian, _, residual = view_equations(view, pose, camera, 1.0)
     covariance: Float64[Array, "pose=6 pose=6"] = np.linalg.inv(jacobian.T @ jacobian)
     if view.end_correlation:  # one Gauss-Newton step: the unweighted pose differs from this one by less than its noise
-        pose = moved_pose(pose, covariance @ jacobian.T @ corner_residuals(view, pose, camera))
+        pose = moved_pose(pose, covariance @ jacobian.T @ residual)
     return pose, covariance
 
 
@@ -87,7 +118,7 @@ def endpoint_correlation(left_out: float) -> float:
 
 
 def endpoint_for_correlation(correlation: float) -> float:
-    """The inverse: position x of a side's end, with the parabola fitted from -1 to 1.
+    """The inverse of `endpoint_correlation`: position x of a side's end, with the parabola fitted from -1 to 1.
 
     With u = x^2, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
     """
@@ -145,14 +176,6 @@ def _variance_prior(
     bracket = (1 / variation, 1 / variation + 1)  # 1/x < trigamma(x) < 1/x + 1/x^2
     prior_dof = 2 * float(brentq(lambda x: polygamma(1, x) - variation, *bracket))
     return prior_dof, float(np.exp(unbiased.mean() + digamma(prior_dof / 2) - np.log(prior_dof / 2)))
-
-
-def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> float:
-    """Standard deviation of one corner coordinate, from the clipped residuals of all views."""
-    every = np.abs(np.concatenate(_residuals(views, poses, camera)))
-    limit = CLIP_SIGMAS * robust_std(every)
-    degrees_of_freedom = max(every.size - _POSE_PARAMETERS * len(views), 1)
-    return float(np.sqrt(np.sum(np.minimum(every, limit) ** 2) / degrees_of_freedom))
 
 
 def corner_sigmas_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> Float64[Array, "view"]:
@@ -213,7 +236,10 @@ def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: 
 
 
 def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
-    """The view with marker corners or circle centres corrected for the bias; chessboard corners have none."""
+    """The view without the systematic errors that distortion causes in marker corners and circle centres.
+
+    Chessboard corners have none: their views are returned unchanged.
+    """
     if not view.circle_radius_m and not view.end_correlation:
         return view
     pose = board_pose(view, camera)
@@ -230,19 +256,14 @@ def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
 def _circle_offsets(
     points_m: Float64[Array, "corner xyz=3"], axes_m: Float64[Array, "xyz=3 axis=2"], camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
-    """Centroid of each projected circle minus the projection of its centre."""
+    """Centroid of each projected circle (of a polygon, by the shoelace formula) minus the projection of its centre."""
     angle = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
     rims_m = points_m[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes_m.T
-    return _centroids(project(rims_m, camera)) - project(points_m, camera)
-
-
-def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, "corner xy=2"]:
-    """Centroids of polygons (shoelace formula)."""
-    middle = outlines.mean(axis=1, keepdims=True)
-    here = outlines - middle
+    centers_px = project(points_m, camera)
+    here = project(rims_m, camera) - centers_px[:, None]
     after = np.roll(here, -1, axis=1)
     twice = here[..., 0] * after[..., 1] - here[..., 1] * after[..., 0]
-    return middle[:, 0] + np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
+    return np.einsum("cp,cpk->ck", twice, here + after) / (3 * twice.sum(axis=1, keepdims=True))
 
 
 def _corrected_corners(

@@ -8,7 +8,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.layout import corner_points, is_white, marker_corners, outline_m
 from ringpose.calibrate.boards.patterns.markers import marker_dictionary
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.board import Board
 
 PAGES_M = {
@@ -74,7 +74,7 @@ class BoardDrawing:
 
 
 def board_drawing(board: Board) -> BoardDrawing:
-    """The board in the middle of the smallest page that holds it with its rulers, upright or lying."""
+    """The board in the middle of the smallest page that holds it with its rulers, in portrait or landscape."""
     width_m, height_m = outline_m(board)
     needed_m = (width_m + 2 * RIM_M + RULER_M, height_m + 2 * RIM_M + RULER_M + TEXT_M)
     page, page_m = _page(needed_m)
@@ -106,7 +106,7 @@ def board_drawing(board: Board) -> BoardDrawing:
 def _page(needed_m: tuple[float, float]) -> tuple[str, tuple[float, float]]:
     """Name and size of the smallest page that holds an area of this width and height."""
     for name, (short, long) in PAGES_M.items():
-        for page_m, way in (((short, long), "upright"), ((long, short), "lying")):
+        for page_m, way in (((short, long), "portrait"), ((long, short), "landscape")):
             if needed_m[0] <= page_m[0] and needed_m[1] <= page_m[1]:
                 return f"{name} {way}", page_m
     return "of its own size", needed_m
@@ -140,27 +140,59 @@ def _description(board: Board, page: str, page_m: tuple[float, float]) -> str:
 
 
 def _black_rectangles(board: Board) -> Float64[Array, "rectangle side=4"]:
-    """x, y, width and height in the board frame of black squares and of the markers' cells."""
-    black: list[tuple[float, float, float, float]] = []
-    if board.kind in ("chessboard", "charuco"):
-        width, height = board.square_size_m
-        for row, column in np.ndindex(board.squares_y or 0, board.squares_x or 0):
-            if not is_white(column, row, board):
-                black.append((column * width, row * height, width, height))
-    for number, ((x, y, _), *_) in enumerate(marker_corners(board).tolist()):
-        black += [(x + left, y + top, width, height) for left, top, width, height in _black_cells(board, number)]
-    return np.array(black, dtype=np.float64).reshape(-1, 4)
+    """x, y, width and height in the board frame of the black parts of the print, neighbours in a row joined."""
+    x_m, y_m, cells = board_print(board)
+    rectangles = []
+    for row, black in enumerate(cells[1:-1]):
+        ends = np.flatnonzero(np.diff(black.astype(np.int8))).reshape(-1, 2)
+        rectangles += [(x_m[a], y_m[row], x_m[b] - x_m[a], y_m[row + 1] - y_m[row]) for a, b in ends]
+    return np.array(rectangles, dtype=np.float64).reshape(-1, 4)
 
 
-def _black_cells(board: Board, number: int) -> list[tuple[float, float, float, float]]:
-    """A marker's black cells, each row's neighbours joined, from the marker's top-left corner."""
+def board_print(
+    board: Board,
+) -> tuple[Float64[Array, "line_x"], Float64[Array, "line_y"], UInt8[Array, "cell_y cell_x"]]:
+    """Lines along x and y at which the print may change, and which of the cells between and outside them are black."""
+    width_m, height_m = outline_m(board)
+    bits = _marker_bits(board)
+    origins_m = marker_corners(board)[:, 0, :2] if len(bits) else np.empty((0, 2))
+    bit_m = (board.marker_m or 0.0) / bits.shape[1]
+    within_m = bit_m * np.arange(bits.shape[1] + 1)
+    lines = [
+        np.append((origins_m[:, [axis]] + within_m).ravel(), [0.0, length_m])
+        for axis, length_m in enumerate((width_m, height_m))
+    ]
+    if board.square_m is not None:
+        counts = (board.squares_x or 0, board.squares_y or 0)
+        lines = [
+            np.append(each, side_m * np.arange(count + 1))
+            for each, side_m, count in zip(lines, board.square_size_m, counts, strict=True)
+        ]
+    print_x, print_y = (np.unique(each.round(12)) for each in lines)
+    middle_x, middle_y = ((each[1:] + each[:-1]) / 2 for each in (print_x, print_y))
+    black = np.zeros((len(print_y) + 1, len(print_x) + 1), dtype=np.uint8)
+    if board.square_m is not None:
+        columns, rows = (
+            np.floor(middle / side).astype(int)
+            for middle, side in zip((middle_x, middle_y), board.square_size_m, strict=True)
+        )
+        squares = np.array([[not is_white(x, y, board) for x in range(counts[0])] for y in range(counts[1])])
+        black[1:-1, 1:-1] = squares[rows[:, None], columns]
+    for (x_m, y_m), marker in zip(origins_m, bits, strict=True):
+        column, row = ((middle - start) / bit_m for middle, start in ((middle_x, x_m), (middle_y, y_m)))
+        across, down = (np.flatnonzero((place > 0) & (place < len(marker))) for place in (column, row))
+        pattern = marker[row[down].astype(int)[:, None], column[across].astype(int)]
+        black[1 + down[:, None], 1 + across] = 1 - pattern
+    return print_x, print_y, black
+
+
+def _marker_bits(board: Board) -> UInt8[Array, "marker bit_y bit_x"]:
+    """Whether each cell of each marker, including its black border, is white."""
+    count = 0 if board.marker_m is None else len(marker_corners(board))
+    if count == 0:
+        return np.zeros((0, 1, 1), dtype=np.uint8)
     aruco: Any = cv2.aruco
     dictionary = marker_dictionary(board)
     size = dictionary.markerSize + 2
-    black = np.asarray(aruco.generateImageMarker(dictionary, number, size)) < 128
-    cell = (board.marker_m or 0.0) / size
-    runs = []
-    for row, cells in enumerate(black):
-        edges = np.flatnonzero(np.diff(np.pad(cells.astype(np.int8), 1)))
-        runs += [(begin * cell, row * cell, (end - begin) * cell, cell) for begin, end in edges.reshape(-1, 2).tolist()]
-    return runs
+    markers = [aruco.generateImageMarker(dictionary, number, size) for number in range(count)]
+    return (np.stack(markers) > 127).astype(np.uint8)

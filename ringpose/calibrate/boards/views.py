@@ -55,7 +55,10 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         raise DataError(name, finding, "give a smaller image") from error
     if isinstance(found, NoBoard):
         return unusable(grey, found) or found
-    return replace(found, saturated_share=_saturated_share(grey, found.points_px))
+    window = np.ones((_SATURATION_WINDOW_PX, _SATURATION_WINDOW_PX), dtype=np.uint8)
+    saturated = cv2.dilate((grey == 255).astype(np.uint8), window)
+    column, row = np.clip(np.rint(found.points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
+    return replace(found, saturated_share=float(np.mean(saturated[row, column])))
 
 
 def grey_8_bit(image: UInt[Array, "row column"]) -> GreyImage:
@@ -134,14 +137,6 @@ def _charuco_corners(
     distance_px = np.linalg.norm(points_px[:, None] - points_px, axis=-1)
     square_px = float(distance_px[neighbours].min()) if neighbours.any() else 0.0
     return numbers, refined_corners(grey, points_px, white_share * square_px), markers
-
-
-def _saturated_share(grey: GreyImage, points_px: Float64[Array, "corner xy=2"]) -> float:
-    """Share of the corners with a saturated pixel near them."""
-    window = np.ones((_SATURATION_WINDOW_PX, _SATURATION_WINDOW_PX), dtype=np.uint8)
-    near = cv2.dilate((grey == 255).astype(np.uint8), window)
-    column, row = np.clip(np.rint(points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
-    return float(np.mean(near[row, column]))
 
 
 def board_image(shot: Shot) -> UInt[Array, "row column"]:

@@ -11,17 +11,17 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.acceptance import BOARD_LIMITS, check
-from ringpose.calibrate.boards.corner_errors import whiten, without_distortion_bias
+from ringpose.calibrate.boards.corner_errors import view_equations, whiten, without_distortion_bias
 from ringpose.calibrate.boards.layout import marker_size_findings
-from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution, view_equations
+from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
-    cross_validation,
-    image_map,
     known_lens,
+    leave_one_out,
     model_comparison,
     projection_sigma_px,
+    split_half_px,
     used_views,
 )
 from ringpose.geometry.rotations import angle_between, rotation_vector
@@ -67,21 +67,21 @@ def camera_assessment(
 
     `boards` are those of all views, in their order.
     """
-    where, used = image_map(calibration.camera), used_views(calibration, boards)
+    used = used_views(calibration, boards)
     whole = camera_solution(used, calibration.camera, model)
-    validation = cross_validation(used, whole, model, where)
+    left_out, jackknife_px = leave_one_out(used, whole, model)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
-    known = known_lens(calibration.camera, corners_px, where)
-    sigma_px = np.where(known, projection_sigma_px(calibration.camera, where), np.nan)
-    disagreement = float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
+    known = known_lens(calibration.camera, corners_px)
+    sigma_px = np.where(known, projection_sigma_px(calibration.camera, calibration.covariance.data), np.nan)
+    disagreement = float(np.median(jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
     return CameraAssessment(
         coverage=coverage(calibration, boards),
-        image_map=where,
         sigma_px=sigma_px,
-        validation=validation,
+        left_out=left_out,
+        split_half_px=split_half_px(used, whole, model),
         disagreement=disagreement,
         distances_m=tuple(distances_m),
-        comparison=model_comparison(used, whole, model, where) if compare else None,
+        comparison=model_comparison(used, whole, model) if compare else None,
         board=(
             other_camera_finding(calibration, boards),
             *marker_size_findings(boards),
@@ -96,9 +96,9 @@ def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tup
     A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
     show them, and the covariance treats the corners as independent. Views are independent.
     """
-    covariance = calibration.camera.covariance
+    covariance = calibration.covariance
     widening = _widening(assessment.disagreement, len(calibration.used))
-    if covariance is None or widening == 1:
+    if widening == 1:
         return calibration, assessment
     camera = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
     return replace(calibration, camera=camera), replace(assessment, sigma_px=widening * assessment.sigma_px)
@@ -112,10 +112,10 @@ def _widening(disagreement: float, views: int) -> float:
 def bow_finding(
     used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
 ) -> Check:
-    """Check of the board's flatness: significance of the bow from one Gauss-Newton step with camera and poses free.
+    """Check of the board's flatness: by how many standard deviations the corners show a bow, the same in all views.
 
-    The bow is a surface of second order, with three coefficients. `widening` is the factor by which the views' errors
-    exceed their residuals.
+    The bow is a surface of second order, with three coefficients, estimated by one Gauss-Newton step together with
+    camera and poses. `widening` is the factor by which the views' errors exceed what their residuals show.
     """
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
     rows = [
@@ -123,7 +123,7 @@ def bow_finding(
         for view, pose, sigma in several
     ]
     jacobian, residual = (np.concatenate(part) for part in zip(*rows, strict=True))
-    free = np.flatnonzero(np.append(model.free, np.ones(3)))
+    free = np.flatnonzero(np.append(model.free, np.ones(3, dtype=bool)))
     scale = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     scaled = jacobian[:, free] / scale
     covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
@@ -164,6 +164,9 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
     used = [(view, board) for view, board in pairs if not view.rejected]
     points_px = np.concatenate([view.points_px[~view.left_out] for view, _ in used])
     middles = [view.pose.rotation @ board.points_board_m.mean(axis=0) + view.pose.translation_m for view, board in used]
+    normals = np.array([view.pose.rotation[:2, 2] for view, _ in used])
+    variance = np.linalg.eigvalsh(np.cov(normals.T)) if len(used) > 1 else np.zeros(2)
+    across, along = np.sqrt(np.maximum(variance, 0.0)).tolist()
     rows = max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
     # Each ninth of the image is divided into nine cells again: the share of these that contain corners.
     seen = (_counts(points_px, camera, 9, 9) > 0).reshape(3, 3, 3, 3).mean(axis=(1, 3))
@@ -172,7 +175,7 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
         corners=_counts(points_px, camera, rows, CELL_COLUMNS),
         bare_regions=tuple(_REGIONS[row][column] for row, column in bare),
         tilt_rad=tuple(board_tilt_rad(view.pose) for view, _ in used),
-        tilt_spread_rad=_tilt_spread([view.pose for view, _ in used]),
+        tilt_spread_rad=(along, across),
         distance_m=tuple(float(np.linalg.norm(middle)) for middle in middles),
     )
 
@@ -189,15 +192,6 @@ def _counts(
 def board_tilt_rad(pose: BoardPose) -> float:
     """Angle between board and image plane; at zero, perspective does not determine the focal length."""
     return float(angle_between(pose.rotation[:, 2], np.array([0.0, 0.0, 1.0])))
-
-
-def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:
-    """Standard deviation of the normals' x and y over the views, along and across their largest variation."""
-    normals = np.array([pose.rotation[:2, 2] for pose in poses])
-    if len(normals) < 2:
-        return 0.0, 0.0
-    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(normals.T)), 0.0)).tolist()
-    return along, across
 
 
 def different_poses(poses: Sequence[BoardPose]) -> int:

@@ -17,15 +17,19 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import moderated_variances, whiten, without_distortion_bias
-from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
+from ringpose.calibrate.boards.corner_errors import (
+    ViewEquations,
+    moderated_variances,
+    view_equations,
+    without_distortion_bias,
+)
+from ringpose.calibrate.boards.pose import board_pose, moved_pose
 from ringpose.calibrate.camera.parameters import (
     CameraModel,
     camera_with,
     covariance_of_free,
     damped_step,
     parameters_of,
-    projection_jacobians,
 )
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Bool, Float64
@@ -62,24 +66,6 @@ class CameraSolution:
     """Information (normal matrix) of each view about the camera's parameters, its pose marginalised out."""
     gradient: Float64[Array, "view parameter"]
     """Each view's part of the right-hand side of the normal equations; their sum over all views is zero."""
-
-
-class ViewEquations(NamedTuple):
-    """Linearised equations of a view, one row per corner coordinate, with independent errors of unit variance."""
-
-    wrt_pose: Float64[Array, "row pose=6"]
-    wrt_camera: Float64[Array, "row parameter"]
-    residual: Float64[Array, "row"]
-
-    def without_pose(self) -> tuple[Float64[Array, "row parameter"], Float64[Array, "row"]]:
-        """Camera Jacobian and residuals, projected onto the complement of the pose Jacobian's column space."""
-        orthogonal, _ = np.linalg.qr(self.wrt_pose)
-        wrt_camera = self.wrt_camera - orthogonal @ (orthogonal.T @ self.wrt_camera)
-        return wrt_camera, self.residual - orthogonal @ (orthogonal.T @ self.residual)
-
-    def pose_step(self, step: Float64[Array, "parameter"]) -> Float64[Array, "pose=6"]:
-        """Step of the pose for a step of the camera's parameters (back-substitution)."""
-        return np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
 
 
 def blank_camera(camera_name: str, image_width: int, image_height: int, model: CameraModel) -> Camera:
@@ -199,15 +185,6 @@ def _adjusted(
             break
         state = better
     return _solution(state, model, sigma_px)
-
-
-def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> ViewEquations:
-    """The equations of a view whose corner coordinates have this standard deviation, decorrelated."""
-    wrt_pose, wrt_camera = projection_jacobians(view.points_board_m, pose, camera)
-    residual_px = residuals(view, pose, camera)[..., None]
-    rows = np.concatenate([wrt_pose, wrt_camera, residual_px], axis=-1).reshape(2 * len(wrt_pose), -1)
-    rows = whiten(rows, view) / sigma_px
-    return ViewEquations(wrt_pose=rows[:, :6], wrt_camera=rows[:, 6:-1], residual=rows[:, -1])
 
 
 def _solution(state: _State, model: CameraModel, sigma_px: Float64[Array, "view"]) -> CameraSolution:

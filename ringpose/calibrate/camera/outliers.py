@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.acceptance import CAMERA_LIMITS, check
+from ringpose.calibrate.boards.corner_errors import view_equations
 from ringpose.calibrate.boards.pose import board_pose
-from ringpose.calibrate.camera.bundle_adjustment import view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views
 from ringpose.geometry.least_squares import robust_std

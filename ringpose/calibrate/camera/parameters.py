@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rotations import rotation_vector
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, camera_parameters
 
@@ -56,7 +56,7 @@ def projection_jacobians(
 def damped_step(
     information: Float64[Array, "parameter parameter"],
     gradient: Float64[Array, "parameter"],
-    free: Float64[Array, "parameter"],
+    free: Bool[Array, "parameter"],
     damping: float,
 ) -> Float64[Array, "parameter"]:
     """Levenberg-Marquardt step of the free parameters; `gradient` is the right-hand side of the normal equations."""
@@ -64,27 +64,20 @@ def damped_step(
 
 
 def covariance_of_free(
-    information: Float64[Array, "parameter parameter"], free: Float64[Array, "parameter"]
+    information: Float64[Array, "parameter parameter"], free: Bool[Array, "parameter"] | None = None
 ) -> Float64[Array, "parameter parameter"]:
-    """Inverse of the normal matrix `information` over the free parameters (1); zero for those held fixed (0)."""
-    index = np.flatnonzero(free)
+    """Inverse of the normal matrix `information` over the free parameters; zero for those held fixed.
+
+    The parameters may have different units. By default those are free for which there is any information.
+    """
+    index = np.flatnonzero(np.diag(information) > 0 if free is None else free)
     scale = np.sqrt(np.diag(information)[index])
     inner = information[np.ix_(index, index)] / np.outer(scale, scale)
     covariance = np.zeros_like(information)
     size, axes = np.linalg.eigh(inner)
-    size = np.maximum(size, MIN_SHARE * size[-1])
+    size = np.maximum(size, MIN_SHARE * size.max(initial=0.0))
     covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
     return covariance
-
-
-def inverse_of_scaled(information: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
-    """Inverse of a normal matrix whose parameters have different units; zero for parameters without information."""
-    inverse = np.zeros_like(information)
-    seen = np.flatnonzero(np.diag(information) > 0)
-    scale = np.sqrt(np.diag(information)[seen])
-    inner = information[np.ix_(seen, seen)] / np.outer(scale, scale)
-    inverse[np.ix_(seen, seen)] = np.linalg.inv(inner) / np.outer(scale, scale)
-    return inverse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,11 +101,11 @@ class CameraModel:
         return int(flags)
 
     @property
-    def free(self) -> Float64[Array, "parameter"]:
-        """1 for each parameter that is estimated, 0 for each that is fixed."""
+    def free(self) -> Bool[Array, "parameter"]:
+        """Which parameters are estimated; the others are fixed at zero."""
         fixed = {"k3"} if self.fix_k3 else set()
         fixed |= {"p1", "p2"} if self.zero_tangential else set()
-        return np.array([float(name not in fixed) for name in parameter_names(self.distortion_model)])
+        return np.array([name not in fixed for name in parameter_names(self.distortion_model)])
 
 
 PLUMB_BOB = CameraModel()

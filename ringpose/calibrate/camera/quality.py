@@ -11,6 +11,7 @@ from ringpose.calibrate.acceptance import CAMERA_LIMITS, check, verdict_lines, v
 from ringpose.calibrate.camera.assessment import board_tilt_rad, different_poses
 from ringpose.calibrate.camera.outliers import CORNER_SIGMAS
 from ringpose.calibrate.camera.parameters import parameters_of
+from ringpose.calibrate.camera.validation import map_points_px
 from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,
@@ -31,7 +32,7 @@ def camera_quality(
     without_board: Sequence[tuple[str, str]] = (),
 ) -> Mapping[str, Any]:
     """The keys `standard_deviations` and `quality` of camera.yaml."""
-    covered, validation, comparison = assessment.coverage, assessment.validation, assessment.comparison
+    covered, comparison = assessment.coverage, assessment.comparison
     quality: dict[str, Any] = {
         "verdict": verdict_values(verdict),
         "rms_px": calibration.rms_px,
@@ -54,8 +55,8 @@ def camera_quality(
             "sigma_m": projection_sigma_m(calibration, assessment),
         },
         "cross_validation": {
-            "split_half_px": float(np.median(validation.split_half_px)),
-            "left_out": [asdict(view) for view in validation.left_out],
+            "split_half_px": float(np.median(assessment.split_half_px)),
+            "left_out": [asdict(view) for view in assessment.left_out],
             "disagreement": assessment.disagreement,
         },
     }
@@ -112,19 +113,15 @@ def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment,
     distortion = ", ".join(f"{name} {values[name]:.5f} ± {deviations[name]:.5f}" for name in list(values)[4:])
     lines.append(f"{pinhole} px ({camera.image_width} x {camera.image_height})")
     lines.append(f"{camera.distortion_model}: {distortion}")
-    lines.append(_projection_line(calibration, assessment))
-    if assessment.comparison is not None:
-        lines += _comparison_lines(assessment.comparison)
-    return lines + verdict_lines(verdict)
-
-
-def _projection_line(calibration: CameraCalibration, assessment: CameraAssessment) -> str:
     sigma_px, share = assessment.known_sigma_px, assessment.unknown_share
     unknown = f", not known in {100 * share:.0f} % of the image" if share else ""
     sigmas_m = zip(projection_sigma_m(calibration, assessment), assessment.distances_m, strict=True)
     millimetres = ", ".join(f"{1e3 * sigma_m:.3f} mm at {distance_m:g} m" for sigma_m, distance_m in sigmas_m)
     pixels = f"{np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst)"
-    return f"projection ± {pixels}{unknown}: {millimetres}"
+    lines.append(f"projection ± {pixels}{unknown}: {millimetres}")
+    if assessment.comparison is not None:
+        lines += _comparison_lines(assessment.comparison)
+    return lines + verdict_lines(verdict)
 
 
 def _comparison_lines(comparison: ModelComparison) -> list[str]:
@@ -193,8 +190,8 @@ def _coverage_findings(covered: Coverage) -> list[Check]:
 
 def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Check]:
     """Checks of the focal length's and the projection's standard deviations."""
-    sigma_px, where, deviations = assessment.sigma_px, assessment.image_map.points_px, calibration.standard_deviations
-    x, y = where[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
+    sigma_px, deviations = assessment.sigma_px, calibration.standard_deviations
+    x, y = map_points_px(calibration.camera)[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     focal_share = deviations["fx"] / float(calibration.camera.camera_matrix[0, 0])
     focal = "the focal length is uncertain: tilt the board more, and take it nearer and farther"
     median = "the projection is uncertain: add views, tilted to different sides, in every part of the image"
@@ -218,8 +215,8 @@ def _validation_findings(assessment: CameraAssessment) -> list[Check]:
     A value is NaN, without advice, if there are too few views to determine it: another check reports that.
     """
     unknown = LeftOutView(name="", shift_px=np.nan, rms_px=np.nan)
-    view = max(assessment.validation.left_out, key=lambda view: view.shift_px, default=unknown)
-    halves_px = float(np.median(assessment.validation.split_half_px))
+    view = max(assessment.left_out, key=lambda view: view.shift_px, default=unknown)
+    halves_px = float(np.median(assessment.split_half_px))
     disagree = (
         "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
         "that all images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner"

@@ -24,8 +24,8 @@ from ringpose.calibrate.camera.parameters import (
     CameraModel,
     camera_with,
     covariance_of_free,
-    parameter_names,
     parameters_of,
+    projection_jacobians,
 )
 from ringpose.errors import DataError
 from ringpose.geometry.least_squares import gauss_newton
@@ -34,14 +34,12 @@ from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import (
     CameraCalibration,
-    CrossValidation,
-    ImageMap,
     LeftOutView,
     ModelComparison,
     ModelFit,
 )
 from ringpose.types.options import DistortionModel
-from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, ParameterCovariance
+from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera
 
 MAX_SOLVED = 20
 """Above this number of views, leave-one-out cameras are computed by one Gauss-Newton step; solving again takes 1 s for
@@ -58,8 +56,11 @@ _EXACT_PX = 1e-6
 
 _ROTATION_ITERATIONS = 3
 
+_CAMERA_POSE = BoardPose(name="", rotation=np.eye(3), translation_m=np.zeros(3), residual_rms_px=0.0)
+"""Pose of points that are given in the camera frame."""
+
 MapValues = Float64[Array, "map_row map_column"]
-"""One value for each point of an `ImageMap`."""
+"""One value for each point of the map (`map_points_px`), at which cameras are compared."""
 
 
 def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
@@ -68,24 +69,33 @@ def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> l
     return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
 
 
-def cross_validation(
-    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
-) -> CrossValidation:
-    """Displacements between the cameras of half of the views, of all views but one, and of all views."""
-    without_one = cameras_without_one(used, whole, model)
-    unknown = np.full(where.points_px.shape[:2], np.nan)
-    shifts = [unknown if other is None else displacement_px(whole.camera, other, where) for other in without_one]
-    left_out = [
-        LeftOutView(name=view.name, shift_px=float(np.median(shift)), rms_px=held_out_rms_px(view, others))
-        for view, others, shift in zip(used, without_one, shifts, strict=False)
-    ]
-    # Odd against even views: neighbours in a series are similar.
-    odd, even = (_camera(used[first::2], whole.camera, model, whole.poses[first::2]) for first in (0, 1))
-    return CrossValidation(
-        split_half_px=unknown if odd is None or even is None else displacement_px(odd, even, where),
-        left_out=tuple(left_out),
-        jackknife_px=_jackknife_px(shifts, whole, model, where) if shifts else unknown,
+def leave_one_out(
+    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel
+) -> tuple[tuple[LeftOutView, ...], MapValues]:
+    """Results of leaving out each view in turn, and the projection uncertainty that they show (jackknife).
+
+    The uncertainty includes the errors that the corners of a view have in common. There are no results, and it is NaN,
+    if there are too few views.
+    """
+    others = cameras_without_one(used, whole, model)
+    unknown = np.full(map_points_px(whole.camera).shape[:2], np.nan)
+    shifts = [unknown if other is None else displacement_px(whole.camera, other) for other in others]
+    left_out = tuple(
+        LeftOutView(name=view.name, shift_px=float(np.median(shift)), rms_px=held_out_rms_px(view, other))
+        for view, other, shift in zip(used, others, shifts, strict=False)
     )
+    return left_out, _jackknife_px(shifts, whole, model) if shifts else unknown
+
+
+def split_half_px(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> MapValues:
+    """Displacement between the cameras of the even and the odd views; NaN if a half does not determine a camera.
+
+    Neighbours in a series are similar, so that every other one belongs to the same half.
+    """
+    odd, even = (_camera(used[first::2], whole.camera, model, whole.poses[first::2]) for first in (0, 1))
+    if odd is None or even is None:
+        return np.full(map_points_px(whole.camera).shape[:2], np.nan)
+    return displacement_px(odd, even)
 
 
 def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:
@@ -121,28 +131,21 @@ def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel, poses
         return None
 
 
-def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: CameraModel, where: ImageMap) -> MapValues:
+def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: CameraModel) -> MapValues:
     """The projection uncertainty, scaled by the ratio of the leave-one-out shifts to those expected from noise.
 
     Views are independent even where their corners are not. A leave-one-out camera is that of all views plus an
     independent error, so that its expected shift has the difference of the two covariances.
     """
-
-    def sigma_px(covariance: Float64[Array, "parameter parameter"]) -> MapValues:
-        names = parameter_names(whole.camera.distortion_model)
-        known = ParameterCovariance(parameters=names, data=covariance)
-        return projection_sigma_px(replace(whole.camera, covariance=known), where)
-
     information = whole.information.sum(axis=0)
     covariance = covariance_of_free(information, model.free)
-    expected = [sigma_px(covariance_of_free(information - own, model.free) - covariance) for own in whole.information]
+    changes = [covariance_of_free(information - own, model.free) - covariance for own in whole.information]
+    expected = [projection_sigma_px(whole.camera, change) for change in changes]
     ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
-    return np.sqrt(ratio) * sigma_px(covariance)
+    return np.sqrt(ratio) * projection_sigma_px(whole.camera, covariance)
 
 
-def model_comparison(
-    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
-) -> ModelComparison:
+def model_comparison(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> ModelComparison:
     """Rms of both distortion models on the same views, and the displacement between their cameras where both are known.
 
     More coefficients always reduce the rms. Whether they describe the lens or the noise is decided by held-out views:
@@ -154,10 +157,10 @@ def model_comparison(
     blank = blank_camera(camera.camera_name, camera.image_width, camera.image_height, other_model)
     other = camera_solution(used, blank, other_model)
     corners_px = np.concatenate([view.points_px for view in used])
-    known = known_lens(camera, corners_px, where) & known_lens(other.camera, corners_px, where)
+    known = known_lens(camera, corners_px) & known_lens(other.camera, corners_px)
     return ModelComparison(
         fits=(_fit(used, whole, model), _fit(used, other, other_model)),
-        difference_px=np.where(known, displacement_px(camera, other.camera, where), np.nan),
+        difference_px=np.where(known, displacement_px(camera, other.camera), np.nan),
     )
 
 
@@ -175,78 +178,67 @@ def _fit(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -
     )
 
 
-def image_map(camera: Camera) -> ImageMap:
-    """Grid of points over the whole image, with about the same spacing in both directions."""
+def map_points_px(camera: Camera) -> Float64[Array, "map_row map_column xy=2"]:
+    """Grid of pixels over the whole image, with about the same spacing in both directions."""
     width, height = camera.image_width - 1.0, camera.image_height - 1.0
     rows = max(round((MAP_COLUMNS - 1) * height / max(width, 1.0)) + 1, 2)
     row, column = np.meshgrid(np.linspace(0, height, rows), np.linspace(0, width, MAP_COLUMNS), indexing="ij")
-    return ImageMap(points_px=np.stack([column, row], axis=-1))
+    return np.stack([column, row], axis=-1)
 
 
-def displacement_px(one: Camera, other: Camera, where: ImageMap) -> MapValues:
+def displacement_px(one: Camera, other: Camera) -> MapValues:
     """Displacement between the projections of a ray in two cameras, at each pixel of the first; NaN if not visible."""
-    middle = _middle_points(where)[:, None]
+    map_px, middle = map_points_px(one), _middle_points(one)[:, None]
 
     def offset_px(directions: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xy=2"]:
-        return project(directions, other) - where.points_px.reshape(-1, 2)
+        return project(directions, other) - map_px.reshape(-1, 2)
 
     def linearised(
         directions: Float64[Array, "n xyz=3"],
     ) -> tuple[Float64[Array, "row"], Float64[Array, "row rotation=3"]]:
-        wrt_rotation = _projection_jacobians(directions, other)[1]
+        wrt_rotation = projection_jacobians(directions, _CAMERA_POSE, other)[0][..., :3]
         return (middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3)
 
     def rotated(directions: Float64[Array, "n xyz=3"], step: Float64[Array, "rotation=3"]) -> Float64[Array, "n xyz=3"]:
         return directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
 
-    directions = gauss_newton(linearised, rotated, rays(where.points_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
-    return np.linalg.norm(offset_px(directions), axis=-1).reshape(where.points_px.shape[:2])
+    directions = gauss_newton(linearised, rotated, rays(map_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
+    return np.linalg.norm(offset_px(directions), axis=-1).reshape(map_px.shape[:2])
 
 
-def projection_sigma_px(camera: Camera, where: ImageMap) -> MapValues:
-    """Rms displacement of the projection by the errors of the intrinsic parameters; NaN without their covariance.
+def projection_sigma_px(camera: Camera, covariance: Float64[Array, "parameter parameter"]) -> MapValues:
+    """Rms displacement of the projection by errors of the intrinsic parameters with this covariance.
 
     The rotation of the camera frame that compensates each parameter's error best in the middle of the image is removed.
     """
-    if camera.covariance is None:
-        return np.full(where.points_px.shape[:2], np.nan)
-    wrt_parameter, wrt_rotation = _projection_jacobians(rays(where.points_px, camera).reshape(-1, 3), camera)
-    middle = _middle_points(where)
+    map_px, middle = map_points_px(camera), _middle_points(camera)
+    directions = rays(map_px, camera).reshape(-1, 3)
+    wrt_pose, wrt_parameter = projection_jacobians(directions, _CAMERA_POSE, camera)
+    wrt_rotation = wrt_pose[..., :3]
     rotation = np.linalg.lstsq(
         wrt_rotation[middle].reshape(-1, 3), wrt_parameter[middle].reshape(-1, wrt_parameter.shape[-1])
     )[0]
     remaining = wrt_parameter - wrt_rotation @ rotation
-    variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
-    return np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
+    variance = np.einsum("pci,ij,pcj->p", remaining, covariance, remaining)
+    return np.sqrt(np.maximum(variance, 0.0)).reshape(map_px.shape[:2])
 
 
-def _middle_points(where: ImageMap) -> Bool[Array, "n"]:
+def _middle_points(camera: Camera) -> Bool[Array, "n"]:
     """Which points of the map, row by row, are in the middle of the image."""
-    rows, columns = where.points_px.shape[:2]
+    rows, columns = map_points_px(camera).shape[:2]
     row, column = (np.abs(np.linspace(-1, 1, count)) <= MIDDLE_SHARE for count in (rows, columns))
     return np.outer(row, column).ravel()
 
 
-def _projection_jacobians(
-    directions: Float64[Array, "n xyz=3"], camera: Camera
-) -> tuple[Float64[Array, "n xy=2 parameter"], Float64[Array, "n xy=2 rotation=3"]]:
-    """Jacobians of the pixels with respect to the intrinsic parameters and to a small rotation of the camera frame."""
-    origin = np.zeros(3)
-    jacobian = cv2.projectPoints(directions, origin, origin, camera.camera_matrix, camera.distortion_coefficients)[1]
-    both = np.asarray(jacobian, dtype=np.float64).reshape(len(directions), 2, -1)
-    return both[..., 6 : 10 + len(camera.distortion_coefficients)], both[..., :3]
-
-
-def known_lens(
-    camera: Camera, corners_px: Float64[Array, "corner xy=2"], where: ImageMap
-) -> Bool[Array, "map_row map_column"]:
+def known_lens(camera: Camera, corners_px: Float64[Array, "corner xy=2"]) -> Bool[Array, "map_row map_column"]:
     """True at the map's points where the camera's covariance is a valid measure of the projection error.
 
     Of the rational model only up to the largest distance of a corner from the principal point, as a quotient of
     polynomials can have a pole beyond; of the polynomial models everywhere.
     """
+    map_px = map_points_px(camera)
     if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:
-        return np.ones(where.points_px.shape[:2], dtype=bool)
+        return np.ones(map_px.shape[:2], dtype=bool)
     middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
-    radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (where.points_px, corners_px))
+    radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (map_px, corners_px))
     return radius <= max(float(reached.max()), float(radius.min()))

@@ -9,10 +9,12 @@ A ring amplifies depth errors: its arc is short and half a metre from its centre
 stripes' depths tilt the ring and move its centre by a multiple of them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
-from ringpose.calibrate.camera.parameters import inverse_of_scaled, parameter_names
+from ringpose.calibrate.camera.parameters import covariance_of_free, parameter_names
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
     JointState,
@@ -22,14 +24,12 @@ from ringpose.calibrate.planes.joint_adjustment import (
     joint_fit,
     prior_information,
 )
-from ringpose.geometry.rays import intersect, pixels_wrt_ray_and_camera, project, rays
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rays import project, rays
 from ringpose.pose.closed_form import differentiated, pose_covariance
 from ringpose.pose.triangulation import point_covariance
-from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.options import Method
 from ringpose.types.rig import (
-    CAMERA_PARAMETERS,
     PLANE_PARAMETERS,
     Camera,
     LaserPlanes,
@@ -61,7 +61,7 @@ def planes_covariance(
     """
     planes = laser_parameters(names)
     count = len(planes)
-    own = inverse_of_scaled(information[:count, :count])
+    own = covariance_of_free(information[:count, :count])
     if given.covariance is None:
         return ParameterCovariance(parameters=planes, data=excess * own)
     if free_camera:
@@ -69,7 +69,7 @@ def planes_covariance(
         free = np.append(np.ones(count, dtype=bool), free_parameters(given))
         prior = np.zeros_like(information)
         prior[count:, count:] = prior_information(given)
-        data = inverse_of_scaled(np.where(np.outer(free, free), information / excess + prior, 0.0))
+        data = covariance_of_free(np.where(np.outer(free, free), information / excess + prior, 0.0))
         camera_first = np.roll(np.arange(len(data)), len(data) - count)
         data = data[np.ix_(camera_first, camera_first)]
     else:
@@ -116,89 +116,64 @@ def _degrees_of_freedom(data: JointData, laser: int) -> int:
     return 2 * sum(len(own[laser].ray) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 
 
-def depth_uncertainty(
-    camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
-) -> Float64[Array, "laser distance position"]:
-    """Standard deviations of depths by the joint covariance (method(7), section 1).
-
-    They hold along the stripe of each laser on planes perpendicular to the optical axis; NaN outside the image.
-    """
-    sd = np.full((len(lasers.names), len(distances_m), COLUMNS), np.nan)
-    for laser, distance in np.ndindex(sd.shape[:2]):
-        plane_m = float(lasers.distance_m[laser])
-        pixels = _stripe_px(camera, lasers.normal[laser], plane_m, distances_m[distance])
-        inside = np.isfinite(pixels).all(axis=1)
-        if inside.any():
-            jacobian = _depth_jacobian(camera, lasers, covariance.parameters, laser, pixels[inside])
-            sd[laser, distance, inside] = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance.data, jacobian).clip(0))
+def worst_depth_sd_m(rig: Rig, distances_m: Sequence[float]) -> Float64[Array, "laser distance"]:
+    """Largest standard deviation of depths along each stripe; NaN where none of it is in the image."""
+    sd = np.full((len(rig.lasers.names), len(distances_m)), np.nan)
+    for laser, index in np.ndindex(sd.shape):
+        sd[laser, index] = np.fmax.reduce(depth_sd_m(rig, laser, distances_m[index]))
     return sd
 
 
-def worst_depth_sd_m(
-    camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
-) -> Float64[Array, "laser distance"]:
-    """Largest of these standard deviations along each stripe; NaN where none of it is in the image."""
-    return np.fmax.reduce(depth_uncertainty(camera, lasers, covariance, distances_m), axis=-1)
+def depth_sd_m(rig: Rig, laser: int, distance_m: float) -> Float64[Array, "position"]:
+    """Standard deviations of depths by the rig's covariance (method(7), section 1), without noise of the image.
 
-
-def _stripe_px(
-    camera: Camera, normal: Float64[Array, "xyz=3"], distance_m: float, z_m: float
-) -> Float64[Array, "position xy=2"]:
-    """Pixels along the stripe on the plane z = z_m, spread over the image; NaN outside the image."""
+    They hold along the laser's stripe on the plane z = `distance_m`, at `COLUMNS` positions spread over the image; NaN
+    outside the image.
+    """
+    camera, normal = rig.camera, rig.lasers.normal[laser]
     size = np.array([camera.image_width, camera.image_height])
     across = 1 if abs(normal[1]) >= abs(normal[0]) else 0
     along = 1 - across
+    sd = np.full(COLUMNS, np.nan)
     if abs(normal[across]) < 1e-6:
-        return np.full((COLUMNS, 2), np.nan)
+        return sd
     pixels = np.full((COLUMNS, 2), (size - 1) / 2)
     pixels[:, along] = np.linspace(0, size[along] - 1, COLUMNS)
-    points = rays(pixels, camera) * z_m
-    points[:, across] = (distance_m - normal[along] * points[:, along] - normal[2] * z_m) / normal[across]
-    pixels = project(points, camera)
-    inside = np.all((pixels > -0.5) & (pixels < size - 0.5), axis=1)
-    return np.where(inside[:, None], pixels, np.nan)
+    points = rays(pixels, camera) * distance_m
+    rest_m = rig.lasers.distance_m[laser] - normal[along] * points[:, along] - normal[2] * distance_m
+    points[:, across] = rest_m / normal[across]
+    inside = _in_image(points, camera)
+    if inside.any():
+        covariance = _points_covariance(points[inside], np.full(int(inside.sum()), laser), rig)
+        sd[inside] = np.sqrt(np.diag(covariance)[2::3].clip(0))
+    return sd
 
 
-def _depth_jacobian(
-    camera: Camera, lasers: LaserPlanes, parameters: tuple[str, ...], laser: int, pixels: Float64[Array, "n xy=2"]
-) -> Float64[Array, "n parameter"]:
-    """Derivatives of the depth z = d / (m . r), r = (x, y, 1), with respect to the named parameters.
-
-    dz/dd = 1 / (m . r), and dz = -z m . dr / (m . r) for a change of the ray.
-    """
-    normal, distance_m = lasers.normal[laser], lasers.distance_m[laser]
-    directions = rays(pixels, camera)
-    points = intersect(directions, normal, np.array(float(distance_m)))
-    denominator = directions @ normal
-    wrt_plane = np.column_stack([-(points @ tilt_basis(normal).T), np.ones(len(points))]) / denominator[:, None]
-    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(directions[:, :2], camera)
-    ray_wrt_camera = -np.linalg.solve(pixel_wrt_ray, pixel_wrt_camera)  # the pixel is held constant
-    wrt_camera = -(points[:, 2] / denominator)[:, None] * np.einsum("i,nip->np", normal[:2], ray_wrt_camera)
-    columns = dict(zip(laser_parameters([lasers.names[laser]]), wrt_plane.T, strict=True))
-    columns |= dict(zip(CAMERA_PARAMETERS, wrt_camera.T, strict=False))
-    zero = np.zeros(len(points))
-    return np.column_stack([columns.get(name, zero) for name in parameters])
+def _in_image(points: Float64[Array, "n xyz=3"], camera: Camera) -> Bool[Array, "n"]:
+    """Which points are projected into the image."""
+    pixels, size = project(points, camera), np.array([camera.image_width, camera.image_height])
+    return np.asarray(np.all((pixels > -0.5) & (pixels < size - 0.5), axis=1))
 
 
-def ring_center_sd_m(
-    camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distance_m: float
-) -> Float64[Array, "xyz=3"]:
+def _points_covariance(
+    points: Float64[Array, "n xyz=3"], laser: Int64[Array, "n"], rig: Rig
+) -> Float64[Array, "coordinate coordinate"]:
+    """Covariance of points on light planes by the errors of the rig alone."""
+    return point_covariance(points, np.zeros((len(points), 2, 2)), laser, rig)
+
+
+def ring_center_sd_m(rig: Rig, distance_m: float) -> Float64[Array, "xyz=3"]:
     """Standard deviations of the centre of a ring that faces the camera, its arc in the middle of the stripes.
 
     NaN if not all stripes cross the arc within the image. The calibration errors are propagated through the constrained
     closed form (method(7), section 4); its sensitivity differs from the maximum-likelihood ring's by a tenth at 1 m.
     """
-    points, edges = _break_points_m(lasers, distance_m)
-    laser = np.repeat(np.arange(len(lasers.names)), 2)
-    pixels = project(points, camera)
-    inside = np.all((pixels > -0.5) & (pixels < np.array([camera.image_width, camera.image_height]) - 0.5), axis=1)
-    if not inside.all() or len(lasers.names) < 2:
+    points, edges = _break_points_m(rig.lasers, distance_m)
+    if not _in_image(points, rig.camera).all() or len(rig.lasers.names) < 2:
         return np.full(3, np.nan)
-    rig = Rig(camera=camera, lasers=lasers, covariance=covariance)
-    points_covariance = point_covariance(points, np.zeros((len(points), 2, 2)), laser, rig)
+    covariance = _points_covariance(points, np.repeat(np.arange(len(rig.lasers.names)), 2), rig)
     _, jacobian = differentiated(points, edges, Method.PAPER_CONSTRAINED)
-    variance = pose_covariance(jacobian, points_covariance).center_m2
-    return np.sqrt(np.diag(variance).clip(0))
+    return np.sqrt(np.diag(pose_covariance(jacobian, covariance).center_m2).clip(0))
 
 
 def _break_points_m(
@@ -209,7 +184,10 @@ def _break_points_m(
     The ring's centre is (c, y0), c its mean radius and y0 the median stripe, so that the middle of its arc lies on the
     optical axis. On the stripe y = p x + q, (x - c)^2 + (y - y0)^2 = R^2 is quadratic in x: a x^2 + 2 b x + d = 0.
     """
-    across, position_m, slope = _stripes(lasers, distance_m)
+    across = int(np.argmax(np.abs(lasers.normal[:, :2]).sum(axis=0)))
+    component = lasers.normal[:, across]
+    position_m = (lasers.distance_m - lasers.normal[:, 2] * distance_m) / component
+    slope = -lasers.normal[:, 1 - across] / component
     radius = np.tile(RADII_M, len(position_m))
     offset, slope = np.repeat(position_m - np.median(position_m), 2), np.repeat(slope, 2)
     center = float(np.mean(RADII_M))
@@ -220,20 +198,6 @@ def _break_points_m(
     points[:, 1 - across] = along
     points[:, across] = np.repeat(position_m, 2) + slope * along
     return points, np.tile([0, 1], len(position_m))
-
-
-def _stripes(lasers: LaserPlanes, distance_m: float) -> tuple[int, Float64[Array, "laser"], Float64[Array, "laser"]]:
-    """Stripes on the plane z = distance_m: the image axis across them, their positions on that axis, their slopes."""
-    across = int(np.argmax(np.abs(lasers.normal[:, :2]).sum(axis=0)))
-    component = lasers.normal[:, across]
-    position_m = (lasers.distance_m - lasers.normal[:, 2] * distance_m) / component
-    return across, position_m, -lasers.normal[:, 1 - across] / component
-
-
-def stripes_apart_m(lasers: LaserPlanes, distance_m: float) -> float:
-    """Distance between the outermost stripes on the plane z = distance_m."""
-    _, position_m, _ = _stripes(lasers, distance_m)
-    return float(np.ptp(position_m))
 
 
 def of_camera(covariance: ParameterCovariance) -> ParameterCovariance:

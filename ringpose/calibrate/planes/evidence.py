@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, Points, condition, outlying_views, robust_plane
+from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, FittedPlane, Points, light_plane, outlying_views
 from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.calibrate.planes.stripes.labels import (
     check_order,
@@ -19,9 +19,9 @@ from ringpose.calibrate.planes.stripes.labels import (
     labelled_by_planes,
 )
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
+from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import Camera
 
 OUTLIER_FACTOR = 4.0
@@ -35,9 +35,6 @@ MAX_MEDIAN_PX = 5.0
 
 Remark = tuple[str, str]
 """A view's name, and what was left out of it or is missing, and why."""
-
-Plane = tuple[Float64[Array, "3"], float]
-"""Unit normal and distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,16 +128,12 @@ def _check_all_lasers_seen(views: Sequence[StripeView], names: Sequence[str]) ->
     unseen = [laser for laser in range(len(names)) if not any(len(view.stripes_px[laser]) for view in views)]
     if not unseen:
         return
-    most = max((view.max_stripes for view in views), default=0)
-    if len(unseen) == len(names) and not 0 < most < len(names):
-        remedy = "see that the lasers are lit and cross the board; --overlay shows the searched images"
-        raise DataError("calibrate-planes", "no shot shows a stripe on the board", remedy)
     if len(unseen) == len(names):
+        most = max((view.max_stripes for view in views), default=0)
         found = (
-            f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {len(names)} lasers "
-            f"({', '.join(names)})"
+            f"no frame shows more than {most} stripes on the board, there are {len(names)} lasers: {', '.join(names)}"
         )
-        remedy = "see which laser is not lit or misses the board, or name fewer (--laser-names)"
+        remedy = "see by --overlay which laser is not lit or misses the board, or name fewer (--laser-names)"
         raise DataError("calibrate-planes", found, remedy)
     lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
     lasers = lit or unseen
@@ -162,14 +155,14 @@ def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> Stripe
     if order is not None:
         return replace(evidence, views=tuple(labelled_by_order(view, order) for view in evidence.views))
     planes = []
-    for name, plane in zip(evidence.names, _planes_of(evidence, range(len(evidence.views))), strict=True):
+    for name, plane in zip(evidence.names, _planes_of(evidence), strict=True):
         if plane is None:
             raise DataError(
                 f'laser "{name}"',
                 "its stripe is not identified: too few shots have a frame with it alone on",
                 "capture with --sequence off,1,2,3, or give --laser-order",
             )
-        planes.append(plane)
+        planes.append((plane.normal, plane.distance_m))
     labelled = [
         labelled_by_planes(view, [triangulated(px, pose, evidence.camera) for px in view.unlabelled_px], planes)
         for view, pose in zip(evidence.views, evidence.poses, strict=True)
@@ -182,7 +175,7 @@ def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) 
     unambiguous = [index for index, each in enumerate(poses) if len(each) == 1]
     if len(unambiguous) == len(poses) or len(unambiguous) < 2:
         return evidence
-    planes = _planes_of(evidence, unambiguous)
+    planes = _planes_of(evidence.only(unambiguous))
     chosen = []
     for view, each in zip(evidence.views, poses, strict=True):
         sums_m2 = [_sum_of_squares_m2(view, pose, evidence.camera, planes) for pose in each]
@@ -190,27 +183,22 @@ def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) 
     return replace(evidence, poses=tuple(chosen))
 
 
-def _planes_of(evidence: StripeEvidence, chosen: Sequence[int]) -> list[Plane | None]:
-    """Each laser's plane by some of the views; None if they do not determine it."""
-    planes: list[Plane | None] = []
-    for laser in range(len(evidence.names)):
-        by_view = evidence.points(laser)
-        points = np.concatenate([by_view[index] for index in chosen])
-        if len(points) < 3:
-            planes.append(None)
-            continue
-        normal, distance_m, weights = robust_plane(points)
-        planes.append((normal, distance_m) if condition(points, weights) <= MAX_CONDITION else None)
-    return planes
+def _planes_of(evidence: StripeEvidence) -> list[FittedPlane | None]:
+    """Each laser's plane by all views; None if they do not determine it."""
+    points = [np.concatenate(evidence.points(laser)) for laser in range(len(evidence.names))]
+    planes = [light_plane(own, PlanesMethod.TOTAL_LEAST_SQUARES) if len(own) > 2 else None for own in points]
+    return [plane if plane is not None and plane.condition <= MAX_CONDITION else None for plane in planes]
 
 
-def _sum_of_squares_m2(view: StripeView, pose: BoardPose, camera: Camera, planes: Sequence[Plane | None]) -> float:
+def _sum_of_squares_m2(
+    view: StripeView, pose: BoardPose, camera: Camera, planes: Sequence[FittedPlane | None]
+) -> float:
     """Sum over the stripes of the mean square distance from their planes, for a given board pose."""
     total = 0.0
     for points_px, plane in zip(view.stripes_px, planes, strict=True):
         if plane is not None and len(points_px):
-            normal, distance_m = plane
-            total += float(np.mean((triangulated(points_px, pose, camera) @ normal - distance_m) ** 2))
+            distances_m = triangulated(points_px, pose, camera) @ plane.normal - plane.distance_m
+            total += float(np.mean(distances_m**2))
     return total
 
 
@@ -238,7 +226,7 @@ def _without_outlying_stripes(evidence: StripeEvidence) -> tuple[StripeEvidence,
 
 def _missing(evidence: StripeEvidence) -> list[Remark]:
     """Remarks on stripes that the views lack, except of lasers whose light passes beside the board."""
-    planes = _planes_of(evidence, range(len(evidence.views)))
+    planes = _planes_of(evidence)
     remarks = []
     for view, pose in zip(evidence.views, evidence.poses, strict=True):
         missing = [
@@ -252,8 +240,8 @@ def _missing(evidence: StripeEvidence) -> list[Remark]:
     return remarks
 
 
-def _crosses_board(plane: Plane, view: StripeView, pose: BoardPose) -> bool:
+def _crosses_board(plane: FittedPlane, view: StripeView, pose: BoardPose) -> bool:
     """Whether a light plane has corners of the board on both sides."""
-    normal, distance_m = plane
-    height_m = (view.board.points_board_m @ pose.rotation.T + pose.translation_m) @ normal - distance_m
+    points_m = view.board.points_board_m @ pose.rotation.T + pose.translation_m
+    height_m = points_m @ plane.normal - plane.distance_m
     return bool(height_m.min() <= 0 <= height_m.max())

@@ -21,14 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, whiten
-from ringpose.calibrate.boards.pose import moved_pose, residuals
+from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, view_equations
+from ringpose.calibrate.boards.pose import moved_pose
 from ringpose.calibrate.camera.parameters import (
     camera_with,
-    inverse_of_scaled,
+    covariance_of_free,
     parameter_names,
     parameters_of,
-    projection_jacobians,
 )
 from ringpose.calibrate.planes.stripes.errors import (
     StripeRays,
@@ -46,10 +45,13 @@ from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
-from ringpose.types.rig import Camera
+from ringpose.types.rig import PLANE_PARAMETERS, Camera
 
 ROBUST_SIGMAS = 3.0
 """Limit of the Huber loss in standard deviations: 0.3 % of normal errors exceed it."""
+
+_POSE, _PLANE = 6, len(PLANE_PARAMETERS)
+"""Numbers of parameters of a board's pose and of a light plane."""
 
 _MAX_ITERATIONS = 50
 _CONVERGED = 1e-4
@@ -82,6 +84,11 @@ class JointData:
     """The given camera, with its covariance."""
     free_camera: bool = False
     """Whether the camera is estimated, with its covariance as prior."""
+
+    @property
+    def lasers(self) -> int:
+        """Number of lasers, seen or not."""
+        return len(self.rays[0])
 
     def without_view(self, left_out: int) -> "JointData":
         """The data without one view."""
@@ -160,7 +167,7 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
     information = np.zeros((len(names), len(names)))
     if camera.covariance is not None:
         columns = [names.index(name) for name in camera.covariance.parameters]
-        information[np.ix_(columns, columns)] = inverse_of_scaled(camera.covariance.data)
+        information[np.ix_(columns, columns)] = covariance_of_free(camera.covariance.data)
     return information
 
 
@@ -174,7 +181,7 @@ def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, 
     """The state after one Gauss-Newton step, and the predicted decrease of the sum of squares."""
     equations = _reduced_equations(data, state)
     information, gradient = equations.information.copy(), equations.gradient.copy()
-    planes = 3 * len(state.distance_m)
+    planes = _PLANE * data.lasers
     free = np.diag(information) > 0  # a laser without stripes keeps its plane
     free[planes:] = False
     if data.free_camera:
@@ -194,7 +201,7 @@ def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, 
         moved_pose(pose, step + wrt_shared @ shared)  # Eq. (4)
         for pose, step, wrt_shared in zip(state.poses, equations.pose_step, equations.pose_wrt_shared, strict=True)
     )
-    plane = shared[:planes].reshape(-1, 3)  # two tilts and a distance each
+    plane = shared[:planes].reshape(-1, _PLANE)  # two tilts and a distance each
     normal = np.stack([tilted(own, tilt) for own, tilt in zip(state.normal, plane[:, :2], strict=True)])
     camera = state.camera
     if data.free_camera:
@@ -222,11 +229,12 @@ def joint_information(data: JointData, state: JointState) -> Float64[Array, "sha
 
 def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
     """Normal equations with the poses eliminated, Eqs. (1) and (2)."""
-    number = 3 * len(state.distance_m) + 4 + len(state.camera.distortion_coefficients)
+    number = _PLANE * data.lasers + 4 + len(state.camera.distortion_coefficients)
     information, gradient = np.zeros((number, number)), np.zeros(number)
     pose_step, pose_wrt_shared, decrease = [], [], 0.0
     for view in range(len(data.views)):
-        residual, wrt_pose, wrt_shared = _whitened_residuals(data, state, view)
+        rows = _robust_rows(data, state, view)
+        wrt_pose, wrt_shared, residual = rows[:, :_POSE], rows[:, _POSE:-1], rows[:, -1]
         inverse = np.linalg.inv(wrt_pose.T @ wrt_pose)
         pose_gradient, cross = wrt_pose.T @ residual, wrt_pose.T @ wrt_shared
         information += wrt_shared.T @ wrt_shared - cross.T @ inverse @ cross
@@ -237,29 +245,29 @@ def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
     return _ReducedEquations(information, gradient, tuple(pose_step), tuple(pose_wrt_shared), decrease)
 
 
-def _whitened_residuals(
-    data: JointData, state: JointState, index: int
-) -> tuple[Float64[Array, "row"], Float64[Array, "row pose=6"], Float64[Array, "row shared"]]:
-    """Residuals r of a view's corners and stripe centres, and their derivatives P and S, with robust weights."""
-    view, pose, planes = data.views[index], state.poses[index], 3 * len(state.distance_m)
-    pixel_wrt_pose, pixel_wrt_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
-    error_px = residuals(view.board, pose, state.camera).reshape(-1, 1)
-    columns = [error_px, -pixel_wrt_pose.reshape(-1, 6), -pixel_wrt_camera.reshape(len(error_px), -1)]
-    corners = whiten(np.hstack(columns), view.board) / data.corner_px[index]
-    error, wrt_pose, wrt_camera = np.split(corners, [1, 7], axis=1)
-    blocks = [(error[:, 0], wrt_pose, np.hstack([np.zeros((len(error), planes)), wrt_camera]))]
-    for laser, stripe in _stripes(data, state, index):
-        sigma_px = data.center_px[index][laser]
-        wrt_shared = np.zeros((len(stripe.residual_px), planes + wrt_camera.shape[1]))
-        wrt_shared[:, 3 * laser : 3 * laser + 3] = stripe.wrt_plane / sigma_px
-        wrt_shared[:, planes:] = stripe.wrt_camera / sigma_px
-        blocks.append((stripe.residual_px / sigma_px, stripe.wrt_pose / sigma_px, wrt_shared))
-    root = np.sqrt(np.concatenate([_robust_weights(block[0]) for block in blocks]))
-    residual, wrt_pose, wrt_shared = (np.concatenate(part) for part in zip(*blocks, strict=True))
-    return root * residual, root[:, None] * wrt_pose, root[:, None] * wrt_shared
+def _robust_rows(data: JointData, state: JointState, index: int) -> Float64[Array, "row column"]:
+    """The rows [P, S, r] of a view's corners and stripes, with robust weights."""
+    blocks = [corner_rows(data, state, index)]
+    blocks += [stripe_rows(data, index, laser, stripe) for laser, stripe in stripes_of(data, state, index)]
+    return np.concatenate([np.sqrt(_robust_weights(rows[:, -1]))[:, None] * rows for rows in blocks])
 
 
-def _stripes(data: JointData, state: JointState, index: int) -> list[tuple[int, StripeResiduals]]:
+def corner_rows(data: JointData, state: JointState, index: int) -> Float64[Array, "row column"]:
+    """Whitened derivatives P and S of the residuals of a view's corners, and the residuals r: [P, S, r]."""
+    corners = view_equations(data.views[index].board, state.poses[index], state.camera, float(data.corner_px[index]))
+    no_planes = np.zeros((len(corners.residual), _PLANE * data.lasers))
+    return np.column_stack([-corners.wrt_pose, no_planes, -corners.wrt_camera, corners.residual])
+
+
+def stripe_rows(data: JointData, index: int, laser: int, stripe: StripeResiduals) -> Float64[Array, "row column"]:
+    """The same of one laser's stripe centres."""
+    wrt_planes = np.zeros((len(stripe.residual_px), data.lasers, _PLANE))
+    wrt_planes[:, laser] = stripe.wrt_plane
+    columns = [stripe.wrt_pose, wrt_planes.reshape(len(wrt_planes), -1), stripe.wrt_camera, stripe.residual_px]
+    return np.column_stack(columns) / data.center_px[index][laser]
+
+
+def stripes_of(data: JointData, state: JointState, index: int) -> list[tuple[int, StripeResiduals]]:
     """Lasers that a view shows, with the residuals of their stripes; by the estimated camera if it is free."""
     every = data.rays[index]
     if data.free_camera:
@@ -284,7 +292,7 @@ def joint_chi2(data: JointData, state: JointState) -> float:
     total = 0.0
     for index, (view, pose) in enumerate(zip(data.views, state.poses, strict=True)):
         total += corner_chi2(view, pose, state.camera, float(data.corner_px[index]))
-        for laser, stripe in _stripes(data, state, index):
+        for laser, stripe in stripes_of(data, state, index):
             line_px = line_modes(view.stripes_px[laser]) @ stripe.residual_px / len(stripe.residual_px)
             total += len(stripe.residual_px) * float(line_px @ line_px) / data.center_px[index][laser] ** 2
     return total

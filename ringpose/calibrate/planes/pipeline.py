@@ -22,10 +22,9 @@ from ringpose.calibrate.planes.plane_fit import (
     FittedPlane,
     Points,
     determined_without,
-    downward,
     fitted_plane,
+    oriented,
     plane_without,
-    rms,
 )
 from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.errors import DataError
@@ -126,15 +125,11 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
                 held_out_m=unknown if other is None else by_corners[index] @ other.normal - other.distance_m,
             )
         )
-    held_out_m = np.concatenate([view.held_out_m for view in views])
-    known_m = held_out_m[np.isfinite(held_out_m)]
     return LaserCalibration(
         name=evidence.names[laser],
         normal=plane.normal,
         distance_m=plane.distance_m,
         views=tuple(views),
-        rms_m=rms(np.concatenate([view.residual_m for view in views])),
-        held_out_rms_m=rms(known_m) if len(known_m) else float("nan"),
         condition=plane.condition,
         disagreement=float("nan") if solution.disagreement is None else solution.disagreement[laser],
     )
@@ -171,7 +166,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         excess = variance_excess(fixed, state)
         planes = zip(state.normal, state.distance_m.tolist(), start, strict=True)
         return PlaneSolution(
-            planes=tuple(FittedPlane(*downward(normal, distance), old.condition) for normal, distance, old in planes),
+            planes=tuple(FittedPlane(*oriented(normal, distance), old.condition) for normal, distance, old in planes),
             poses=state.poses,
             camera=state.camera,
             corner_points=points,

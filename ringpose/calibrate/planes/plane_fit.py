@@ -49,29 +49,26 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
         remedy = "see that its stripe crosses the board; add views at two distances, 50 mm or more apart"
         raise DataError(location, "no view shows its stripe on the board", remedy)
     every = np.concatenate(points)
-    normal, distance_m, weights = light_plane(every, method)
-    spread = condition(every, weights)
-    if spread > MAX_CONDITION:
+    plane = light_plane(every, method)
+    if plane.condition > MAX_CONDITION:
         lying = "its one view lie" if seen == 1 else f"its {seen} views lie"
-        found = f"the points of {lying} on one line (condition {spread:.0f}), which determines no plane"
+        found = f"the points of {lying} on one line (condition {plane.condition:.0f}), which determines no plane"
         remedy = f"add a view of the board 50 mm or more nearer or farther than {every[:, 2].mean():.2f} m"
         raise DataError(location, found, remedy)
-    rms_m = rms(every @ normal - distance_m)
+    rms_m = rms(every @ plane.normal - plane.distance_m)
     extent_m = float(np.sqrt(np.mean(np.sum((every - every.mean(axis=0)) ** 2, axis=1))))
     if rms_m > MAX_SCATTER * extent_m:
         found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
         remedy = "see with --overlay whether these stripes are the laser's, and none are exchanged in one of the shots"
         raise DataError(location, found, remedy)
-    return FittedPlane(normal, distance_m, spread)
+    return plane
 
 
 def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod) -> FittedPlane | None:
     """The plane through the points of the other views; None if those do not determine one."""
     if not determined_without(points, left_out):
         return None
-    every = np.concatenate([own for index, own in enumerate(points) if index != left_out])
-    normal, distance_m, weights = light_plane(every, method)
-    return FittedPlane(normal, distance_m, condition(every, weights))
+    return light_plane(np.concatenate([own for index, own in enumerate(points) if index != left_out]), method)
 
 
 def determined_without(points: Sequence[Points], left_out: int) -> bool:
@@ -89,11 +86,12 @@ def condition(points: Float64[Array, "n xyz=3"], weights: Float64[Array, "n"]) -
     return float(along / across) if across > 0 else float("inf")
 
 
-def light_plane(
-    points: Float64[Array, "n xyz=3"], method: PlanesMethod
-) -> tuple[Float64[Array, "3"], float, Float64[Array, "n"]]:
-    """Unit normal, distance and the points' weights by one of the methods."""
-    return paper_plane(points) if method is PlanesMethod.PAPER else robust_plane(points)
+def light_plane(points: Float64[Array, "n xyz=3"], method: PlanesMethod) -> FittedPlane:
+    """The plane through points by one of the methods; its condition number is large if the points are collinear."""
+    if method is PlanesMethod.PAPER:
+        return FittedPlane(*paper_plane(points), condition(points, np.ones(len(points))))
+    normal, distance_m, weights = robust_plane(points)
+    return FittedPlane(normal, distance_m, condition(points, weights))
 
 
 def robust_plane(
@@ -113,20 +111,20 @@ def robust_plane(
         if np.abs(updated - weights).max() < 1e-6:
             break
         weights = updated
-    return *downward(normal, distance_m), weights
+    return *oriented(normal, distance_m), weights
 
 
-def paper_plane(points: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"], float, Float64[Array, "n"]]:
-    """The paper's form S . P = 1 by ordinary least squares, as unit normal and distance; all weights are one.
+def paper_plane(points: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"], float]:
+    """The paper's form S . P = 1 by ordinary least squares, as unit normal and distance.
 
     It does not minimise distances: |S| is biased when points scatter, and a plane through the camera has no S.
     """
     scaled, _, _, _ = np.linalg.lstsq(points, np.ones(len(points)), rcond=None)
     length = float(np.linalg.norm(scaled))
-    return *downward(scaled / length, 1 / length), np.ones(len(points))
+    return oriented(scaled / length, 1 / length)
 
 
-def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Array, "3"], float]:
+def oriented(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Array, "3"], float]:
     """The plane with the largest component of its normal positive, so that calibrations can be compared."""
     if normal[np.argmax(np.abs(normal))] < 0:
         return -normal, -distance_m

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -40,38 +39,44 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
 
 def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     """The key `quality` of rig.yaml."""
-    calibration = assessment.calibration
-    neighbours = [
-        {"lasers": [angle.first, angle.second], "angle_rad": angle.angle_rad, "sd_rad": angle.sd_rad}
-        for angle in plane_angles(calibration)
-    ]
-    quality = {
+    calibration, covariance = assessment.calibration, assessment.calibration.covariance
+    reasons = {
+        "remarks": (*calibration.contradicting, *calibration.remarks),
+        "without_board": assessment.without_board,
+    }
+    quality: dict[str, Any] = {
         "verdict": verdict_values(assessment.verdict),
         "method": calibration.method,
-        "standard_deviations": _standard_deviations(calibration),
+        "standard_deviations": {},
         "variance_excess": float(calibration.excess),
         "lasers": [_laser_quality(laser) for laser in calibration.lasers],
-        "angles": {"neighbours": neighbours} if neighbours else None,
-        "depth_sd_m": _depths(calibration),
-        "ring_center_sd_m": _ring_centers(calibration),
-        "boards": [
-            {"name": pose.name, "rms_px": pose.residual_rms_px, "distance_m": float(pose.translation_m[2])}
-            for pose in calibration.poses
-        ],
-        "paper": _paper(assessment),
-        "remarks": [
-            {"name": name, "reason": reason} for name, reason in (*calibration.contradicting, *calibration.remarks)
-        ],
-        "without_board": [{"name": name, "reason": reason} for name, reason in assessment.without_board],
     }
-    return {"quality": {key: value for key, value in quality.items() if value is not None}}
-
-
-def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
-    """Standard deviations of the light planes' parameters, by name."""
-    covariance = calibration.covariance
-    every = {} if covariance is None else covariance.standard_deviations
-    return {name: value for name, value in every.items() if "." in name}
+    if angles := plane_angles(calibration):
+        quality["angles"] = {"neighbours": angles}
+    if covariance is not None:
+        rig = calibrated_rig(calibration)
+        planes = {name: sd for name, sd in covariance.standard_deviations.items() if "." in name}
+        depths = zip(rig.lasers.names, worst_depth_sd_m(rig, DEPTHS_M).tolist(), strict=True)
+        quality["standard_deviations"] = planes
+        quality["depth_sd_m"] = {
+            "distances_m": list(DEPTHS_M),
+            "lasers": [{"name": name, "depth_sd_m": sd} for name, sd in depths],
+        }
+        quality["ring_center_sd_m"] = {
+            "radii_m": list(RADII_M),
+            "distances_m": list(DEPTHS_M),
+            "sd_m": [ring_center_sd_m(rig, distance_m).tolist() for distance_m in DEPTHS_M],
+        }
+    quality["boards"] = [
+        {"name": pose.name, "rms_px": pose.residual_rms_px, "distance_m": float(pose.translation_m[2])}
+        for pose in calibration.poses
+    ]
+    if assessment.paper is not None:
+        pairs = zip(calibration.lasers, assessment.paper.lasers, strict=True)
+        quality["paper"] = [_paper_quality(own, other) for own, other in pairs]
+    for key, entries in reasons.items():
+        quality[key] = [{"name": name, "reason": reason} for name, reason in entries]
+    return {"quality": quality}
 
 
 def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
@@ -95,114 +100,83 @@ def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
     }
 
 
-def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
-    if calibration.covariance is None:
-        return None
-    found = worst_depth_sd_m(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
-    rows = zip(calibration.planes.names, found.tolist(), strict=True)
-    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
+def _paper_quality(own: LaserCalibration, paper: LaserCalibration) -> dict[str, Any]:
+    """One entry of the key `quality.paper`: the plane by the paper's method, and how far it lies from the own one.
 
-
-def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
-    if calibration.covariance is None:
-        return None
-    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
-    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
-    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
-
-
-def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
-    """Comparison with the planes by the paper's method; the offset is that of the centroid of a laser's points."""
-    if assessment.paper is None:
-        return None
-    compared = []
-    for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True):
-        centroid = np.concatenate([view.points for view in own.views]).mean(axis=0)
-        compared.append(
-            {
-                "name": own.name,
-                "rms_m": other.rms_m,
-                "held_out_rms_m": other.held_out_rms_m,
-                "angle_rad": float(angle_between(own.normal, other.normal)),
-                "offset_m": abs(float(centroid @ other.normal - other.distance_m)),
-            }
-        )
-    return compared
+    The offset is that of the centroid of the laser's points.
+    """
+    centroid = np.concatenate([view.points for view in own.views]).mean(axis=0)
+    return {
+        "name": own.name,
+        "rms_m": paper.rms_m,
+        "held_out_rms_m": paper.held_out_rms_m,
+        "angle_rad": float(angle_between(own.normal, paper.normal)),
+        "offset_m": abs(float(centroid @ paper.normal - paper.distance_m)),
+    }
 
 
 def planes_summary(assessment: PlanesAssessment) -> list[str]:
-    """The result of a calibration as lines of text."""
-    calibration = assessment.calibration
-    lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
-    deviations = _standard_deviations(calibration)
-    for laser in calibration.lasers:
-        lines += _laser_lines(laser, deviations)
-    for angle in plane_angles(calibration):
-        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
-        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
-    depths, centers = _depths(calibration), _ring_centers(calibration)
-    for entry in depths["lasers"] if depths else []:
-        text = _by_distance_text(DEPTHS_M, entry["depth_sd_m"])
-        lines += [f"{entry['name']}: standard deviation of depths: {text}"] if text else []
-    if centers and (text := _by_distance_text(DEPTHS_M, [max(sd) for sd in centers["sd_m"]])):
+    """The result of a calibration as lines of text, with the values of the key `quality`."""
+    quality = planes_quality(assessment)["quality"]
+    lines = [f"{name}: {reason}" for name, reason in assessment.calibration.remarks]
+    for laser in quality["lasers"]:
+        lines += _laser_lines(laser, quality["standard_deviations"])
+    for angle in plane_angles(assessment.calibration):
+        sd = f" ± {np.degrees(angle['sd_rad']):.4f}" if np.isfinite(angle["sd_rad"]) else ""
+        lines.append(f"{' to '.join(angle['lasers'])}: {np.degrees(angle['angle_rad']):.3f}{sd} deg")
+    for laser in quality.get("depth_sd_m", {"lasers": []})["lasers"]:
+        text = _by_distance_text(laser["depth_sd_m"])
+        lines += [f"{laser['name']}: standard deviation of depths: {text}"] if text else []
+    centers = quality.get("ring_center_sd_m", {"sd_m": []})["sd_m"]
+    if centers and (text := _by_distance_text([max(sd) for sd in centers])):
         lines.append(f"standard deviation of a ring's centre (radius {RADII_M[1]:g} m) by this calibration: {text}")
-    for entry in _paper(assessment) or []:
+    for paper in quality.get("paper", ()):
         lines.append(
-            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
-            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
+            f"{paper['name']}: by the paper's method held out {1e6 * paper['held_out_rms_m']:.0f} um, "
+            f"{np.degrees(paper['angle_rad']):.4f} deg and {1e6 * paper['offset_m']:.0f} um away"
         )
     return lines + verdict_lines(assessment.verdict)
 
 
-def _laser_lines(laser: LaserCalibration, deviations: Mapping[str, float]) -> list[str]:
+def _laser_lines(laser: Mapping[str, Any], deviations: Mapping[str, float]) -> list[str]:
     """A laser's residuals and standard deviations, and the held-out errors of its nearest and farthest view."""
-    points = sum(len(view.points) for view in laser.views)
-    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
-    if np.isfinite(laser.held_out_rms_m):
-        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
-    else:
-        line += ", held out unknown (needs a third view)"
+    name, views, held_out_m = laser["name"], laser["views"], laser["held_out_rms_m"]
+    points = sum(view["points"] for view in views)
+    line = f"{name}: {points} points of {len(views)} views, rms {1e6 * laser['rms_m']:.0f} um, held out "
+    line += f"{1e6 * held_out_m:.0f} um" if np.isfinite(held_out_m) else "unknown (needs a third view)"
     if deviations:
-        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
-        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
-    views = sorted((view for view in laser.views if np.isfinite(view.held_out_rms_m)), key=lambda view: view.distance_m)
-    if len(views) < 2:
+        tilt = np.degrees(max(deviations[f"{name}.tilt_1"], deviations[f"{name}.tilt_2"]))
+        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{name}.distance']:.0f} um"
+    known = sorted(
+        (view for view in views if np.isfinite(view["held_out_rms_m"])), key=lambda view: float(view["distance_m"])
+    )
+    if len(known) < 2:
         return [line]
     ends = ", ".join(
-        f"{1e6 * view.held_out_rms_m:.0f} um at {view.distance_m:.2f} m ({view.name})" for view in (views[0], views[-1])
+        f"{1e6 * view['held_out_rms_m']:.0f} um at {view['distance_m']:.2f} m ({view['name']})"
+        for view in (known[0], known[-1])
     )
-    return [line, f"{laser.name}: held out {ends}"]
+    return [line, f"{name}: held out {ends}"]
 
 
-def _by_distance_text(distances_m: Sequence[float], sigmas_m: Sequence[float]) -> str:
-    """The known standard deviations, as text; empty if none is known."""
-    known = [(z, sd) for z, sd in zip(distances_m, sigmas_m, strict=True) if np.isfinite(sd)]
+def _by_distance_text(sd_m: Sequence[float]) -> str:
+    """The known ones of the standard deviations at `DEPTHS_M`, as text; empty if none is known."""
+    known = [(z, sd) for z, sd in zip(DEPTHS_M, sd_m, strict=True) if np.isfinite(sd)]
     return ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlaneAngle:
-    """The angle between two neighbouring light planes."""
+def plane_angles(calibration: PlanesCalibration) -> list[dict[str, Any]]:
+    """Angles between neighbouring planes in the order of the lasers: entries of the key `quality.angles.neighbours`.
 
-    first: str
-    second: str
-    angle_rad: float
-    sd_rad: float
-    """Standard deviation of the angle; NaN without covariance."""
-
-
-def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
-    """Angles between neighbouring planes, in the order of the lasers; empty for one laser."""
+    Each has the names of its `lasers`, `angle_rad`, and the standard deviation `sd_rad`, NaN without covariance.
+    """
     names, normals = calibration.planes.names, calibration.planes.normal
     return [
-        PlaneAngle(
-            first=names[first],
-            second=names[first + 1],
-            angle_rad=float(angle_between(normals[first], normals[first + 1])),
-            sd_rad=_angle_sd_rad(calibration, first, first + 1),
-        )
+        {
+            "lasers": [names[first], names[first + 1]],
+            "angle_rad": float(angle_between(normals[first], normals[first + 1])),
+            "sd_rad": _angle_sd_rad(calibration, first, first + 1),
+        }
         for first in range(len(names) - 1)
     ]
 
@@ -238,16 +212,3 @@ def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
     left, middle, right = (planes[name] for name in THREE)
     inner = max(float(angle_between(left, middle)), float(angle_between(middle, right)))
     return max(inner - float(angle_between(left, right)), 0.0)
-
-
-def order_with_angles(
-    calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
-) -> tuple[str, ...] | None:
-    """An order of the lasers in which neighbours have the expected angles; None if none or the given one has."""
-    normals = calibration.planes.normal
-    angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
-    for way in permutations(range(len(normals))):
-        found = np.array([angles[pair] for pair in pairwise(way)])
-        if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
-            return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
-    return None

@@ -10,11 +10,10 @@ import numpy as np
 
 from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.boards.patterns.image_patch import patch_around
-from ringpose.calibrate.boards.pose import board_pose
-from ringpose.calibrate.boards.views import dark_image, find_board, grey_8_bit
+from ringpose.calibrate.boards.views import find_board, grey_8_bit
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import PlanesAssessment
-from ringpose.calibrate.planes.stripes.extraction import board_surface, stripe_view, stripes_seen
+from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
 from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.errors import DataError, UsageError
@@ -76,7 +75,7 @@ class StripeShots:
             expected = f"{self.camera.image_width} x {self.camera.image_height}"
             found = f"{width} x {height} pixels, the camera has {expected}"
             raise DataError(shot.name, found, "give the camera that took the shots")
-        self._check_names(shot, board)
+        self._check_names(shot)
         shift_px = board_shift_px(shot, board, self.board)
         if shift_px > STILL_PX:
             found = f"the board, or the camera, moved by {shift_px:.1f} px between its frames"
@@ -118,14 +117,11 @@ class StripeShots:
             without_board=without_board,
         )
 
-    def _check_names(self, shot: Shot, board: BoardView) -> None:
+    def _check_names(self, shot: Shot) -> None:
         """Determine the lasers' names with the first shot; later ones must not refer to other lasers."""
         number = lasers_in_masks(shot)
         if not (self.names or self.given_names or number):
-            surface = board_surface(shot, self.board, board_pose(board, self.camera), self.camera, self.surround_m)
-            count = stripes_seen(shot.images.max(axis=0), dark_image(shot), surface)
-            stripes = f"{count} stripe{'s' * (count != 1)}" if count else "no stripe"
-            found = f"{shot.name} does not say how many lasers are on; its board shows {stripes}"
+            found = f"{shot.name} does not say how many lasers are on"
             raise UsageError("--laser-names", found, "give one name for each laser that there is, seen or not")
         self.names = self.names or laser_names(self.given_names, number)
         if number > len(self.names):

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.acceptance import PLANES_LIMITS, check
-from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m, worst_depth_sd_m
-from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
+from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, worst_depth_sd_m
+from ringpose.calibrate.planes.quality import calibrated_rig, middle_outside_rad, plane_angles
 from ringpose.types.calibration import Check, LaserCalibration, PlanesCalibration, Verdict
-from ringpose.types.rig import ParameterCovariance
+from ringpose.types.rig import ParameterCovariance, Rig
 
 STRAY_FACTOR = 2.0
 """The advice names a view whose held-out rms exceeds the median by this factor."""
@@ -34,11 +34,13 @@ def planes_verdict(
     findings = [*board, *_board_checks(calibration, near_m, far_m)]
     for laser in calibration.lasers:
         findings += _laser_checks(laser)
+    rig = calibrated_rig(calibration)
     if calibration.covariance is not None:
-        findings += _depth_checks(calibration, calibration.covariance, near_m, far_m)
-    findings += _angle_checks(calibration, expected_angles_rad)
+        findings += _depth_checks(rig, near_m, far_m)
+    if expected_angles_rad:
+        findings += _angle_checks(calibration, expected_angles_rad)
     if calibration.covariance is not None:
-        findings += _center_checks(calibration, calibration.covariance, working_distance_m or far_m)
+        findings += _center_checks(rig, calibration.covariance, working_distance_m or far_m)
     outside_rad = middle_outside_rad(calibration)
     if outside_rad is not None:
         advice = (
@@ -108,13 +110,10 @@ def _laser_checks(laser: LaserCalibration) -> list[Check]:
     return checks
 
 
-def _depth_checks(
-    calibration: PlanesCalibration, covariance: ParameterCovariance, near_m: float, far_m: float
-) -> list[Check]:
+def _depth_checks(rig: Rig, near_m: float, far_m: float) -> list[Check]:
     """Checks of the standard deviation of depths at the farthest board; none for a laser whose stripe misses it."""
-    found = worst_depth_sd_m(calibration.camera, calibration.planes, covariance, (far_m,))
     checks = []
-    for name, sd in zip(calibration.planes.names, found[:, 0].tolist(), strict=True):
+    for name, (sd,) in zip(rig.lasers.names, worst_depth_sd_m(rig, [far_m]).tolist(), strict=True):
         if np.isfinite(sd):
             advice = f"add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {name} over the whole image"
             checks.append(check(PLANES_LIMITS, "depth_sd_m", sd, advice, f"{name} at {far_m:.2f} m", scale=far_m))
@@ -122,39 +121,30 @@ def _depth_checks(
 
 
 def _angle_checks(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Check]:
-    """Checks of the angles of neighbouring lasers, if their expected values are given."""
-    if not expected_rad:
-        return []
-    other = order_with_angles(calibration, expected_rad, PLANES_LIMITS["angle_error_rad"][0])
-    advice = "see with --overlay whether each stripe belongs to its laser, and how the lasers are mounted"
-    if other is not None:
-        advice = f"the angles fit the order {', '.join(other)}: see whether lasers are exchanged in all shots"
+    """Checks of the angles of neighbouring lasers."""
+    advice = (
+        "see with --overlay whether each stripe belongs to its laser, or lasers are exchanged in all shots; "
+        "check how the lasers are mounted"
+    )
+    angles = zip(plane_angles(calibration), expected_rad, strict=False)
     return [
-        check(
-            PLANES_LIMITS,
-            "angle_error_rad",
-            abs(angle.angle_rad - expected),
-            advice,
-            f"{angle.first} to {angle.second}",
-        )
-        for angle, expected in zip(plane_angles(calibration), expected_rad, strict=False)
+        check(PLANES_LIMITS, "angle_error_rad", abs(one["angle_rad"] - expected), advice, " to ".join(one["lasers"]))
+        for one, expected in angles
     ]
 
 
-def _center_checks(calibration: PlanesCalibration, covariance: ParameterCovariance, distance_m: float) -> list[Check]:
+def _center_checks(rig: Rig, covariance: ParameterCovariance, distance_m: float) -> list[Check]:
     """Check of the standard deviation of a ring's centre; none if the ring misses a stripe."""
-    camera, lasers = calibration.camera, calibration.planes
-    sd = float(ring_center_sd_m(camera, lasers, covariance, distance_m).max())
+    sd = float(ring_center_sd_m(rig, distance_m).max())
     if not np.isfinite(sd):
         return []
     good = PLANES_LIMITS["ring_center_sd_m"][0] * distance_m
-    if float(ring_center_sd_m(camera, lasers, of_camera(covariance), distance_m).max()) > good:
+    if float(ring_center_sd_m(replace(rig, covariance=of_camera(covariance)), distance_m).max()) > good:
         remedy = "calibrate the camera with more views"
     else:  # two more views for each laser at 1 m reduce the error of eight boards at 0.4 to 0.55 m to two fifths
         remedy = (
             f"add six views of the board about {distance_m:.2f} m away, tilted by 10 to 25 degrees, "
-            "the stripe of each laser across two of them "
-            f"(the outermost are {stripes_apart_m(lasers, distance_m):.2f} m apart there)"
+            "the stripe of each laser across two of them"
         )
     advice = f"poses {distance_m:.2f} m away will be off by {1e3 * sd:.1f} mm from this calibration alone: {remedy}"
     return [check(PLANES_LIMITS, "ring_center_sd_m", sd, advice, f"at {distance_m:.2f} m", scale=distance_m)]

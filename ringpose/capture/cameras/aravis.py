@@ -88,7 +88,7 @@ class AravisCamera(GenApiCamera):
         granted = granted_bytes()
         if not self._aravis.arv_camera_is_gv_device(self._camera) or granted is None:
             return ()
-        frame_bytes = self._call_camera("arv_camera_get_payload")
+        frame_bytes = self._call("arv_camera_get_payload", self._camera)
         if granted >= frame_bytes:
             return ()
         return (f"the kernel buffers {granted} bytes of a stream, a frame has {frame_bytes}; {MORE_BUFFER}",)
@@ -128,21 +128,21 @@ class AravisCamera(GenApiCamera):
             if is_network_camera:
                 aravis.set_int_property(self._stream, "socket-buffer", 0)
                 aravis.set_int_property(self._stream, "socket-buffer-size", SOCKET_BUFFER_BYTES)
-            self._payload = self._call_camera("arv_camera_get_payload")
+            self._payload = self._call("arv_camera_get_payload", self._camera)
             for _ in range(BUFFERS):
                 aravis.arv_stream_push_buffer(self._stream, aravis.arv_buffer_new_allocate(self._payload))
-        self._call_camera("arv_camera_start_acquisition")
+        self._call("arv_camera_start_acquisition", self._camera)
         self._acquiring = True
 
     def _stop(self) -> None:
         self._acquiring = False
-        self._call_camera("arv_camera_stop_acquisition")
+        self._call("arv_camera_stop_acquisition", self._camera)
         self._drain()
 
     def _grab(self, limit_s: float) -> FrameGrab:
         self._drain()
         before_s = time.time()
-        self._call("arv_device_execute_command", b"TriggerSoftware")
+        self._call("arv_device_execute_command", self._device, b"TriggerSoftware")
         stamp_s = mid_stamp_s(before_s)
         buffer = self._aravis.arv_stream_timeout_pop_buffer(self._stream, int(1e6 * limit_s))
         if not buffer:
@@ -203,17 +203,18 @@ class AravisCamera(GenApiCamera):
         if kind == "boolean":
             return 0.0, 1.0
         minimum, maximum = (c_double(), c_double()) if kind == "float" else (c_int64(), c_int64())
-        self._call(f"arv_device_get_{kind}_feature_bounds", node.encode(), byref(minimum), byref(maximum))
+        self._call(f"arv_device_get_{kind}_feature_bounds", self._device, node.encode(), byref(minimum), byref(maximum))
         return float(minimum.value), float(maximum.value)
 
     def _value(self, node: str) -> Any:
-        return self._call(f"arv_device_get_{self._aravis.kind(self._device, node)}_feature_value", node.encode())
+        kind = self._aravis.kind(self._device, node)
+        return self._call(f"arv_device_get_{kind}_feature_value", self._device, node.encode())
 
     def _text(self, feature: str) -> str:
         node = self._node(feature)
-        return (
-            "" if node is None else (self._call("arv_device_get_string_feature_value", node.encode()) or b"").decode()
-        )
+        if node is None:
+            return ""
+        return (self._call("arv_device_get_string_feature_value", self._device, node.encode()) or b"").decode()
 
     def _set_value(self, node: str, value: int | float | str) -> None:
         kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, node)
@@ -228,13 +229,7 @@ class AravisCamera(GenApiCamera):
 
     def _call(self, name: str, *arguments: object) -> Any:
         try:
-            return self._aravis.call(name, self._device, *arguments)
-        except AravisError as error:
-            raise self._error(error) from error
-
-    def _call_camera(self, name: str, *arguments: object) -> int:
-        try:
-            return int(self._aravis.call(name, self._camera, *arguments) or 0)
+            return self._aravis.call(name, *arguments)
         except AravisError as error:
             raise self._error(error) from error
 

@@ -97,7 +97,8 @@ class Aravis:
             self._declare(name, result, arguments)
         for name, (result, arguments) in _FALLIBLE.items():
             self._declare(name, result, (*arguments, POINTER(POINTER(_GError))))
-        destroy = () if self._is_before_0_9_1() else (c_void_p,)
+        version = tuple(getattr(library, f"arv_get_{part}_version")() for part in ("major", "minor", "micro"))
+        destroy = () if version < (0, 9, 1) else (c_void_p,)
         arguments = (c_void_p, c_void_p, c_void_p, *destroy, POINTER(POINTER(_GError)))
         self._declare("arv_camera_create_stream", c_void_p, arguments)
         self._declare("g_object_unref", None, (c_void_p,))
@@ -156,10 +157,6 @@ class Aravis:
     def _declare(self, name: str, result: Any, arguments: tuple[Any, ...]) -> None:
         function = getattr(self._library, name)
         function.restype, function.argtypes = result, arguments
-
-    def _is_before_0_9_1(self) -> bool:
-        numbers = (getattr(self._library, f"arv_get_{part}_version")() for part in ("major", "minor", "micro"))
-        return tuple(numbers) < (0, 9, 1)
 
 
 @functools.cache

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from typing import Any
 
-from ringpose.capture.cameras.triggered import SoftwareTriggeredCamera, spellings
+from ringpose.capture.cameras.triggered import SoftwareTriggeredCamera
 from ringpose.errors import DeviceError
 
 TRIGGERED = (
@@ -14,9 +14,15 @@ TRIGGERED = (
 )
 """Feature values for single frames by software trigger, in the order of setting."""
 
+ALIASES = {"ExposureTime": ("ExposureTimeAbs",), "Gain": ("GainAbs", "GainRaw")}
+"""Names of features in older cameras."""
+
 
 class GenApiCamera(SoftwareTriggeredCamera):
-    """Features as nodes that have a value and, if numeric, limits; a driver implements the abstract methods."""
+    """A camera whose features are nodes with a value and, if numeric, limits.
+
+    A driver implements the abstract methods.
+    """
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """See `CameraDriver`."""
@@ -66,7 +72,7 @@ class GenApiCamera(SoftwareTriggeredCamera):
 
     def _node_of(self, feature: str) -> Any:
         """The node of a feature under any of its names; None if the camera does not have it."""
-        for name in spellings(feature):
+        for name in (feature, *ALIASES.get(feature, ())):
             node = self._node(name)
             if node is not None:
                 return node

@@ -31,7 +31,10 @@ class PylonCamera(GenApiCamera):
 
     def _connect(self) -> None:
         self.close()
-        self._pylon = _pypylon(self.uri.text)
+        try:
+            self._pylon = pypylon()
+        except ImportError as error:
+            raise DeviceError(self.uri.text, "needs pypylon, which is not installed", EXTRA) from error
         factory = self._pylon.TlFactory.GetInstance()
         found = [info for info in factory.EnumerateDevices() if self.uri.address in ("", info.GetSerialNumber())]
         if not found:
@@ -80,8 +83,10 @@ class PylonCamera(GenApiCamera):
         )
 
     def _node(self, name: str) -> Any:
+        from pypylon import genicam
+
         node = self._camera.GetNodeMap().GetNode(name)
-        return node if node is not None and _is_readable(node) else None
+        return node if node is not None and genicam.IsReadable(node) else None
 
     def _limits(self, node: Any) -> tuple[Any, Any]:
         return (node.Min, node.Max) if hasattr(node, "Min") else (None, None)
@@ -93,21 +98,8 @@ class PylonCamera(GenApiCamera):
         node.Value = value
 
 
-def _is_readable(node: Any) -> bool:
-    from pypylon import genicam
-
-    return bool(genicam.IsReadable(node))
-
-
 def pypylon() -> Any:
     """Basler's module, imported with warnings ignored: its C part crashes if they are raised as errors."""
     with warnings.catch_warnings(action="ignore"):
         from pypylon import pylon
     return pylon
-
-
-def _pypylon(text: str) -> Any:
-    try:
-        return pypylon()
-    except ImportError as error:
-        raise DeviceError(text, "needs pypylon, which is not installed", EXTRA) from error

@@ -15,7 +15,7 @@ from ringpose.errors import DeviceError, UsageError
 from ringpose.types.image import Frame
 from ringpose.types.session import steps_of, written_sequence
 from ringpose.wire import images as wire
-from ringpose.wire.images import Fields, Greeting, MalformedMessage, ServedFrame
+from ringpose.wire.images import Greeting, Header, MalformedMessage, ServedFrame
 
 TIMEOUT_S = 60.0
 """Default time to wait for a message: with the clock `lockstep` other clients may hold it up."""
@@ -34,7 +34,10 @@ class TcpCamera(CameraDriver):
         self.uri = uri
         self._secret = secret
         self._timeout_s = uri.number("timeout", TIMEOUT_S, 0.01, 86400.0)
-        self._host, self._port = _host_and_port(uri)
+        host, _, port = uri.address.rpartition(":")
+        if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
+            raise uri.problem("has no host and port", "write it as tcp://127.0.0.1:5005")
+        self._address = host.removeprefix("[").removesuffix("]"), int(port)
         self._socket: socket.socket | None = None
         self._greeting: Greeting | None = None
         self._remaining = 0
@@ -53,7 +56,7 @@ class TcpCamera(CameraDriver):
         self.close()
         self._remaining, self._exposure_s, self._valid_from = 0, None, 0
         try:
-            self._socket = socket.create_connection((self._host, self._port), CONNECT_S)
+            self._socket = socket.create_connection(self._address, CONNECT_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             found = f"cannot be connected: {(error.strerror or str(error)).lower()}"
@@ -119,7 +122,8 @@ class TcpCamera(CameraDriver):
 
     def arm(self, exposure_s: float | None) -> None:
         """Set the exposure and ask for the next whole shot."""
-        self._skip_remaining()
+        while self._remaining:  # the rest of a shot that was not used to its end
+            self._next_frame()
         if exposure_s is not None:
             self._expose_for(exposure_s)
         if not self.commands_lasers:
@@ -175,11 +179,6 @@ class TcpCamera(CameraDriver):
         self._send({"type": "subscribe", "frames": frames, "whole_shots": not self.commands_lasers})
         self._remaining = frames
 
-    def _skip_remaining(self) -> None:
-        """Receive the rest of a shot that was not used to its end."""
-        while self._remaining:
-            self._next_frame()
-
     def _next_frame(self) -> ServedFrame:
         if not self._remaining:
             self._subscribe()
@@ -203,7 +202,7 @@ class TcpCamera(CameraDriver):
         except OSError as error:
             raise self._lost(error) from error
 
-    def _received(self) -> Fields:
+    def _received(self) -> Header:
         """The next header; its payload is kept in `_payload`. An error of the server is raised."""
         with self._malformed_messages():
             header_bytes, payload_bytes = wire.lengths_in(self._read(wire.PREFIX.size), wire.MAX_PAYLOAD)
@@ -244,10 +243,3 @@ class TcpCamera(CameraDriver):
 
     def _lost(self, error: OSError) -> DeviceError:
         return DeviceError(self.uri.text, f"the connection was lost: {(error.strerror or str(error)).lower()}")
-
-
-def _host_and_port(uri: DeviceUri) -> tuple[str, int]:
-    host, colon, port = uri.address.rpartition(":")
-    if not colon or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-        raise uri.problem("has no host and port", "write it as tcp://127.0.0.1:5005")
-    return host.removeprefix("[").removesuffix("]"), int(port)

@@ -1,6 +1,6 @@
 """Base class of software-triggered cameras: set the exposure, trigger, wait for the frame, repeat if it is damaged.
 
-Features are named by the Standard Features Naming Convention (SFNC), with the names of older cameras as aliases.
+Features are named by the Standard Features Naming Convention (SFNC).
 """
 
 import time
@@ -205,18 +205,5 @@ def _line_number(line: str, uri: DeviceUri) -> int:
     return int(number)
 
 
-ALIASES = {
-    "ExposureTime": ("ExposureTime", "ExposureTimeAbs"),
-    "Gain": ("Gain", "GainAbs", "GainRaw"),
-    "AcquisitionFrameRate": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
-    "UserOutputValueAll": ("UserOutputValueAll", "UserOutputValueAllRaw"),
-    "DeviceTemperature": ("DeviceTemperature", "DeviceTemperatureAbs", "TemperatureAbs"),
-}
-
 SATURATION_DN = {"Mono8": 255, "Mono10": 1023, "Mono12": 4095, "Mono14": 16383, "Mono16": 65535}
 """Maximum grey value of the supported pixel formats."""
-
-
-def spellings(feature: str) -> tuple[str, ...]:
-    """Names of a feature, the standard one first."""
-    return ALIASES.get(feature, (feature,))

@@ -24,7 +24,7 @@ class OutputLines(Protocol):
 
 
 class LineLasers(LaserDriver):
-    """Laser i is on while line i is high."""
+    """Lasers at output lines of the camera: laser i is on while line i is high."""
 
     def __init__(self, camera: OutputLines, lines: tuple[str, ...]) -> None:
         self._camera = camera
@@ -58,7 +58,7 @@ class LineLasers(LaserDriver):
 
 
 def line(uri: DeviceUri, context: LaserContext) -> LineLasers:
-    """`line:Line1,Line2,Line3`, in the rig's order, or by name `line:left:Line1,...`."""
+    """Lasers at the lines of a URI: `line:Line1,Line2,Line3` in the rig's order, or by name `line:left:Line1,...`."""
     uri.reject_unknown(())
     if not isinstance(context.camera, OutputLines):
         raise uri.problem("needs a camera that has output lines")

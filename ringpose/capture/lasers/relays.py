@@ -32,17 +32,20 @@ PULSES_S = (0.1, 3276.7)
 
 
 def lcus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not report its state is read only once."""
+    """Lasers at an LCUS board: `lcus:/dev/ttyUSB0?ch=1,2,3`; one that does not report is read once."""
     return WatchdogLasers(_settings(uri, context, {}, read_back="try"))
 
 
 def numato(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """Numato: `numato:/dev/ttyACM0?ch=0,1,2`."""
+    """Lasers at a Numato board: `numato:/dev/ttyACM0?ch=0,1,2`."""
     return WatchdogLasers(_settings(uri, context, {}))
 
 
 def modbus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
+    """Lasers at a Modbus-RTU board: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`.
+
+    Clones may need `base=1` or `on=0100`.
+    """
     on = uri.parameters.get("on", "ff00")
     parameters: dict[str, str | int] = {
         "unit": uri.whole("unit", 1, maximum=255, minimum=1),
@@ -58,7 +61,10 @@ def modbus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
 
 
 def ascii_lines(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """Lines of text: `ascii:/dev/ttyACM0?ch=1,2,3&on=R{n}%20ON&off=R{n}%20OFF&read=R?&ok=OK`."""
+    """Lasers at a board that reads lines of text, such as an Arduino.
+
+    `ascii:/dev/ttyACM0?ch=1,2,3&on=R{n}%20ON&off=R{n}%20OFF&read=R?&ok=OK`.
+    """
     templates = {"on": uri.parameters.get("on", ""), "off": uri.parameters.get("off", "")}
     for key, template in templates.items():
         if "{n}" not in template:

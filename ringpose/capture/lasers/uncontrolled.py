@@ -9,7 +9,7 @@ from ringpose.types.session import MAX_LASERS, Step
 
 
 class UncontrolledLasers(LaserDriver):
-    """Assumed to be on all the time; the user must switch them off."""
+    """Lasers that no device switches: assumed to be on all the time; the user must switch them off."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -34,14 +34,14 @@ class UncontrolledLasers(LaserDriver):
 
 
 def none(uri: DeviceUri, context: LaserContext) -> UncontrolledLasers:
-    """As many lasers as the rig has; without a rig, as many as a mask can hold."""
+    """Lasers that nothing switches, as many as the rig has; without a rig, as many as a mask can hold."""
     if uri.address or uri.parameters:
         raise uri.problem("has words after its colon", "leave them out")
     return UncontrolledLasers(MAX_LASERS if context.names is None else len(context.names))
 
 
 def reject_switching(steps: Iterable[Step]) -> None:
-    """A sequence for lasers that are not switched may have the step `all` only."""
+    """Reject a sequence that has another step than `all`, for lasers that are not switched."""
     for step in steps:
         if step.text != "all":
             raise UsageError(

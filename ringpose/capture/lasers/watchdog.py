@@ -38,7 +38,10 @@ _START = (
 
 
 class WatchdogLasers(LaserDriver):
-    """If the watchdog ends unexpectedly, this process opens the port itself, switches off, and every command fails."""
+    """Lasers at a relay board that a watchdog process switches.
+
+    If that process ends unexpectedly, this one opens the port itself, switches off, and every later command fails.
+    """
 
     def __init__(self, settings: RelaySettings) -> None:
         self.settings = settings

@@ -6,43 +6,39 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
-from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, finite
+from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, number_option
+from ringpose.errors import DataError, UsageError
 
 if TYPE_CHECKING:
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
-    from ringpose.cli.batch import Batch
-
-ResultA = Annotated[
-    str,
-    typer.Argument(
-        metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
-    ),
-]
-ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
-Tolerance = Annotated[
-    float,
-    typer.Option(
-        "--tolerance", metavar="SHARE", min=0, callback=finite, help="Differences up to this do not count as failure."
-    ),
-]
-TwoMethods = Annotated[
-    str | None,
-    typer.Option("--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."),
-]
-OtherRig = Annotated[bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")]
 
 
 def compare(
-    a: ResultA,
-    b: ResultB,
+    a: Annotated[
+        str,
+        typer.Argument(
+            metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
+        ),
+    ],
+    b: Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")],
     truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
-    methods: TwoMethods = None,
-    tolerance: Tolerance = 0.02,
-    allow_other_rig: OtherRig = False,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, number_option("--tolerance", "SHARE", "Differences up to this do not count as failure.", 0)
+    ] = 0.02,
+    allow_other_rig: Annotated[
+        bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")
+    ] = False,
     json: JsonFile = None,
     force: Force = False,
 ) -> None:
@@ -50,8 +46,6 @@ def compare(
     from ringpose.bench.compare import compare as rows_of
     from ringpose.bench.compare import pairs
     from ringpose.bench.compare_report import comparison_record, comparison_text, worse_sentences
-    from ringpose.cli.batch import Batch
-    from ringpose.errors import DataError, UsageError
     from ringpose.files import records
     from ringpose.files.io import provenance, write_result
 
@@ -89,17 +83,24 @@ class _Result(NamedTuple):
     """SHA-256 of the truth files."""
 
 
-def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch") -> _Result:
-    """Scores of pose records, or those in a table of `bench --json`."""
-    from ringpose.errors import DataError, UsageError
+def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) -> _Result:
+    """Scores of pose records, or those in a table of `bench --json`, or in the results of a study."""
+    from ringpose.bench.report import recorded_scores
+    from ringpose.bench.study.table import scores_of
     from ringpose.files.inputs import holds_records
-    from ringpose.files.io import sha256
-    from ringpose.files.studies.results import holds_results
+    from ringpose.files.io import read_bytes, sha256
+    from ringpose.files.records import parsed_record
+    from ringpose.files.schema import Fields
+    from ringpose.files.studies.results import holds_results, read_results
 
     if name != STDOUT and holds_results(Path(name)):
-        return _read_study(name)
+        metadata, rows = read_results(Path(name))
+        about = Fields(name, metadata)
+        # the same study has the same shots, so that its hash stands for the truth
+        return _Result(name, scores_of(rows, about.texts("factors")), [about.text("study_sha256")])
     if name != STDOUT and not holds_records(Path(name)):
-        return _read_table(name)
+        fields = Fields(name, parsed_record(read_bytes(Path(name)), name))
+        return _Result(name, recorded_scores(fields), list(fields.texts("truths")))
     if not truths:
         raise UsageError("", f"{name} holds pose records, which need a truth", "give --truth FILE")
     scores, _ = scores_of_lines([name], truths, rig, batch)
@@ -108,33 +109,8 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     return _Result(name, scores, sorted(map(sha256, truths)))
 
 
-def _read_study(name: str) -> _Result:
-    """Results of a study; its hash stands for the truth, as the same study has the same shots."""
-    from ringpose.bench.study.table import scores_of
-    from ringpose.errors import DataError
-    from ringpose.files.studies.results import read_results
-
-    metadata, rows = read_results(Path(name))
-    factors = metadata.get("factors")
-    if not isinstance(factors, list) or not isinstance(metadata.get("study_sha256"), str):
-        raise DataError(name, "does not say which study it is of", "give the output of ringpose bench study")
-    return _Result(name, scores_of(rows, factors), [metadata["study_sha256"]])
-
-
-def _read_table(name: str) -> _Result:
-    from ringpose.bench.report import recorded_scores
-    from ringpose.files.io import read_bytes
-    from ringpose.files.records import parsed_record
-    from ringpose.files.schema import Fields
-
-    fields = Fields(name, parsed_record(read_bytes(Path(name)), name))
-    return _Result(name, recorded_scores(fields), list(fields.texts("truths")))
-
-
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
     """The scores to compare: all, or those of one method of each."""
-    from ringpose.errors import UsageError
-
     if methods is None:
         return a.scores, b.scores
     words = [word.strip() for word in methods.split(",")]
@@ -154,7 +130,6 @@ def _require_pairs(
 ) -> None:
     """Reject results that have no shot in common, or whose poses differ in more than the shots."""
     from ringpose.bench.assumptions import assumptions_text
-    from ringpose.errors import DataError
 
     members = [pair for _, of_method in paired for pair in of_method]
     if not members:
@@ -164,19 +139,13 @@ def _require_pairs(
     if differing:
         one, two = differing[0]
         texts = [assumptions_text(score.assumptions) for score in (one, two) if score.assumptions is not None]
-        raise DataError(
-            b.name,
-            f"was computed under other assumptions than {a.name} in {len(differing)} shots "
-            f"(the first is {one.shot}: {texts[1]}; {a.name}: {texts[0]})",
-            "compute both under the same",
-        )
+        found = f"was computed under other assumptions than {a.name} in {len(differing)} shots"
+        first = f"(the first is {one.shot}: {texts[1]}; {a.name}: {texts[0]})"
+        raise DataError(b.name, f"{found} {first}", "compute both under the same")
     other = [one.shot for one, two in members if one.rig and two.rig and one.rig != two.rig]
     if other and not allow_other_rig:
-        raise DataError(
-            b.name,
-            f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})",
-            "use one rig.yaml, or --allow-other-rig to compare rigs",
-        )
+        found = f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})"
+        raise DataError(b.name, found, "use one rig.yaml, or --allow-other-rig to compare rigs")
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:

@@ -5,8 +5,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import CsvFile, Force, Quiet, Report, finite, numbers
+from ringpose.cli.options.common import (
+    STDOUT,
+    CsvFile,
+    Force,
+    Quiet,
+    Report,
+    check_report,
+    file_option,
+    number_option,
+    numbers,
+)
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
+from ringpose.cli.progress import with_progress
+from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Minimized
 
 if TYPE_CHECKING:
@@ -15,57 +27,6 @@ if TYPE_CHECKING:
 MAX_DESIGNS = 500
 """Maximum number of rigs in a sweep."""
 
-RigToDesign = Annotated[
-    Path, typer.Argument(metavar="RIG", help="The rig (rig.yaml), with the places of its projectors.")
-]
-SceneFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--scene",
-        readable=False,
-        metavar="FILE",
-        help="Take ring, laser light, lens, sensor and light from this scene.",
-    ),
-]
-Vary = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--vary",
-        metavar="NAME=VALUES",
-        help="Values to try of laser_angle_rad, baseline_m, focal_px, dark_noise_e or lasers, separated by commas; may "
-        "be given again: all combinations are tried.",
-    ),
-]
-Distances = Annotated[
-    str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, separated by commas.")
-]
-Offsets = Annotated[
-    str,
-    typer.Option(
-        "--offsets",
-        metavar="SHARES",
-        help="Horizontal offsets from the image centre, in image widths, separated by commas.",
-    ),
-]
-Pitch = Annotated[
-    float, typer.Option("--pitch", metavar="DEG", min=-60, max=60, callback=finite, help="Pitch of the ring.")
-]
-Yaw = Annotated[float, typer.Option("--yaw", metavar="DEG", min=-60, max=60, callback=finite, help="Yaw of the ring.")]
-Stability = Annotated[
-    float,
-    typer.Option("--rig-stability", metavar="FACTOR", min=0, callback=finite, help="Scales the rig's usual stability."),
-]
-Minimize = Annotated[Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")]
-MinCoverage = Annotated[
-    float,
-    typer.Option(
-        "--min-coverage", metavar="SHARE", min=0, max=1, help="Smallest share of the places with all stripes in view."
-    ),
-]
-BestRig = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", readable=False, metavar="FILE", help="Write the best rig (rig.yaml)."),
-]
 
 QUANTITY = {
     Minimized.CENTER: "center_m",
@@ -77,20 +38,52 @@ QUANTITY = {
 
 
 def design(
-    rig: RigToDesign,
-    scene: SceneFile = None,
-    vary: Vary = None,
-    distances: Distances = "0.2,0.3,0.4,0.5,0.7,1.0",
-    offsets: Offsets = "-0.3,-0.15,0,0.15,0.3",
-    pitch: Pitch = 0.0,
-    yaw: Yaw = 0.0,
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="The rig (rig.yaml), with the places of its projectors.")],
+    scene: Annotated[
+        Path | None, file_option("--scene", meaning="Take ring, laser light, lens, sensor and light from this scene.")
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="NAME=VALUES",
+            help="Values to try of laser_angle_rad, baseline_m, focal_px, dark_noise_e or lasers, separated by commas; "
+            "may be given again: all combinations are tried.",
+        ),
+    ] = None,
+    distances: Annotated[
+        str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, separated by commas.")
+    ] = "0.2,0.3,0.4,0.5,0.7,1.0",
+    offsets: Annotated[
+        str,
+        typer.Option(
+            "--offsets",
+            metavar="SHARES",
+            help="Horizontal offsets from the image centre, in image widths, separated by commas.",
+        ),
+    ] = "-0.3,-0.15,0,0.15,0.3",
+    pitch: Annotated[float, number_option("--pitch", "DEG", "Pitch of the ring.", -60, 60)] = 0.0,
+    yaw: Annotated[float, number_option("--yaw", "DEG", "Yaw of the ring.", -60, 60)] = 0.0,
     radius_outer: RadiusOuter = None,
     radius_inner: RadiusInner = None,
-    rig_stability: Stability = 1.0,
-    minimize: Minimize = Minimized.CENTER,
-    min_coverage: MinCoverage = 0.8,
+    rig_stability: Annotated[
+        float, number_option("--rig-stability", "FACTOR", "Scales the rig's usual stability.", 0)
+    ] = 1.0,
+    minimize: Annotated[
+        Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")
+    ] = Minimized.CENTER,
+    min_coverage: Annotated[
+        float,
+        typer.Option(
+            "--min-coverage",
+            metavar="SHARE",
+            min=0,
+            max=1,
+            help="Smallest share of the places with all stripes in view.",
+        ),
+    ] = 0.8,
     csv: CsvFile = None,
-    output: BestRig = None,
+    output: Annotated[Path | None, file_option("--output", "-o", meaning="Write the best rig (rig.yaml).")] = None,
     report: Report = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -100,12 +93,10 @@ def design(
 
     from ringpose.bench.design.maps import best, csv_rows, design_rows, designs, places, summary_lines
     from ringpose.bench.table import aligned
-    from ringpose.cli.batch import Batch
-    from ringpose.cli.options.common import STDOUT
-    from ringpose.cli.progress import with_progress
-    from ringpose.errors import NO_POSE
     from ringpose.files import records
+    from ringpose.files.atomic import reject_existing
     from ringpose.files.io import csv_text, write_result
+    from ringpose.types.assumptions import TYPICAL_STABILITY
 
     sweep = _sweep(vary or [])
     where = places(
@@ -114,14 +105,13 @@ def design(
         radians(pitch),
         radians(yaw),
     )
-    _check_outputs(output, report, force)
+    check_report(report, force)
+    if output is not None:
+        reject_existing(output, force)
     base = _scene(rig, scene, radius_inner, radius_outer)
-    from ringpose.types.assumptions import TYPICAL_STABILITY
-
     stability = TYPICAL_STABILITY.scaled(rig_stability)
     found = list(with_progress(designs(base, sweep, where, stability), "rigs", quiet))
     chosen = best(found, QUANTITY[minimize], min_coverage)
-    batch = Batch()
     if csv != STDOUT:
         name = "none" if chosen is None else f"{chosen.name},"
         best_line = (
@@ -131,9 +121,7 @@ def design(
         records.write_text("\n".join(lines) + "\n")
     if csv is not None:
         write_result(csv, csv_text(csv_rows(found)), force=force)
-    if chosen is None:
-        batch.record_status(NO_POSE)
-    elif output is not None:
+    if chosen is not None and output is not None:
         from ringpose.files.rigs import write_rig
 
         write_rig(output, chosen.rig, force=force, inputs=[rig])
@@ -142,26 +130,14 @@ def design(
         from ringpose.files.io import provenance, write_page
 
         write_page(report, design_report(found, chosen, QUANTITY[minimize], provenance([rig])), force=force)
-    batch.finish()
-
-
-def _check_outputs(output: Path | None, report: Path | None, force: bool) -> None:
-    from ringpose.files.atomic import reject_existing
-    from ringpose.report.page import require_matplotlib
-
-    for target in (output, report):
-        if target is not None:
-            reject_existing(target, force)
-    if report is not None:
-        require_matplotlib()
+    if chosen is None:
+        raise typer.Exit(NO_POSE)
 
 
 def _sweep(words: list[str]) -> dict[str, list[float]]:
     """Names and values of --vary."""
     from math import prod
 
-    from ringpose.bench.design.maps import SWEPT
-    from ringpose.errors import UsageError
     from ringpose.files.schema import hint
 
     bounds = {
@@ -174,8 +150,8 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
     sweep: dict[str, list[float]] = {}
     for word in words:
         name, _, values = word.partition("=")
-        if name not in SWEPT or name in sweep:
-            raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(SWEPT)}", hint(name, SWEPT))
+        if name not in bounds or name in sweep:
+            raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(bounds)}", hint(name, bounds))
         sweep[name] = sorted(set(numbers(values, f"--vary {name}", "give numbers separated by commas", bounds[name])))
         if name == "lasers" and any(value != round(value) for value in sweep[name]):
             raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
@@ -191,7 +167,6 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
 
     import numpy as np
 
-    from ringpose.errors import DataError, UsageError
     from ringpose.files.rigs import read_rig
     from ringpose.files.scenes.scene import read_scene
     from ringpose.files.studies.specification import PRESETS
@@ -207,12 +182,7 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
     if radius_inner_m is not None and radius_outer_m is not None:
         if not 0 < radius_inner_m < radius_outer_m <= 5:
             raise UsageError("--radius-inner", "must be positive and smaller than --radius-outer, in metres")
-        height_m = ring.height_m
-        profile_m = [
-            [radius_inner_m, 0.0],
-            [radius_inner_m, height_m],
-            [radius_outer_m, height_m],
-            [radius_outer_m, 0.0],
-        ]
-        ring = replace(ring, profile_m=np.array(profile_m))
+        radii_m = [radius_inner_m, radius_inner_m, radius_outer_m, radius_outer_m]
+        profile_m = np.column_stack([radii_m, [0.0, ring.height_m, ring.height_m, 0.0]])
+        ring = replace(ring, profile_m=profile_m)
     return replace(base, rig=judged, sequence=sequence, ring=ring)

@@ -1,29 +1,36 @@
 """`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
-from math import inf
+from math import inf, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli import messages
+from ringpose.cli.batch import Batch
+from ringpose.cli.options.common import (
+    STDOUT,
+    CsvFile,
+    Force,
+    JsonFile,
+    OptionalRigFile,
+    PoseFrame,
+    Quiet,
+    number_option,
+)
+from ringpose.cli.progress import with_progress
+from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
-    from ringpose.cli.batch import Batch
-    from ringpose.types.rig import Rig
     from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
 
-PosesOrFolders = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
-]
 TruthFiles = Annotated[
     list[Path] | None,
     typer.Option("--truth", metavar="FILE", help="Ground truth (truth.jsonl); may be given again."),
@@ -36,51 +43,46 @@ By = Annotated[
         help="Groups of the truth with a line each, separated by commas; default: distance_m,light.",
     ),
 ]
-Methods = Annotated[
-    list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
-]
-MaxCenter = Annotated[
-    float | None,
-    typer.Option("--max-center-mm", metavar="MM", min=0, callback=finite, help="Limit on the centre's RMSE."),
-]
-MaxNormal = Annotated[
-    float | None,
-    typer.Option("--max-normal-deg", metavar="DEG", min=0, callback=finite, help="Limit on the normal's RMSE."),
-]
-MaxRadius = Annotated[
-    float | None,
-    typer.Option("--max-radius-mm", metavar="MM", min=0, callback=finite, help="Limit on the radii's RMSE."),
-]
-MaxGrasp = Annotated[
-    float | None,
-    typer.Option("--max-grasp-mm", metavar="MM", min=0, callback=finite, help="Limit on the grasp point's RMSE."),
-]
-MaxMissed = Annotated[
-    int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
-]
-MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")]
 
-Since = Annotated[
-    str | None, typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d).")
-]
+
 Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit is missed.")]
 
 
 def bench(
-    inputs: PosesOrFolders,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
+    ],
     truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
-    method: Methods = None,
+    method: Annotated[
+        list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
+    ] = None,
     json: JsonFile = None,
     csv: CsvFile = None,
-    max_center_mm: MaxCenter = None,
-    max_normal_deg: MaxNormal = None,
-    max_radius_mm: MaxRadius = None,
-    max_grasp_mm: MaxGrasp = None,
-    max_missed: MaxMissed = None,
-    max_wrong: MaxWrong = None,
-    since: Since = None,
+    max_center_mm: Annotated[
+        float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)
+    ] = None,
+    max_normal_deg: Annotated[
+        float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)
+    ] = None,
+    max_radius_mm: Annotated[
+        float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)
+    ] = None,
+    max_grasp_mm: Annotated[
+        float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)
+    ] = None,
+    max_missed: Annotated[
+        int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
+    ] = None,
+    max_wrong: Annotated[
+        int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d)."),
+    ] = None,
     cron: Cron = False,
     force: Force = False,
     quiet: Quiet = False,
@@ -90,10 +92,8 @@ def bench(
     Further commands, each with its own --help: bench compare, bench study, bench design, bench speed.
     """
     from ringpose.bench.report import csv_rows, report
-    from ringpose.bench.summary import error_limits, exceeded_count_limits, exceeded_error_limits, summaries
+    from ringpose.bench.summary import exceeded_count_limits, exceeded_error_limits, summaries
     from ringpose.bench.table import table
-    from ringpose.cli.batch import Batch
-    from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.io import csv_text, provenance, sha256, write_result
 
@@ -113,35 +113,33 @@ def bench(
         batch.finish()
     names = group_names(scores, by)
     lines = summaries(scores, names)
-    limits = error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm)
+    limits = {
+        "center_m": max_center_mm and 1e-3 * max_center_mm,
+        "normal_rad": max_normal_deg and radians(max_normal_deg),
+        "radius_inner_m": max_radius_mm and 1e-3 * max_radius_mm,
+        "radius_outer_m": max_radius_mm and 1e-3 * max_radius_mm,
+        "grasp_m": max_grasp_mm and 1e-3 * max_grasp_mm,
+    }
     missed = [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, max_missed, max_wrong)]
     report_missed(missed, batch)
     if STDOUT not in (json, csv) and (missed or not cron):
         records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
     if json is not None:
+        named = [Path(name) for name in inputs if name != STDOUT]
+        files = [*truth, *([rig] if rig else []), *named, *(folder / "rig.yaml" for folder in named)]
         made = report(lines, scores, missed, matched, map(sha256, filter(Path.is_file, truth)))
-        made["provenance"] = provenance(_files(inputs, truth, rig))
+        made["provenance"] = provenance(list(filter(Path.is_file, files)))
         write_result(json, records.line_of(made), force=force)
     if csv is not None:
         write_result(csv, csv_text(csv_rows(scores)), force=force)
     batch.finish()
 
 
-def report_missed(sentences: Iterable[str], batch: "Batch") -> None:
+def report_missed(sentences: Iterable[str], batch: Batch) -> None:
     """Report missed limits on stderr, one line each; they are status 3."""
-    from ringpose.cli import messages
-    from ringpose.errors import NO_POSE
-
     for sentence in sentences:
         messages.echo(sentence)
         batch.record_status(NO_POSE)
-
-
-def _files(inputs: list[str], truths: list[Path], rig: Path | None) -> list[Path]:
-    """The files whose hashes the report contains; of a data set its rig and truth."""
-    named = [Path(name) for name in inputs if name != STDOUT]
-    every = [*truths, rig, *named, *(folder / "rig.yaml" for folder in named)]
-    return [path for path in every if path is not None and path.is_file()]
 
 
 def _since_s(text: str) -> float:
@@ -150,27 +148,24 @@ def _since_s(text: str) -> float:
     import time
     from datetime import datetime
 
-    from ringpose.errors import UsageError
-
     age = re.fullmatch(r"(\d{1,9})(s|min|h|d)", text)
     if age is not None:
         return time.time() - float(age[1]) * {"s": 1, "min": 60, "h": 3600, "d": 86400}[age[2]]
     try:
         return datetime.fromisoformat(text).timestamp()
     except ValueError:
-        remedy = "such as 2026-11-23T06:00, 90min, 24h or 7d"
-        raise UsageError("--since", f"{text!r} is neither a time nor an age", remedy) from None
+        found = f"{text!r} is neither a time nor an age"
+        raise UsageError("--since", found, "such as 2026-11-23T06:00, 90min, 24h or 7d") from None
 
 
 def scores_of_lines(
-    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: "Batch", since_s: float = -inf
+    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: Batch, since_s: float = -inf
 ) -> "tuple[list[Score], Matching]":
     """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc.
 
     Shots before `since_s` are left out, and those of the truth whose time is not known.
     """
     from ringpose.bench.score import matching, scores
-    from ringpose.errors import DataError
     from ringpose.files.rigs import read_rig
 
     files = [(file, rig or file.with_name("rig.yaml")) for file in truth_files]
@@ -181,37 +176,31 @@ def scores_of_lines(
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
     estimates = _estimates_in(inputs, truths, batch)
     if since_s > -inf:
-        estimates = [estimate for estimate in estimates if estimate.shot_stamp_s >= since_s]
+        estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
-        truths = [truth for truth in truths if truth.shot in recent or (truth.stamp_s or -inf) >= since_s]
-        kept = {truth.shot for truth in truths}
-        sets = [([truth for truth in of_set if truth.shot in kept], camera) for of_set, camera in sets]
+        recent |= {truth.shot for truth in truths if (truth.stamp_s or -inf) >= since_s}
+        sets = [([truth for truth in of_set if truth.shot in recent], camera) for of_set, camera in sets]
+        truths = [truth for of_set, _ in sets for truth in of_set]
     matched = matching(estimates, truths)
-    place = ", ".join(inputs)
-    if matched.without_truth:
+    no_truth = f"have a pose line but no truth in {', '.join(map(str, truth_files))}"
+    for shots, what, remedy in (
+        (matched.without_truth, no_truth, "give their truth with --truth"),
+        (matched.repeated, "have more than one pose line of one method, the last counts", "bench each run alone"),
+    ):
         with batch.guarded():
-            in_files = ", ".join(map(str, truth_files))
-            found = f"{len(matched.without_truth)} shots have a pose line but no truth in {in_files}"
-            raise DataError(
-                place, f"{found} (the first is {matched.without_truth[0]})", "give their truth with --truth"
-            )
-    if matched.repeated:
-        with batch.guarded():
-            found = f"{len(matched.repeated)} shots have more than one pose line of one method"
-            raise DataError(
-                place, f"{found} (the first is {matched.repeated[0]}); the last line counts", "bench each run alone"
-            )
+            if shots:
+                found = f"{len(shots)} shots {what} (the first is {shots[0]})"
+                raise DataError(", ".join(inputs), found, remedy)
     return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched
 
 
-def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[PoseEstimate]":
+def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "list[PoseEstimate]":
     """The pose or track records of the inputs; those that cannot be compared are reported on stderr.
 
     Track records of instants between measurements have no shot, and are not compared. Those of shots that the truth
     does not name, as a live camera's, are compared with the truth that is nearest in time.
     """
     from ringpose.bench.score import estimate_of, named_by_stamp
-    from ringpose.errors import DataError
     from ringpose.estimate.pose_errors import truth_at
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
@@ -235,13 +224,12 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
                 unnamed.append(estimate)
                 continue
             if estimate.shot in by_shot:  # rejects time stamps of another clock
-                truth_at(by_shot[estimate.shot], estimate.stamp_s, estimate.shot_stamp_s)
+                truth_at(by_shot[estimate.shot], estimate.stamp_s, line.stamp_s)
             estimates.append(estimate)
     return estimates + named_by_stamp(unnamed, truths)
 
 
 def _truths(file: Path) -> "list[Truth]":
-    from ringpose.errors import DataError
     from ringpose.files.records.truths import read_truths
 
     truths = list(read_truths(file))
@@ -251,15 +239,17 @@ def _truths(file: Path) -> "list[Truth]":
 
 
 def _scores_of_folders(
-    folders: list[str], rig: Path | None, methods: list[Method], batch: "Batch", quiet: bool, since_s: float = -inf
+    folders: list[str], rig: Path | None, methods: list[Method], batch: Batch, quiet: bool, since_s: float = -inf
 ) -> "list[Score]":
     """Scores of data sets, of which this run detects the break points and estimates the poses by every method.
 
     Of a folder that grows, shots written before `since_s`, or not yet, are left out.
     """
-    from ringpose.bench.score import scores
-    from ringpose.errors import UsageError
+    from ringpose.bench.score import estimate_of, scores
+    from ringpose.detect.pipeline import detect
+    from ringpose.files.images.shots import read_shot
     from ringpose.files.rigs import read_rig
+    from ringpose.pose.pipeline import pose_line
 
     found = []
     for folder in map(Path, folders):
@@ -271,35 +261,23 @@ def _scores_of_folders(
             if since_s > -inf:
                 shots = {path.stem: path.stat().st_mtime for path in (folder / "shots").glob("*.npz")}
                 truths = [truth for truth in truths if shots.get(truth.shot, -inf) >= since_s]
-            estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
+            estimates = []
+            for truth in with_progress(truths, "shots", quiet):
+                with batch.guarded():
+                    shot = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
+                    detection = detect(shot, of_shots)
+                    for method in methods:
+                        line = pose_line(detection, of_shots, method, PoseFrame.CAMERA)
+                        estimates.append(replace(estimate_of(line, truth.shot), method=method.value))
             found += scores(estimates, truths, of_shots.camera)
     return found
 
 
-def _estimates(
-    shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: "Batch", quiet: bool
-) -> "Iterator[PoseEstimate]":
-    from ringpose.bench.score import estimate_of
-    from ringpose.cli.progress import with_progress
-    from ringpose.detect.pipeline import detect
-    from ringpose.files.images.shots import read_shot
-    from ringpose.pose.pipeline import pose_line
-
-    for truth in with_progress(truths, "shots", quiet):
-        with batch.guarded():
-            detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
-            for method in methods:
-                line = pose_line(detection, rig, method, PoseFrame.CAMERA)
-                yield replace(estimate_of(line, truth.shot), method=method.value)
-
-
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:
     """The groups of `--by`; by default those of `DEFAULT_GROUPS` that the shots have."""
-    from ringpose.bench.summary import unknown_groups
-    from ringpose.errors import UsageError
-
     names = list(DEFAULT_GROUPS) if by is None else [name.strip() for name in by.split(",") if name.strip()]
-    unknown = unknown_groups(scores, names)
+    known = {name for score in scores for name in score.groups}
+    unknown = [name for name in names if name not in known]
     if by is not None and unknown:
         raise UsageError("--by", f'no shot has a group "{unknown[0]}"')
     return [name for name in names if name not in unknown]

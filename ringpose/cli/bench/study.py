@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli import messages
+from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import Cron, report_missed
-from ringpose.cli.options.common import Force, Quiet, Report
+from ringpose.cli.options.common import Force, Quiet, Report, check_report, file_option
+from ringpose.cli.progress import with_total
+from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
     from ringpose.bench.study.executors import Done
@@ -19,52 +23,45 @@ if TYPE_CHECKING:
 LOG_S = 60.0
 """Time between two lines of progress where stderr is not a terminal."""
 
-StudyName = Annotated[
-    str,
-    typer.Argument(
-        metavar="STUDY",
-        help="A study.yaml, or a preset: paper-synthetic, paper-lights, calibrated, tumbling, violations, outliers.",
-    ),
-]
-Output = Annotated[
-    Path,
-    typer.Option("--output", "-o", readable=False, metavar="DIR", help="Folder of the results; resumed if it exists."),
-]
-ShotCount = Annotated[
-    int | None,
-    typer.Option(
-        "--count", metavar="N", min=1, help="Number of shots in each cell of the grid, instead of the study's."
-    ),
-]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the study's.")]
-Jobs = Annotated[
-    int,
-    typer.Option("--jobs", "-j", metavar="N", min=0, help="Processes; 0 is one per core. Results do not depend on it."),
-]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="URI", help="Compute on this dask cluster (tcp://...).")
-]
-SchedulerFile = Annotated[
-    Path | None,
-    typer.Option("--scheduler-file", readable=False, metavar="FILE", help="Compute on the dask cluster of this file."),
-]
-Keep = Annotated[
-    str | None, typer.Option("--keep", metavar="worst:N", help="Write the N shots with the largest centre errors.")
-]
-Wait = Annotated[bool, typer.Option("--wait", help="Wait while another process writes to the folder.")]
-
 
 def study(
-    study: StudyName,
-    output: Output,
-    count: ShotCount = None,
-    seed: Seed = None,
-    jobs: Jobs = 0,
-    scheduler: Scheduler = None,
-    scheduler_file: SchedulerFile = None,
-    keep: Keep = None,
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY",
+            help="A study.yaml, or a preset: "
+            "paper-synthetic, paper-lights, calibrated, tumbling, violations, outliers.",
+        ),
+    ],
+    output: Annotated[
+        Path, file_option("--output", "-o", meaning="Folder of the results; resumed if it exists.", metavar="DIR")
+    ],
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count", metavar="N", min=1, help="Number of shots in each cell of the grid, instead of the study's."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the study's.")
+    ] = None,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=0, help="Processes; 0 is one per core. Results do not depend on it."
+        ),
+    ] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="URI", help="Compute on this dask cluster (tcp://...).")
+    ] = None,
+    scheduler_file: Annotated[
+        Path | None, file_option("--scheduler-file", meaning="Compute on the dask cluster of this file.")
+    ] = None,
+    keep: Annotated[
+        str | None, typer.Option("--keep", metavar="worst:N", help="Write the N shots with the largest centre errors.")
+    ] = None,
     report: Report = None,
-    wait: Wait = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait while another process writes to the folder.")] = False,
     cron: Cron = False,
     force: Force = False,
     quiet: Quiet = False,
@@ -72,8 +69,6 @@ def study(
     """Simulate, measure and score the shots of a study; resumes a study that was interrupted."""
     from ringpose.bench.study import pipeline
     from ringpose.bench.study.table import exceeded_limits, study_text, summarized
-    from ringpose.cli.batch import Batch
-    from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.studies.results import opened
     from ringpose.files.studies.specification import read_study, study_path
@@ -83,19 +78,15 @@ def study(
         raise UsageError("--scheduler-file", "excludes --scheduler", "give one of them")
     if (scheduler is not None or scheduler_file is not None) and find_spec("distributed") is None:
         raise UsageError("--scheduler", "distributed is not installed", "pip install 'ringpose[cluster]'")
-    worst = _worst(keep)
-    if report is not None:
-        from ringpose.files.atomic import reject_existing
-        from ringpose.report.page import require_matplotlib
-
-        require_matplotlib()
-        reject_existing(report, force)
+    worst = 0 if keep is None else _number_of_worst(keep)
+    check_report(report, force)
     read = read_study(study_path(study), count, seed)
     metadata = pipeline.metadata(read, shlex.join(["ringpose", *sys.argv[1:]]))
     batch = Batch()
     with opened(output, metadata, force=force, wait=wait) as folder:
-        prepared = pipeline.prepared(read.study, folder, jobs)
-        missing = pipeline.missing(prepared, folder)
+        prepared = pipeline.prepared(read, folder, jobs)
+        finished = folder.finished(prepared.shots)
+        missing = [index for index in range(prepared.shots) if index not in finished]
         done = pipeline.computed(prepared, missing, jobs, scheduler, scheduler_file)
         pipeline.write_finished(prepared, folder, _reported(done, len(missing), prepared.shots, quiet or cron))
         folder.write_tables(columns(prepared), metadata)
@@ -115,12 +106,8 @@ def study(
     batch.finish()
 
 
-def _worst(keep: str | None) -> int:
+def _number_of_worst(keep: str) -> int:
     """N of `worst:N`."""
-    from ringpose.errors import UsageError
-
-    if keep is None:
-        return 0
     word, _, number = keep.partition(":")
     if word != "worst" or not number.isdecimal() or not 0 < int(number) <= 1000:
         raise UsageError("--keep", f"is {keep!r}", "give worst:N with N from 1 to 1000")
@@ -133,12 +120,8 @@ def _reported(done: "Iterator[Done]", missing: int, shots: int, quiet: bool) -> 
         yield from done
         return
     if sys.stderr.isatty():
-        from ringpose.cli.progress import with_total
-
         yield from with_total(done, "shots", shots, shots - missing)
         return
-    from ringpose.cli import messages
-
     begun_s = last_s = monotonic()
     for number, shot in enumerate(done, start=1):
         yield shot

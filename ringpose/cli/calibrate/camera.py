@@ -5,12 +5,13 @@ from typing import Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given
+from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.cli.options.common import (
     BoardFile,
     Force,
     ImageChannel,
     OptionalInputs,
+    OptionalOutput,
     Overlay,
     Quiet,
     Report,

@@ -4,8 +4,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-import typer
 from typer.core import TyperCommand
+
+from ringpose.cli.options.common import check_report, file_option
 
 if TYPE_CHECKING:
     from ringpose.types.calibration import Verdict
@@ -15,15 +16,12 @@ def reject_existing_outputs(output: Path, report: Path | None, force: bool, read
     """Reject, before the computation, outputs that exist or are inputs, and a report without matplotlib."""
     from ringpose.errors import UsageError
     from ringpose.files.atomic import reject_existing, reject_inputs
-    from ringpose.report.page import require_matplotlib
 
     reject_inputs((output, report), read)
     reject_existing(output, force)
-    if report is not None:
-        if report.resolve() == output.resolve():
-            raise UsageError("--report", f"{report} is the output, too", "give each its own file")
-        require_matplotlib()
-        reject_existing(report, force)
+    if report is not None and report.resolve() == output.resolve():
+        raise UsageError("--report", f"{report} is the output, too", "give each its own file")
+    check_report(report, force)
 
 
 def report_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
@@ -39,14 +37,7 @@ def report_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -
     return NO_POSE if bad else 0
 
 
-OptionalOutput = Annotated[
-    Path | None, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
-]
-
-PrintBoard = Annotated[
-    Path | None,
-    typer.Option("--print-board", readable=False, metavar="FILE", help="Only draw the board at true scale, as PDF."),
-]
+PrintBoard = Annotated[Path | None, file_option("--print-board", meaning="Only draw the board at true scale, as PDF.")]
 
 
 def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet: bool) -> None:

@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalOutput, PrintBoard, given
+from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.cli.options.common import (
     Force,
     ImageChannel,
+    OptionalBoard,
     OptionalInputs,
+    OptionalOutput,
     Overlay,
     Quiet,
     Report,
     Verbose,
+    file_option,
     finite,
     numbers,
 )
@@ -31,9 +34,7 @@ if TYPE_CHECKING:
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""
 
-CameraFile = Annotated[
-    Path | None, typer.Option("--camera", readable=False, metavar="FILE", help="The calibrated camera (camera.yaml).")
-]
+CameraFile = Annotated[Path | None, file_option("--camera", meaning="The calibrated camera (camera.yaml).")]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
     bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
@@ -62,23 +63,15 @@ WorkingDistance = Annotated[
 ]
 Mount = Annotated[
     Path | None,
-    typer.Option(
-        "--mount",
-        readable=False,
-        metavar="FILE",
-        help="Where the camera is mounted: tool_from_camera, with covariance and delay if known.",
+    file_option(
+        "--mount", meaning="Where the camera is mounted: tool_from_camera, with covariance and delay if known."
     ),
 ]
 Check = Annotated[
-    Path | None,
-    typer.Option("--check", readable=False, metavar="RIG", help="Only see whether this rig agrees with the shots."),
+    Path | None, file_option("--check", metavar="RIG", meaning="Only see whether this rig agrees with the shots.")
 ]
 Update = Annotated[
-    Path | None,
-    typer.Option("--update", readable=False, metavar="RIG", help="Estimate anew the planes of this rig that moved."),
-]
-OptionalBoard = Annotated[
-    Path | None, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
+    Path | None, file_option("--update", metavar="RIG", meaning="Estimate anew the planes of this rig that moved.")
 ]
 Surround = Annotated[
     float,
@@ -227,7 +220,7 @@ def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | N
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.rigs import read_rig
 
-    rig = read_rig(rig_file)
+    rig = read_rig(rig_file, for_rings=False)
     if output is not None:
         reject_existing_outputs(output, None, options.force, [rig_file])
     batch = Batch()

@@ -3,7 +3,7 @@
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,6 +28,21 @@ def finite(value: float | None) -> float | None:
     return value
 
 
+def number_option(
+    name: str, unit: str, meaning: str, least: int | float | None = None, most: int | float | None = None
+) -> Any:
+    """An option that takes a finite number within bounds."""
+    return typer.Option(name, metavar=unit, min=least, max=most, callback=finite, help=meaning)
+
+
+def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
+    """An option that names a file or folder.
+
+    A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
+    """
+    return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
+
+
 def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
     """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
     from ringpose.errors import UsageError
@@ -42,35 +57,34 @@ def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, flo
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
-Inputs = Annotated[
-    list[str],
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-OptionalInputs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
-]
-# readable=False: an unreadable file is reported when it is read, with its own exit status; Typer would report usage.
-RigFile = Annotated[Path, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")]
-OptionalRigFile = Annotated[
-    Path | None, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
-]
-BoardFile = Annotated[
-    Path, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
-]
+_INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line.")
+Inputs = Annotated[list[str], _INPUTS]
+OptionalInputs = Annotated[list[str] | None, _INPUTS]
+_RIG = file_option("--rig", meaning="The calibrated rig (rig.yaml).")
+RigFile = Annotated[Path, _RIG]
+OptionalRigFile = Annotated[Path | None, _RIG]
+_BOARD = file_option("--board", meaning="The board file: its kind and its sizes.")
+BoardFile = Annotated[Path, _BOARD]
+OptionalBoard = Annotated[Path | None, _BOARD]
 Overlay = Annotated[
-    Path | None,
-    typer.Option("--overlay", readable=False, metavar="DIR", help="Draw what was found into PNG files in this folder."),
+    Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
 ]
-Report = Annotated[
-    Path | None,
-    typer.Option(
-        "--report", readable=False, metavar="FILE", help="Write an HTML page with pictures (needs matplotlib)."
-    ),
-]
-OutputFile = Annotated[
-    Path, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
-]
+Report = Annotated[Path | None, file_option("--report", meaning="Write an HTML page with pictures (needs matplotlib).")]
+
+
+def check_report(report: Path | None, force: bool) -> None:
+    """Reject a report, before any computation, that exists or that cannot be drawn."""
+    from ringpose.files.atomic import reject_existing
+    from ringpose.report.page import require_matplotlib
+
+    if report is not None:
+        require_matplotlib()
+        reject_existing(report, force)
+
+
+_OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
+OutputFile = Annotated[Path, _OUTPUT]
+OptionalOutput = Annotated[Path | None, _OUTPUT]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]

@@ -1,6 +1,7 @@
 """Options of the commands that take shots from devices."""
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -9,6 +10,8 @@ from ringpose.cli.options.common import finite
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
+    from ringpose.capture.source import CaptureRequest
+    from ringpose.types.rig import Rig
     from ringpose.types.session import Step
 
 MAX_SETTLE_S = 10.0
@@ -18,7 +21,7 @@ MIN_EXPOSURE_S = 1e-9
 MAX_SHOTS = 10**9
 
 
-def seconds_or_auto(option: str, text: str, least_s: float, most_s: float) -> float | Literal["auto"]:
+def seconds_or_auto(option: str, least_s: float, most_s: float, text: str) -> float | Literal["auto"]:
     """Seconds within bounds, or `auto`."""
     if text == "auto":
         return "auto"
@@ -34,12 +37,12 @@ def seconds_or_auto(option: str, text: str, least_s: float, most_s: float) -> fl
 
 def settle_time(text: str) -> float | Literal["auto"]:
     """The value of --settle."""
-    return seconds_or_auto("--settle", text, 0.0, MAX_SETTLE_S)
+    return seconds_or_auto("--settle", 0.0, MAX_SETTLE_S, text)
 
 
 def exposure_time(text: str) -> float | Literal["auto"]:
     """The value of --exposure."""
-    return seconds_or_auto("--exposure", text, MIN_EXPOSURE_S, math.inf)
+    return seconds_or_auto("--exposure", MIN_EXPOSURE_S, math.inf, text)
 
 
 def steps(text: str) -> "tuple[Step, ...]":
@@ -49,40 +52,67 @@ def steps(text: str) -> "tuple[Step, ...]":
     return parsed_sequence(text)
 
 
-LasersUri = Annotated[
-    str | None,
-    typer.Option(
-        "--lasers", metavar="URI", help="lcus:PORT?ch=1,2,3, numato:, modbus:, ascii:, line:, sim:, none: (always on)."
-    ),
-]
-Steps = Annotated[
-    Any,
-    typer.Option(
-        "--sequence",
-        metavar="STEPS",
-        parser=steps,
-        help="What is lit, frame by frame: off,1,2,3,off or off,all or 1+2.",
-    ),
-]
-Exposure = Annotated[
-    Any,
-    typer.Option(
-        "--exposure", metavar="S|auto", parser=exposure_time, help="Exposure of each frame; auto: by the stripes."
-    ),
-]
-Count = Annotated[
-    int | None, typer.Option("--count", metavar="N", min=1, max=MAX_SHOTS, help="Shots to take, at most.")
-]
-Rate = Annotated[
-    float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")
-]
-Duration = Annotated[
-    float | None, typer.Option("--duration", metavar="S", min=1e-3, callback=finite, help="Begin no shot after this.")
-]
-Settle = Annotated[
-    Any,
-    typer.Option(
-        "--settle", metavar="S|auto", parser=settle_time, help="From switching to exposing; auto: measured first."
-    ),
-]
-AllowUnseen = Annotated[bool, typer.Option("--allow-unseen", help="Keep shots in which a laser does not show.")]
+@dataclass(frozen=True, slots=True)
+class ShotOptions:
+    """How shots are taken from devices, as given; named like the options."""
+
+    lasers: Annotated[
+        str | None,
+        typer.Option(
+            "--lasers",
+            metavar="URI",
+            help="lcus:PORT?ch=1,2,3, numato:, modbus:, ascii:, line:, sim:, none: (always on).",
+        ),
+    ] = None
+    sequence: Annotated[
+        Any,
+        typer.Option(
+            "--sequence",
+            metavar="STEPS",
+            parser=steps,
+            help="What is lit, frame by frame: off,1,2,3,off or off,all or 1+2.",
+        ),
+    ] = None
+    exposure: Annotated[
+        Any,
+        typer.Option(
+            "--exposure", metavar="S|auto", parser=exposure_time, help="Exposure of each frame; auto: by the stripes."
+        ),
+    ] = None
+    settle: Annotated[
+        Any,
+        typer.Option(
+            "--settle", metavar="S|auto", parser=settle_time, help="From switching to exposing; auto: measured first."
+        ),
+    ] = None
+    allow_unseen: Annotated[bool, typer.Option("--allow-unseen", help="Keep shots in which a laser does not show.")] = (
+        False
+    )
+    count: Annotated[
+        int | None, typer.Option("--count", metavar="N", min=1, max=MAX_SHOTS, help="Shots to take, at most.")
+    ] = None
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", min=1e-3, callback=finite, help="Begin no shot after this."),
+    ] = None
+
+    def request(self, camera: str, rig: "Rig | None", **more: Any) -> "CaptureRequest":
+        """The request for a capture with these options, by the URI of a camera and the rig that it belongs to.
+
+        `more` are further attributes of the request.
+        """
+        from ringpose.capture.source import CaptureRequest
+
+        return CaptureRequest(
+            camera=camera,
+            lasers=self.lasers,
+            steps=self.sequence,
+            exposure_s=self.exposure,
+            settle_s=self.settle,
+            allow_missing=self.allow_unseen,
+            count=self.count,
+            duration_s=self.duration,
+            laser_names=None if rig is None else rig.lasers.names,
+            rig=rig,
+            **more,
+        )

@@ -1,8 +1,9 @@
 """The options of `ringpose pose` that give the ring's radii."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,24 +34,24 @@ RadiusOuter = Annotated[
 RadiusInner = Annotated[
     float | None, typer.Option("--radius-inner", metavar="M", help="Radius of the inner edge in metres, if known.")
 ]
-RadiusSd = Annotated[
-    float | None,
-    typer.Option("--radius-sd", metavar="M", help="Standard deviation of the given radii; default: 0.0005."),
-]
-RingName = Annotated[
-    str | None, typer.Option("--ring", metavar="NAME", help="A ring of the catalogue; auto: whichever fits.")
-]
-RingsFile = Annotated[Path | None, typer.Option("--rings", metavar="FILE", help="A catalogue of your own, for --ring.")]
 
 
-class RingOptions(NamedTuple):
-    """The options as given; None where they are not."""
+@dataclass(frozen=True, slots=True)
+class RingOptions:
+    """What is known of the ring, as given; None where it is not."""
 
-    radius_outer_m: float | None = None
-    radius_inner_m: float | None = None
-    radius_sd_m: float | None = None
-    ring: str | None = None
-    rings: Path | None = None
+    radius_outer: RadiusOuter = None
+    radius_inner: RadiusInner = None
+    radius_sd: Annotated[
+        float | None,
+        typer.Option("--radius-sd", metavar="M", help="Standard deviation of the given radii; default: 0.0005."),
+    ] = None
+    ring: Annotated[
+        str | None, typer.Option("--ring", metavar="NAME", help="A ring of the catalogue; auto: whichever fits.")
+    ] = None
+    rings: Annotated[
+        Path | None, typer.Option("--rings", metavar="FILE", help="A catalogue of your own, for --ring.")
+    ] = None
 
 
 def known_ring(
@@ -65,32 +66,32 @@ def known_ring(
     _check(options)
     if options.ring is not None:
         return _of_catalogue(options.ring, options.rings, keep_tolerance=ring_tolerance_m is None)
-    if options.radius_outer_m is None and options.radius_inner_m is None:
+    if options.radius_outer is None and options.radius_inner is None:
         return None
     import numpy as np
 
     from ringpose.types.pose import KnownRadii
 
-    radii = [np.nan if radius_m is None else radius_m for radius_m in (options.radius_inner_m, options.radius_outer_m)]
-    sd_m = DEFAULT_SD_M if options.radius_sd_m is None else options.radius_sd_m
+    radii = [np.nan if radius_m is None else radius_m for radius_m in (options.radius_inner, options.radius_outer)]
+    sd_m = DEFAULT_SD_M if options.radius_sd is None else options.radius_sd
     return KnownRadii(radius_m=np.array(radii), sd_m=np.full(2, sd_m))
 
 
 def _check(options: RingOptions) -> None:
-    radii = (options.radius_outer_m, options.radius_inner_m)
+    radii = (options.radius_outer, options.radius_inner)
     if options.rings is not None and options.ring is None:
         raise UsageError("--rings", "a catalogue needs --ring", "give --ring NAME or --ring auto")
     if options.ring is not None and radii != (None, None):
         raise UsageError("--ring", "the catalogue gives the radii", "leave out --radius-outer and --radius-inner")
-    if options.radius_sd_m is not None and radii == (None, None):
+    if options.radius_sd is not None and radii == (None, None):
         raise UsageError("--radius-sd", "needs a radius", "give --radius-outer or --radius-inner")
     for option, radius_m in zip(("--radius-outer", "--radius-inner"), radii, strict=True):
         if radius_m is not None and not 0 < radius_m < MAX_LENGTH_M:
             raise UsageError(option, f"{radius_m:g} is not the radius of a ring in metres", _in_metres(radius_m))
     smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=MAX_LENGTH_M)
-    if options.radius_sd_m is not None and not MIN_SD_M <= options.radius_sd_m < MAX_SD * smallest_m:
-        found = f"{options.radius_sd_m:g} is not a plausible standard deviation of a radius in metres"
-        raise UsageError("--radius-sd", found, _in_metres(options.radius_sd_m))
+    if options.radius_sd is not None and not MIN_SD_M <= options.radius_sd < MAX_SD * smallest_m:
+        found = f"{options.radius_sd:g} is not a plausible standard deviation of a radius in metres"
+        raise UsageError("--radius-sd", found, _in_metres(options.radius_sd))
     if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]
         raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
 

@@ -2,22 +2,22 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ringpose.cli.options.common import finite
-from ringpose.errors import UsageError
+from ringpose.cli import messages
+from ringpose.cli.batch import Batch
+from ringpose.cli.options.common import number_option
+from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
-    from ringpose.cli.batch import Batch
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.lines import Gripper
     from ringpose.track.pipeline import Tracker
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.rig import Rig
@@ -31,47 +31,6 @@ class Format(StrEnum):
     ROS = "ros"
 
 
-PredictFor = Annotated[
-    float | None,
-    typer.Option(
-        "--predict-for",
-        metavar="S",
-        min=0,
-        callback=finite,
-        help="Longest prediction; after it, two shots that agree start the track anew; default: 2.",
-    ),
-]
-LostAfter = Annotated[
-    float | None,
-    typer.Option(
-        "--lost-after",
-        metavar="S",
-        min=0,
-        callback=finite,
-        help="Time without a shot that ends a track; default: 3.",
-    ),
-]
-GripperRadial = Annotated[
-    float | None,
-    typer.Option(
-        "--gripper-radial-m",
-        metavar="M",
-        min=0,
-        callback=finite,
-        help="How far the middle of the ring's band may be from the grasp point.",
-    ),
-]
-GripperTilt = Annotated[
-    float | None,
-    typer.Option(
-        "--gripper-tilt-deg",
-        metavar="DEG",
-        min=0,
-        max=90,
-        callback=finite,
-        help="How far the ring's normal may be from the reported one.",
-    ),
-]
 RobotPosesFile = Annotated[
     str | None,
     typer.Option(
@@ -82,39 +41,49 @@ OutputFormat = Annotated[Format, typer.Option("--format", help="Records, or mess
 Newest = Annotated[bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.")]
 
 
-class TrackSettings(NamedTuple):
-    """The options of a track as given; None where they are not."""
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """The options of a track; None for those that are not given."""
 
-    predict_for_s: float | None = None
-    lost_after_s: float | None = None
-    gripper_radial_m: float | None = None
-    gripper_tilt_deg: float | None = None
-
-    @property
-    def gripper(self) -> "Gripper | None":
-        """The gripper's limits; both or none must be given."""
-        from ringpose.track.lines import Gripper
-
-        radial_m, tilt_deg = self.gripper_radial_m, self.gripper_tilt_deg
-        if radial_m is None and tilt_deg is None:
-            return None
-        if radial_m is None or tilt_deg is None:
-            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
-            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
-        return Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg))
+    predict_for: Annotated[
+        float | None,
+        number_option(
+            "--predict-for",
+            "S",
+            "Longest prediction; after it, two shots that agree start the track anew; default: 2.",
+            0,
+        ),
+    ] = None
+    lost_after: Annotated[
+        float | None, number_option("--lost-after", "S", "Time without a shot that ends a track; default: 3.", 0)
+    ] = None
+    gripper_radial_m: Annotated[
+        float | None,
+        number_option(
+            "--gripper-radial-m", "M", "How far the middle of the ring's band may be from the grasp point.", 0
+        ),
+    ] = None
+    gripper_tilt_deg: Annotated[
+        float | None,
+        number_option("--gripper-tilt-deg", "DEG", "How far the ring's normal may be from the reported one.", 0, 90),
+    ] = None
 
     def tracker(self, rig: "Rig | None", assumed: "AssumptionOptions", camera: "CameraMotion | None") -> "Tracker":
         """The tracker; a track begins with the motion that is assumed within a shot."""
-        from ringpose.track.explanations import TrackOptions
-        from ringpose.track.lines import LineOptions
+        from ringpose.track.explanations import Gripper, TrackOptions
         from ringpose.track.pipeline import Tracker
         from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
 
-        options = TrackOptions()
-        if self.predict_for_s is not None:
-            options = replace(options, predict_for_s=self.predict_for_s)
-        if self.lost_after_s is not None:
-            options = replace(options, lost_after_s=self.lost_after_s)
+        options, radial_m, tilt_deg = TrackOptions(), self.gripper_radial_m, self.gripper_tilt_deg
+        if radial_m is not None and tilt_deg is not None:
+            options = replace(options, gripper=Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg)))
+        elif radial_m is not None or tilt_deg is not None:
+            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
+            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
+        if self.predict_for is not None:
+            options = replace(options, predict_for_s=self.predict_for)
+        if self.lost_after is not None:
+            options = replace(options, lost_after_s=self.lost_after)
         if options.lost_after_s < options.predict_for_s:
             found = f"is {options.lost_after_s:g} s, must not be shorter than --predict-for {options.predict_for_s:g}"
             raise UsageError("--lost-after", found, "raise it, or lower --predict-for")
@@ -125,7 +94,7 @@ class TrackSettings(NamedTuple):
             MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
             MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
         )
-        return Tracker(rig, replace(options, motion=motion), LineOptions(gripper=self.gripper), camera)
+        return Tracker(rig, replace(options, motion=motion), camera)
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
@@ -153,11 +122,9 @@ def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]
 
 
 def track_writer(
-    write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: "Batch"
+    write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: Batch
 ) -> "Callable[[TrackLine], None]":
     """Writes lines of a track, and with `verbose` reports what became of each measurement."""
-    from ringpose.cli import messages
-    from ringpose.errors import NO_POSE
     from ringpose.files.records.ros import ros_messages
     from ringpose.files.records.tracks import track_record
 

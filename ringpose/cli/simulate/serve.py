@@ -11,7 +11,6 @@ from ringpose.types.options import AdvancePolicy, Clock, Relay, ServedTarget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from contextlib import AbstractContextManager
     from queue import SimpleQueue
     from typing import Any
 
@@ -95,7 +94,7 @@ def serve(
     from ringpose.files import records
     from ringpose.files.scenes.scene import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
-    from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+    from ringpose.simulate.serve.virtual_device import Setup, virtual_device
 
     if (scene is None) == (scene_option is None):
         raise UsageError("SCENE", "is missing" if scene is None else "is given twice", "name one scene file")
@@ -123,7 +122,11 @@ def serve(
         warm_up_s=warm_up,
         faults=parsed_faults(fault or (), len(read.rig.lasers.names)),
     )
-    with _noted(log, force) as noted, _failures_of_threads() as failures, VirtualDevice(read, setup, noted) as served:
+    with (
+        _writer(log, force) as on_frame,
+        _failures_of_threads() as failures,
+        virtual_device(read, setup, on_frame) as served,
+    ):
         records.write(served.uris)
         raise failures.get()
 
@@ -166,7 +169,7 @@ def serve_images(
 
     report = messages.echo if verbose else None
     with (
-        _noted(truth, force) as on_truth,
+        _writer(truth, force) as on_truth,
         _failures_of_threads() as failures,
         ImageServer(scene, setup, record_of, on_truth, report) as server,
     ):
@@ -219,26 +222,22 @@ def _loopback(address: str) -> str:
     raise UsageError("--camera", f'"{address}" is no loopback address', "say one such as 127.0.0.1")
 
 
-def _noted(log: Path | None, force: bool) -> "AbstractContextManager[Callable[[Mapping[str, Any]], None] | None]":
-    from contextlib import nullcontext
-
+@contextmanager
+def _writer(path: Path | None, force: bool) -> "Iterator[Callable[[Mapping[str, Any]], None] | None]":
+    """A function that appends a record to a new file at once; None without a file."""
     from ringpose.files import atomic, records
 
-    if log is None:
-        return nullcontext()
+    if path is None:
+        yield None
+        return
+    with atomic.replacing(path, force):
+        pass
+    with path.open("ab", buffering=0) as stream:
 
-    @contextmanager
-    def opened() -> "Iterator[Callable[[Mapping[str, Any]], None]]":
-        with atomic.replacing(log, force):
-            pass
-        with log.open("ab", buffering=0) as stream:
+        def write(record: "Mapping[str, Any]") -> None:
+            try:
+                stream.write(records.line_of(record).encode())
+            except OSError as error:
+                raise atomic.output_error(path, error) from error
 
-            def noted(note: "Mapping[str, Any]") -> None:
-                try:
-                    stream.write(records.line_of(note).encode())
-                except OSError as error:
-                    raise atomic.output_error(log, error) from error
-
-            yield noted
-
-    return opened()
+        yield write

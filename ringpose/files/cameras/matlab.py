@@ -9,14 +9,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
-from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Camera
 
 MAX_BYTES = 2**26
@@ -66,56 +65,30 @@ def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera among the variables of a .mat file."""
     candidates = (values, *(value for value in values.values() if isinstance(value, dict)))
     struct = next((candidate for candidate in candidates if all(key in candidate for key in _STRUCT)), None)
-    parameters = _toolbox_parameters(values, file) if struct is None else _struct_parameters(struct, file)
-    (width, height), (fx, fy), (cx, cy), coefficients = parameters
+    matrix = np.eye(3)
+    if struct is None:
+        fields = Fields(file, values)
+        for key in _TOOLBOX:
+            if key not in values:
+                raise DataError(file, f"has no {key}", _REMEDY)
+        matrix[[0, 1], [0, 1]], matrix[:2, 2] = fields.vector("fc", 2), fields.vector("cc", 2)
+        matrix[0, 1] = fields.number("alpha_c", missing=0.0)
+        coefficients = fields.array("kc", (None,))
+        width, height = fields.number("nx"), fields.number("ny")
+    else:
+        fields = Fields(file, struct)
+        # IntrinsicMatrix is the transpose of K; MATLAB's first pixel is 1, OpenCV's is 0.
+        matrix = fields.array("K", (3, 3)) if fields.has("K") else fields.array("IntrinsicMatrix", (3, 3)).T
+        matrix = matrix - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        k1, k2, k3 = np.pad(fields.array("RadialDistortion", (None,)), (0, 3))[:3]
+        coefficients = np.array([k1, k2, *fields.vector("TangentialDistortion", 2), k3])
+        height, width = fields.vector("ImageSize", 2)
+    if matrix[0, 1]:
+        raise DataError(file, f"has a skew of {matrix[0, 1]:g}", "calibrate without skew (est_alpha = 0)")
     if len(coefficients) > 5:
         raise DataError(file, f"has {len(coefficients)} distortion coefficients, must have at most 5")
-    fields = Fields(file, {"image_width": int(width), "image_height": int(height)})
-    return pinhole_camera(fields, name, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), coefficients)
-
-
-_Parameters: TypeAlias = tuple[tuple[float, float], Float64[Array, "2"], Float64[Array, "2"], Float64[Array, "_"]]
-"""Width and height, focal lengths, principal point (0 is the centre of the first pixel), and k1, k2, p1, p2, k3."""
-
-
-def _toolbox_parameters(values: Mapping[str, Any], file: str) -> _Parameters:
-    for key in _TOOLBOX:
-        if key not in values:
-            raise DataError(file, f"has no {key}", _REMEDY)
-    if np.any(_numbers(values.get("alpha_c", 0.0), file, "alpha_c") != 0):
-        raise DataError(file, "has a skew (alpha_c)", "calibrate with est_alpha = 0")
-    fc, cc = (_numbers(values[key], file, key, length=2) for key in ("fc", "cc"))
-    kc, nx, ny = (_numbers(values[key], file, key) for key in ("kc", "nx", "ny"))
-    return (nx[0], ny[0]), fc, cc, kc
-
-
-def _struct_parameters(values: Mapping[str, Any], file: str) -> _Parameters:
-    """MATLAB's first pixel is 1, OpenCV's is 0; IntrinsicMatrix is the transpose of K."""
-    key = "K" if "K" in values else "IntrinsicMatrix"
-    if key not in values:
-        raise DataError(file, "has neither K nor IntrinsicMatrix", _REMEDY)
-    matrix = _numbers(values[key], file, key, length=9).reshape(3, 3)
-    if key == "IntrinsicMatrix":
-        matrix = matrix.T
-    if matrix[0, 1]:
-        raise DataError(file, f"has a skew of {matrix[0, 1]:g}", "calibrate without skew")
-    radial = np.concatenate([_numbers(values["RadialDistortion"], file, "RadialDistortion"), np.zeros(3)])[:3]
-    tangential = _numbers(values["TangentialDistortion"], file, "TangentialDistortion", length=2)
-    height, width = _numbers(values["ImageSize"], file, "ImageSize", length=2)
-    coefficients = np.concatenate([radial[:2], tangential, radial[2:]])
-    return (width, height), matrix[[0, 1], [0, 1]], matrix[:2, 2] - 1, coefficients
-
-
-def _numbers(value: Any, file: str, key: str, length: int | None = None) -> Float64[Array, "_"]:
-    try:
-        numbers = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
-        raise DataError(file, f"has a {key} that is not a list of numbers", _REMEDY) from None
-    if not len(numbers) or not np.isfinite(numbers).all():
-        raise DataError(file, f"has a {key} that is not finite", _REMEDY)
-    if length is not None and len(numbers) != length:
-        raise DataError(file, f"has {len(numbers)} numbers in {key}, must have {length}", _REMEDY)
-    return numbers
+    size = Fields(file, {"image_width": int(width), "image_height": int(height)})
+    return pinhole_camera(size, name, matrix, coefficients)
 
 
 def mat(camera: Camera) -> bytes:

@@ -33,11 +33,6 @@ TEMPORARY_FILES = ".*.part"
 Existing = Literal["refuse", "replace", "append"]
 """What to do with a folder that exists already."""
 
-_KEYS = (
-    "camera", "camera_name", "lasers", "laser_count", "laser_names", "sequence", "exposure_s", "rate_hz", "state",
-    "shots", "provenance",
-)  # fmt: skip
-
 
 def folder_of_now() -> Path:
     """The default name, such as `session-20260101T000000Z`, in the working directory."""
@@ -48,15 +43,14 @@ def read_session(folder: Path) -> Session:
     """The session in a folder; whether its shots exist is checked when they are read."""
     fields = read_yaml(folder / FILE, ("ringpose", "captures"))
     fields.choice("ringpose", (SCHEMA,))
-    return Session(captures=tuple(_capture(each) for each in fields.each("captures", _KEYS)))
+    return Session(captures=tuple(_capture(each) for each in fields.each("captures", Capture.__slots__)))
 
 
 def write_session(folder: Path, session: Session) -> None:
     """Write `session.yaml`, replacing an existing one."""
-    captures = []
-    for capture in session.captures:
-        values = asdict(capture)
-        captures.append({key: values[key] for key in _KEYS if values[key] is not None})
+    captures = [
+        {key: value for key, value in asdict(capture).items() if value is not None} for capture in session.captures
+    ]
     with replacing(folder / FILE, force=True) as stream:
         write_yaml(stream, {"ringpose": SCHEMA, "captures": captures})
 

@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from typing import IO, Any
@@ -84,19 +85,22 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """The value in types of JSON and YAML, without arrays, tuples and paths; non-finite numbers become None."""
+    """The value in types of JSON and YAML; non-finite numbers become None, data classes mappings of their fields."""
     if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist()) if np.issubdtype(value.dtype, np.floating) else value.tolist()
+        finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
+        if finite.all():
+            return value.tolist()
+        with_none = np.asarray(value, dtype=object)
+        with_none[~finite] = None
+        return with_none.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if isinstance(value, Enum):
         return plain(value.value)
-    return _finite(value) if isinstance(value, float) else str(value) if isinstance(value, Path) else value
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return value if math.isfinite(value) else None
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return str(value) if isinstance(value, Path) else value

@@ -13,13 +13,14 @@ from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
-from ringpose.files.records.rejections import rejection_record, rejections_in
+from ringpose.files.records.rejections import rejections_in
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import (
     MAX_SIGMA_PX,
     BreakPoints,
     Detection,
+    JudgedRing,
     NoBreakPoints,
     RingEdgePoints,
     Segments,
@@ -43,6 +44,7 @@ _PARTS = {
     "break_points": _BREAK_POINTS,
     "repeated": _BREAK_POINTS,
     "ring_edges": RingEdgePoints.__slots__,
+    "ring": JudgedRing.__slots__,
     "stripes": Stripes.__slots__,
     "segments": Segments.__slots__,
 }
@@ -66,7 +68,8 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "break_points": _part("break_points", found),
         "repeated": _part("repeated", None if found is None else found.repeated),
         "ring_edges": _part("ring_edges", detection.ring_edges),
-        REJECTED: [rejection_record(each) for each in detection.rejected],
+        "ring": _part("ring", detection.ring),
+        REJECTED: detection.rejected,
     }
     if full:
         record |= {"stripes": _part("stripes", detection.stripes), "segments": _part("segments", detection.segments)}
@@ -90,11 +93,12 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         points = replace(points, repeated=_break_points(parts["repeated"], len(points.position_px)))
     return Detection(
         shot=fields.text("shot"),
-        stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else math.nan,
+        stamp_s=fields.number("stamp_s", missing=math.nan),
         break_points=points,
         stripes=_stripes(parts["stripes"]) if "stripes" in parts else None,
         segments=_segments(parts["segments"]) if "segments" in parts else None,
         ring_edges=_ring_edges(parts["ring_edges"]) if "ring_edges" in parts else None,
+        ring=_judged_ring(parts["ring"]) if "ring" in parts else None,
         lasers_on=_lasers_on(fields, points) if fields.has("lasers_on") else None,
         still=fields.boolean("still") if fields.has("still") else False,
         ambient_changed=fields.boolean("ambient_changed") if fields.has("ambient_changed") else False,
@@ -192,6 +196,21 @@ def _ring_edges(fields: Fields) -> RingEdgePoints:
         sigma_px=_sigmas(fields, "sigma_px", (len(position),)),
         edge=edge,
         stamp_s=_stamps(fields, len(position)),
+    )
+
+
+def _judged_ring(fields: Fields) -> JudgedRing:
+    axes = fields.array("axes", (3, 3))
+    if np.abs(axes @ axes.T - np.eye(3)).max() > ROUNDED:
+        raise fields.problem("axes", "must be three perpendicular unit vectors")
+    return JudgedRing(
+        origin_m=fields.vector("origin_m", 3),
+        axes=axes,
+        curvature_per_m=fields.number("curvature_per_m"),
+        half_band_m=fields.number("half_band_m"),
+        velocity_m_s=fields.vector("velocity_m_s", 3),
+        rate_rad_s=fields.vector("rate_rad_s", 3),
+        stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else None,
     )
 
 

@@ -5,12 +5,12 @@ Version 2 is written; versions 1 and 2 are read. Keys and flags that this versio
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from ringpose.files.records.rejections import rejection_record, rejections_in
+from ringpose.files.records.rejections import rejections_in
 from ringpose.files.rigs import rig_stability
 from ringpose.files.schema import Fields, checked_covariance
 from ringpose.types.arrays import Array, Float64
@@ -57,7 +57,7 @@ _UNCHANGED = "give the output of ringpose pose unchanged"
 
 
 def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
-    """The record of one shot; the writer replaces NaN and infinity by null.
+    """The record of one shot, for `ringpose.files.records.line_of` or `plain`, which replace NaN and infinity by null.
 
     With `brief`, without `measurement` and `plane_evidence`.
     """
@@ -66,32 +66,27 @@ def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
         "shot": line.shot,
         "stamp_s": line.stamp_s,
         "pose_stamp_s": line.pose_stamp_s,
-        "frame": line.frame.value,
+        "frame": line.frame,
         "status": line.status,
         "reason": line.reason,
-        "flags": list(line.flag_names),
+        "flags": line.flag_names,
         "pose": None if line.pose is None else _pose_values(line.pose),
-        "velocity": None if line.velocity is None else _velocity_values(line.velocity),
-        **(
-            {}
-            if brief
-            else {
-                "measurement": None if line.measurement is None else _measurement_values(line.measurement),
-                "plane_evidence": None if line.plane_evidence is None else asdict(line.plane_evidence),
-            }
-        ),
+        "velocity": line.velocity,
+        **({} if brief else {"measurement": _measurement_values(line), "plane_evidence": line.plane_evidence}),
         "priors": None if line.priors is None else _priors_values(line.priors),
-        "lasers": {name: state.value for name, state in line.lasers.items()},
-        "rejected": [rejection_record(each) for each in line.rejected],
-        "rig_health": dict(line.rig_health),
+        "lasers": line.lasers,
+        "rejected": line.rejected,
+        "rig_health": line.rig_health,
         "shots_dropped": line.shots_dropped,
         "latency_s": line.latency_s,
-        "stage_s": dict(line.stage_s),
+        "stage_s": line.stage_s,
         "rig": line.rig or None,
     }
 
 
 def _pose_values(pose: RingPose) -> dict[str, Any]:
+    full, center, grasp = pose.covariance, _finite(pose.covariance_center_m2), _finite(pose.covariance_grasp_m2)
+    is_known = any(matrix is not None for matrix in (full, center, grasp))
     return {
         "center_m": _finite(pose.center_m),
         "normal": _finite(pose.normal),
@@ -100,43 +95,22 @@ def _pose_values(pose: RingPose) -> dict[str, Any]:
         "radius_inner_m": pose.radius_inner_m,
         "radius_outer_m": pose.radius_outer_m,
         "grasp_m": _finite(pose.grasp_m),
-        "covariance": _covariance_values(pose),
-        "ring_posterior": None if pose.ring_posterior is None else dict(pose.ring_posterior),
+        "covariance": {"full": full, "center": center, "grasp": grasp} if is_known else None,
+        "ring_posterior": pose.ring_posterior,
         "method": pose.method,
         "residual_rms_px": pose.residual_rms_px,
         "condition_number": pose.condition_number,
     }
 
 
-def _covariance_values(pose: RingPose) -> dict[str, Any] | None:
-    matrices = (pose.covariance, pose.covariance_center_m2, pose.covariance_grasp_m2)
-    if all(matrix is None for matrix in matrices):
+def _measurement_values(line: PoseLine) -> dict[str, Any] | None:
+    measurement = line.measurement
+    if measurement is None:
         return None
-    full, center, grasp = matrices
-    return {"full": full, "center": _finite(center), "grasp": _finite(grasp)}
-
-
-def _velocity_values(velocity: RingVelocity) -> dict[str, Any]:
     return {
-        "center_m_s": velocity.center_m_s,
-        "rate_rad_s": velocity.rate_rad_s,
-        "covariance": velocity.covariance,
-    }
-
-
-def _measurement_values(measurement: RingMeasurement) -> dict[str, Any]:
-    point = measurement.linearized_at
-    return {
-        "linearized_at": {
-            "center_m": point.center_m,
-            "normal": point.normal,
-            "radius_inner_m": point.radius_inner_m,
-            "radius_outer_m": point.radius_outer_m,
-            "velocity_m_s": point.velocity_m_s,
-            "rate_rad_s": point.rate_rad_s,
-        },
-        "parameters": list(MEASURED_PARAMETERS),
-        "nuisance_parameters": list(measurement.nuisance_parameters),
+        "linearized_at": measurement.linearized_at,
+        "parameters": MEASURED_PARAMETERS,
+        "nuisance_parameters": measurement.nuisance_parameters,
         "square_root": measurement.square_root,
         "degrees_of_freedom": measurement.degrees_of_freedom,
         "chi2": measurement.chi2,
@@ -145,31 +119,15 @@ def _measurement_values(measurement: RingMeasurement) -> dict[str, Any]:
 
 
 def _priors_values(priors: Priors) -> dict[str, Any]:
-    motion, radius, stability = priors.assumptions.motion, priors.radius, priors.assumptions.stability
-    moved = {name: asdict(each) for name, each in priors.moved_planes.items()}
+    assumptions, radius = priors.assumptions, priors.radius
     return {
-        "motion": STILL
-        if motion is None
-        else {"speed_sd_m_s": motion.speed_sd_m_s, "rate_sd_rad_s": motion.rate_sd_rad_s},
-        "radius": None
-        if radius is None
-        else {
-            "inner_m": radius.inner_m,
-            "outer_m": radius.outer_m,
-            "sd_m": radius.sd_m,
-            "inner_sd_m": radius.inner_sd_m,
-            "outer_sd_m": radius.outer_sd_m,
-            "source": radius.source,
-        },
-        "ring_tolerance_m": priors.assumptions.ring_tolerance_m,
+        "motion": STILL if assumptions.motion is None else assumptions.motion,
+        "radius": None if radius is None else {**asdict(radius), "sd_m": radius.sd_m},
+        "ring_tolerance_m": assumptions.ring_tolerance_m,
         "rig": {
             "covariance": "rig.yaml" if priors.rig_covariance else "none",
-            "stability": {
-                "plane_tilt_rad": stability.plane_tilt_rad,
-                "plane_distance_m": stability.plane_distance_m,
-                "focal_ratio": stability.focal_ratio,
-            },
-            **({"moved": moved} if moved else {}),
+            "stability": assumptions.stability,
+            **({"moved": priors.moved_planes} if priors.moved_planes else {}),
         },
         "regularization": priors.regularization,
     }
@@ -192,33 +150,26 @@ def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
         raise fields.problem("schema", found, "give the output of ringpose pose")
     names = _KEYS_1 if schema == SCHEMA_1 else {key: key for key in _KEYS_1}
     flags = _checked_flags(fields)
-    line = PoseLine(
+    return PoseLine(
         shot=fields.text("shot"),
-        stamp_s=_number(fields, "stamp_s"),
+        stamp_s=fields.number("stamp_s", missing=math.nan),
         pose=_pose(fields.fields("pose"), flags, names["condition_number"]) if fields.has("pose") else None,
+        pose_stamp_s=fields.number("pose_stamp_s", missing=math.nan),
         flags=flags,
-        reason=fields.text("reason") if fields.has("reason") else None,
+        reason=fields.optional("reason", fields.text),
         frame=PoseFrame(fields.choice("frame", tuple(PoseFrame))),
+        velocity=_velocity(fields.fields("velocity")) if fields.has("velocity") else None,
+        measurement=_measurement(fields.fields("measurement")) if fields.has("measurement") else None,
+        priors=_priors(fields.fields("priors")) if fields.has("priors") else None,
+        lasers=_lasers(fields.fields("lasers")) if fields.has("lasers") else {},
+        rejected=rejections_in(fields),
+        plane_evidence=_plane_evidence(fields.fields("plane_evidence")) if fields.has("plane_evidence") else None,
         rig_health=_numbers(fields, names["rig_health"]),
         shots_dropped=fields.integer(names["shots_dropped"], least=0) if fields.has(names["shots_dropped"]) else 0,
-        latency_s=_number(fields, "latency_s", least=0.0),
-        rig=fields.text("rig") if fields.has("rig") else "",
+        latency_s=fields.number("latency_s", least=0.0, missing=math.nan),
+        stage_s=_numbers(fields, "stage_s", least=0.0),
+        rig=fields.optional("rig", fields.text) or "",
     )
-    return line if schema == SCHEMA_1 else replace(line, **_values_of_version_2(fields))
-
-
-def _values_of_version_2(fields: Fields) -> dict[str, Any]:
-    """The attributes of a pose line that version 1 does not have."""
-    return {
-        "pose_stamp_s": _number(fields, "pose_stamp_s"),
-        "velocity": _velocity(fields.fields("velocity")) if fields.has("velocity") else None,
-        "measurement": _measurement(fields.fields("measurement")) if fields.has("measurement") else None,
-        "plane_evidence": _plane_evidence(fields.fields("plane_evidence")) if fields.has("plane_evidence") else None,
-        "priors": _priors(fields.fields("priors")) if fields.has("priors") else None,
-        "lasers": _lasers(fields.fields("lasers")) if fields.has("lasers") else {},
-        "rejected": rejections_in(fields),
-        "stage_s": _numbers(fields, "stage_s", least=0.0),
-    }
 
 
 def _checked_flags(fields: Fields) -> PoseFlag:
@@ -259,12 +210,12 @@ def _pose(fields: Fields, flags: PoseFlag, condition_key: str) -> RingPose:
     return RingPose(
         center_m=_vector(fields, "center_m"),
         normal=fields.unit_vector("normal") if fields.has("normal") else np.full(3, np.nan),
-        radius_inner_m=_number(fields, "radius_inner_m"),
-        radius_outer_m=_number(fields, "radius_outer_m"),
+        radius_inner_m=fields.number("radius_inner_m", missing=math.nan),
+        radius_outer_m=fields.number("radius_outer_m", missing=math.nan),
         grasp_m=_vector(fields, "grasp_m"),
         method=fields.text("method"),
-        condition_number=_number(fields, condition_key, missing=math.inf, least=0.0),
-        residual_rms_px=_number(fields, "residual_rms_px", least=0.0),
+        condition_number=fields.number(condition_key, missing=math.inf, least=0.0),
+        residual_rms_px=fields.number("residual_rms_px", least=0.0, missing=math.nan),
         covariance=_covariance(covariance, "full", 7),
         covariance_center_m2=_covariance(covariance, "center", 3),
         covariance_grasp_m2=_covariance(covariance, "grasp", 3),
@@ -307,8 +258,8 @@ def _measurement(fields: Fields) -> RingMeasurement:
         linearized_at=LinearizationPoint(
             center_m=point.vector("center_m", 3),
             normal=point.unit_vector("normal"),
-            radius_inner_m=_number(point, "radius_inner_m"),
-            radius_outer_m=_number(point, "radius_outer_m"),
+            radius_inner_m=point.number("radius_inner_m", missing=math.nan),
+            radius_outer_m=point.number("radius_outer_m", missing=math.nan),
             velocity_m_s=point.vector("velocity_m_s", 3),
             rate_rad_s=point.vector("rate_rad_s", 3),
         ),
@@ -359,7 +310,7 @@ def _moved_planes(fields: Fields) -> dict[str, PlaneCorrection]:
 
 
 def motion_prior(fields: Fields) -> MotionPrior | None:
-    """The key `motion`; None if the target is assumed to be still."""
+    """The prior in the key `motion`; None if the target is assumed to be still."""
     if isinstance(fields.raw("motion"), str):
         fields.choice("motion", (STILL,))
         return None
@@ -370,13 +321,13 @@ def motion_prior(fields: Fields) -> MotionPrior | None:
 
 
 def _radius_prior(fields: Fields) -> RadiusPrior:
-    inner_m, outer_m = _number(fields, "inner_m"), _number(fields, "outer_m")
+    inner_m, outer_m = fields.number("inner_m", missing=math.nan), fields.number("outer_m", missing=math.nan)
     sd_m = fields.number("sd_m", least=0)
     return RadiusPrior(
         inner_m=inner_m,
         outer_m=outer_m,
-        inner_sd_m=_number(fields, "inner_sd_m", missing=sd_m if inner_m == inner_m else math.nan),
-        outer_sd_m=_number(fields, "outer_sd_m", missing=sd_m if outer_m == outer_m else math.nan),
+        inner_sd_m=fields.number("inner_sd_m", missing=sd_m if inner_m == inner_m else math.nan),
+        outer_sd_m=fields.number("outer_sd_m", missing=sd_m if outer_m == outer_m else math.nan),
         source=fields.text("source"),
     )
 
@@ -393,10 +344,6 @@ def _numbers(fields: Fields, key: str, least: float = -math.inf, most: float = m
         return {}
     values = fields.fields(key)
     return {name: values.number(name, least, most) if values.has(name) else math.nan for name in values.values}
-
-
-def _number(fields: Fields, key: str, missing: float = math.nan, least: float = -math.inf) -> float:
-    return fields.number(key, least) if fields.has(key) else missing
 
 
 def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:

@@ -11,16 +11,13 @@ import numpy as np
 from ringpose.errors import DataError, NoInputError, RingposeError
 from ringpose.files.inputs import Input, Problem, Record, inputs
 from ringpose.files.schema import Fields
+from ringpose.geometry.rotations import rotation_of
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import STDIN
 from ringpose.types.rig import RobotPoses
 
 MAX_REACH_M = 100.0
 """Longest plausible distance of a tool from the robot's base."""
-
-MAX_QUATERNION_ERROR = 1e-3
-"""Tolerance of the length of a quaternion, for values rounded in a file."""
-
 
 KEPT_S = 5.0
 """Time for which poses that arrive on standard input are kept: longer than late records and backgrounds are used."""
@@ -110,23 +107,6 @@ def _robot_pose(item: Input | Problem) -> RobotPose:
     fields = Fields(item.location, item.values)
     pose = fields.fields("base_from_tool")
     position_m = pose.vector("position_m", 3)
-    if np.abs(position_m).max() > MAX_REACH_M:
-        found = f"is {np.abs(position_m).max():g}"
-        raise pose.problem("position_m", found, "give metres; this looks like millimetres")
-    return RobotPose(stamp_s=fields.number("stamp_s"), position_m=position_m, rotation=_rotation(pose))
-
-
-def _rotation(pose: Fields) -> Float64[Array, "3 3"]:
-    quaternion = pose.vector("orientation_xyzw", 4)
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1.0) > MAX_QUATERNION_ERROR:
-        remedy = "give a unit quaternion x, y, z, w; this looks like degrees" if length > 2.0 else "normalize it"
-        raise pose.problem("orientation_xyzw", f"has length {length:.6g}, must be 1", remedy)
-    x, y, z, w = (quaternion / length).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    pose.check_metres("position_m", position_m, MAX_REACH_M)
+    rotation = rotation_of(pose.quaternion("orientation_xyzw"))
+    return RobotPose(stamp_s=fields.number("stamp_s"), position_m=position_m, rotation=rotation)

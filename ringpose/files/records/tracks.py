@@ -1,7 +1,7 @@
 """The track line: one JSON record (`ringpose-records(5)`, `track.schema.json`)."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import nan
 from typing import Any
 
@@ -9,7 +9,7 @@ from ringpose.files.records.poses import SCHEMA as POSE_SCHEMA
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.schema import Fields
 from ringpose.types.pose import PoseFlag, PoseLine
-from ringpose.types.track import Attempt, MotionModel, TrackLine
+from ringpose.types.track import MotionModel, TrackLine
 
 SCHEMA = "ringpose/track/1"
 
@@ -17,7 +17,7 @@ SCHEMA = "ringpose/track/1"
 def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
     """The record; with `brief` without `attempts` and `log_evidence`."""
     of_pose = pose_record(PoseLine(shot="", stamp_s=nan, pose=line.pose, velocity=line.velocity), brief=True)
-    grasp, following, noise = line.grasp, line.next_tick, line.process_noise
+    noise = line.process_noise
     record = {
         "schema": SCHEMA,
         "stamp_s": line.stamp_s,
@@ -31,27 +31,16 @@ def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
         "frame": line.frame,
         "pose": of_pose["pose"],
         "velocity": of_pose["velocity"],
-        "grasp": None
-        if grasp is None
-        else {"point_m": grasp.point_m, "velocity_m_s": grasp.velocity_m_s, "covariance": grasp.covariance},
-        "next": None
-        if following is None
-        else {
-            "stamp_s": following.stamp_s,
-            "grasp_m": following.grasp_m,
-            "normal": following.normal,
-            "covariance": following.covariance,
-        },
-        "hypotheses": [
-            {"side": each.side, "weight": each.weight, "center_m": each.center_m} for each in line.hypotheses
-        ],
+        "grasp": line.grasp,
+        "next": line.next_tick,
+        "hypotheses": line.hypotheses,
         "model": line.model,
         "process_noise": None if noise is None else {"velocity_m2_s3": noise[0], "rate_rad2_s3": noise[1]},
         "log_evidence": {model.value: line.log_evidence.get(model) for model in MotionModel},
         "camera": line.camera,
         "capture_probability": line.capture_probability,
         "resets": line.resets,
-        "attempts": [_attempt_values(each) for each in line.attempts],
+        "attempts": [{**asdict(each), "reason": each.reason or None} for each in line.attempts],
         "shot": line.attempt.shot or None,
         "reason": line.attempt.reason or None,
         "rig": line.rig or None,
@@ -59,16 +48,6 @@ def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
     if brief:
         del record["attempts"], record["log_evidence"]
     return record
-
-
-def _attempt_values(attempt: Attempt) -> dict[str, Any]:
-    return {
-        "shot": attempt.shot,
-        "stamp_s": attempt.stamp_s,
-        "fusion_status": attempt.fusion_status,
-        "test_ratio": attempt.test_ratio,
-        "reason": attempt.reason or None,
-    }
 
 
 def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:

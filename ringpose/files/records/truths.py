@@ -13,22 +13,8 @@ from ringpose.files.schema import Fields, kind
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Truth, TruthFrame
 
-_KEYS = (
-    "schema",
-    "shot",
-    "center_m",
-    "normal",
-    "radius_inner_m",
-    "radius_outer_m",
-    "break_points_px",
-    "expect",
-    "groups",
-    "stamp_s",
-    "velocity_m_s",
-    "angular_velocity_rad_s",
-    "frames",
-)
-_FRAME_KEYS = ("stamp_s", "center_m", "normal", "break_points_px")
+_KEYS = ("schema", *Truth.__slots__)
+_FRAME_KEYS = TruthFrame.__slots__
 _EXPECT = ("pose", "partial", "no_target")
 
 

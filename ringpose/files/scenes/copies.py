@@ -18,7 +18,7 @@ from ringpose.types.scene import Light, RingView
 from ringpose.types.session import steps_of, written_sequence
 
 STEP_S = 1e-3
-"""In which velocities are taken from poses."""
+"""Time between the two poses whose difference gives the velocities."""
 
 STILL = 1e-9
 """Velocities below it, in m/s and rad/s, are rounding errors."""
@@ -37,7 +37,7 @@ def write_scene_copy(
     """Write scene.yaml, which has this single view, and rig.yaml into a new folder; returns its path.
 
     The motion is that of the view at its beginning, continued at constant velocity and angular velocity; a still view
-    has none. All other keys are those of the original file. Without `exposure_s` the exposure follows its rule.
+    has none. All other keys are those of the original file, also `exposure_s` or `stripe_dn` if no exposure is given.
     """
     if view.normal[2] >= 0:
         raise DataError(view.name, "the ring faces away from the camera, which a scene file cannot describe")

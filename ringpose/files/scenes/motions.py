@@ -134,23 +134,14 @@ def _poses(entries: Iterator[Fields], where: str) -> TimedPoses:
         if len(times_s) > 1 and times_s[-1] <= times_s[-2]:
             raise entry.problem("time_s", f"is {times_s[-1]:g}, not later than the time before")
         positions_m.append(entry.vector("position_m", 3))
-        distance_m = float(np.linalg.norm(positions_m[-1]))
-        if distance_m > MAX_DISTANCE_M:
-            raise entry.problem("position_m", f"is {distance_m:g} m away", "give metres; this looks like millimetres")
-        orientations.append(_quaternion(entry) if entry.has("orientation_xyzw") else np.array([0.0, 0.0, 0.0, 1.0]))
+        entry.check_metres("position_m", np.linalg.norm(positions_m[-1:], axis=1), MAX_DISTANCE_M)
+        orientation = entry.optional("orientation_xyzw", entry.quaternion)
+        orientations.append(np.array([0.0, 0.0, 0.0, 1.0]) if orientation is None else orientation)
     if len(times_s) < 2:
         raise DataError(where, f"has {len(times_s)} poses, must have at least 2")
     return TimedPoses(
         time_s=np.array(times_s), position_m=np.stack(positions_m), orientation_xyzw=np.stack(orientations)
     )
-
-
-def _quaternion(entry: Fields) -> Float64[Array, "4"]:
-    orientation = entry.vector("orientation_xyzw", 4)
-    length = float(np.linalg.norm(orientation))
-    if abs(length - 1) > 1e-3:
-        raise entry.problem("orientation_xyzw", f"has length {length:.6g}, must be 1")
-    return orientation / length
 
 
 def mass_properties(parts: Sequence[Part]) -> tuple[float, Float64[Array, "xyz=3"], Float64[Array, "3 3"]]:

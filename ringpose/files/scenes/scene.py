@@ -163,7 +163,7 @@ def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
             raise fields.problem("radius_inner_m", f"is {inner:g}, must be smaller than radius_outer_m")
         return np.array([[inner, 0.0], [inner, height], [outer, height], [outer, 0.0]])
     profile_m = read_profile(fields)
-    fields.check_metres("profile_m", profile_m.ravel())
+    fields.check_metres("profile_m", profile_m)
     if (profile_m[:, 1] < 0).any():
         raise fields.problem("profile_m", "has a negative height")
     if not (np.diff(profile_m[:, 1]) == 0).any():
@@ -344,10 +344,7 @@ def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
 
 def _center_m(entry: Fields) -> Float64[Array, "3"]:
     center_m = entry.vector("center_m", 3)
-    if np.linalg.norm(center_m) > MAX_DISTANCE_M:
-        raise entry.problem(
-            "center_m", f"is more than {MAX_DISTANCE_M:g} m away", "give metres; this looks like millimetres"
-        )
+    entry.check_metres("center_m", np.linalg.norm(center_m[None], axis=1), MAX_DISTANCE_M)
     if center_m[2] <= 0:
         raise entry.problem("center_m", f"lies behind the camera, at z = {center_m[2]:g}", "z is forward")
     return center_m

@@ -135,7 +135,7 @@ def _part(part: Fields, shape: str, name: str, mass: str | None) -> Part:
         shape=solid,
         materials=materials,
         rotation=_rotation(part),
-        translation_m=_lengths(part, "position_m", 3, signed=True) if part.has("position_m") else np.zeros(3),
+        translation_m=_position_m(part),
         mass_kg=_mass(part, mass),
         **values,
     )
@@ -169,6 +169,12 @@ def _rotation(part: Fields) -> Float64[Array, "3 3"]:
     if length > MAX_ANGLE_RAD:
         raise part.problem("rotation_rad", f"has length {length:g}", "give radians; this looks like degrees")
     return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
+
+
+def _position_m(part: Fields) -> Float64[Array, "xyz=3"]:
+    position_m = part.vector("position_m", 3) if part.has("position_m") else np.zeros(3)
+    part.check_metres("position_m", position_m, MAX_SIZE_M)
+    return position_m
 
 
 def _mass(part: Fields, mass: str | None) -> float:
@@ -260,7 +266,7 @@ def _chamfered(fields: Fields, ring: RingShape) -> RingShape:
 def read_profile(fields: Fields) -> Float64[Array, "point 2"]:
     """A polyline of (radius, height)."""
     profile_m = fields.array("profile_m", (None, 2))
-    _check_size(fields, "profile_m", profile_m)
+    fields.check_metres("profile_m", profile_m, MAX_SIZE_M)
     if len(profile_m) < 2:
         raise fields.problem("profile_m", f"has {len(profile_m)} points, must have at least 2")
     if (profile_m[:, 0] < 0).any() or (np.abs(np.diff(profile_m, axis=0)).max(axis=1) == 0).any():
@@ -317,20 +323,15 @@ def positive_m(fields: Fields, key: str) -> float:
 
 
 def _length(fields: Fields, key: str) -> float:
-    return float(_checked(fields, key, np.array([fields.number(key)]))[0])
+    return float(_positive_lengths(fields, key, np.array([fields.number(key)]))[0])
 
 
-def _lengths(fields: Fields, key: str, count: int, *, signed: bool = False) -> Float64[Array, "n"]:
-    return _checked(fields, key, fields.vector(key, count), signed=signed)
+def _lengths(fields: Fields, key: str, count: int) -> Float64[Array, "n"]:
+    return _positive_lengths(fields, key, fields.vector(key, count))
 
 
-def _checked(fields: Fields, key: str, lengths_m: Float64[Array, "n"], *, signed: bool = False) -> Float64[Array, "n"]:
-    _check_size(fields, key, lengths_m)
-    if not signed and (lengths_m <= 0).any():
+def _positive_lengths(fields: Fields, key: str, lengths_m: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    fields.check_metres(key, lengths_m, MAX_SIZE_M)
+    if (lengths_m <= 0).any():
         raise fields.problem(key, "must be positive")
     return lengths_m
-
-
-def _check_size(fields: Fields, key: str, lengths_m: Float64[Array, "..."]) -> None:
-    if lengths_m.size and np.abs(lengths_m).max() > MAX_SIZE_M:
-        raise fields.problem(key, f"is {np.abs(lengths_m).max():g}", "give metres; this looks like millimetres")

@@ -46,9 +46,7 @@ class ResultFolder:
         for part in sorted(self.parts.glob("*.jsonl")):
             for number, (index, _) in enumerate(_read_part(part), start=1):
                 if not 0 <= index < shots or index in done:
-                    found = f"has shot {index}, which " + (
-                        "occurs twice" if index in done else f"is not one of {shots}"
-                    )
+                    found = f"has shot {index}, which is not one of {shots}, or occurs twice"
                     raise DataError(f"{part}:{number}", found, "delete the file, its shots are computed again")
                 done.add(index)
         return done
@@ -116,8 +114,6 @@ def opened(folder: Path, metadata: Mapping[str, Any], *, force: bool, wait: bool
     """
     from filelock import SoftFileLock, Timeout
 
-    from ringpose.files.studies.specification import require_same
-
     results = ResultFolder(atomic.make_folder(folder))
     lock = SoftFileLock(folder / "results.lock")
     try:
@@ -128,22 +124,33 @@ def opened(folder: Path, metadata: Mapping[str, Any], *, force: bool, wait: bool
     except OSError as error:
         raise atomic.output_error(folder, error) from error
     try:
-        description = folder / "study.json"
-        if description.exists() and not force:
-            require_same(parsed_record(read_bytes(description), str(description)), dict(metadata), str(folder))
-        elif force:
-            _discard(folder, results.parts)
-        elif any(folder.glob("results.*[vt]")) or results.parts.exists():
-            raise CannotCreateError(str(folder), "has results without study.json", "choose another folder, or --force")
+        _prepare(results, metadata, force)
         atomic.make_folder(results.parts)
-        if not description.exists():
-            with atomic.replacing(description, force=True) as stream:
-                stream.write(line_of(metadata).encode())
         for stale in results.parts.glob(".*.part"):  # of a process that was killed while it wrote
             stale.unlink(missing_ok=True)
         yield results
     finally:
         lock.release()
+
+
+def _prepare(results: ResultFolder, metadata: Mapping[str, Any], force: bool) -> None:
+    """Reject or discard results of another study; describe a new study in study.json."""
+    description = results.folder / "study.json"
+    tables_and_parts = [*results.folder.glob("results.[cp]*"), *results.parts.glob("*")]
+    for file in (description, *tables_and_parts) if force else ():
+        file.unlink(missing_ok=True)
+    if description.exists():
+        recorded = parsed_record(read_bytes(description), str(description))
+        for key, what in (("study_sha256", "another study"), ("code_sha256", "another version of ringpose")):
+            if recorded.get(key) != metadata[key]:
+                found = f"holds results of {what} ({recorded.get('title')}, version {recorded.get('version')})"
+                raise DataError(str(results.folder), found, "choose another folder, or --force to discard them")
+        return
+    if tables_and_parts and not force:
+        found = "has results without study.json"
+        raise CannotCreateError(str(results.folder), found, "choose another folder, or --force")
+    with atomic.replacing(description, force=True) as stream:
+        stream.write(line_of(metadata).encode())
 
 
 def holds_results(path: Path) -> bool:
@@ -152,16 +159,11 @@ def holds_results(path: Path) -> bool:
 
 
 def read_results(path: Path) -> tuple[dict[str, Any], Iterator[Row]]:
-    """What results.csv, or that in a folder, is of (study.json beside it), and its rows."""
+    """The description of a study (study.json) and the rows of its results.csv, in a folder or at the table's path."""
     if path.is_dir():
         path = path / "results.csv"
     description = path.with_name("study.json")
     return parsed_record(read_bytes(description), str(description)), _read_csv(path)
-
-
-def _discard(folder: Path, parts: Path) -> None:
-    for file in (*parts.glob("*"), *folder.glob("results.csv"), *folder.glob("results.parquet"), folder / "study.json"):
-        file.unlink(missing_ok=True)
 
 
 def _holder(lock: Path) -> str:
@@ -199,9 +201,8 @@ def _read_csv(path: Path) -> Iterator[Row]:
         raise DataError(str(path), "is not a table of ringpose bench study", "give its results.csv")
     for number, cells in enumerate(reader, start=2):
         if len(cells) != len(heading):
-            raise DataError(
-                f"{path}:{number}", f"has {len(cells)} cells, must have {len(heading)}", "the file is cut off"
-            )
+            found = f"has {len(cells)} cells, must have {len(heading)}"
+            raise DataError(f"{path}:{number}", found, "the file is cut off")
         yield {name: _value(f"{path}:{number}", name, cell) for name, cell in zip(heading, cells, strict=True)}
 
 

@@ -3,23 +3,32 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import numpy as np
-
-from ringpose.errors import DataError, UsageError
+from ringpose.errors import UsageError
 from ringpose.files.io import read_bytes
 from ringpose.files.scenes.scene import read_scene
-from ringpose.files.schema import Fields, hint
+from ringpose.files.schema import FREE_PREFIX, Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types.assumptions import MAX_TOLERANCE_M, AssumptionOptions
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
-from ringpose.types.study import CASE, LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, ShotRun, Study, StudyMethod, Value
+from ringpose.types.study import (
+    CASE,
+    LIMITS,
+    NUMBERS,
+    ONLY_FEATURES,
+    SWITCHES,
+    TEXTS,
+    Factor,
+    ShotRun,
+    Study,
+    StudyMethod,
+    Value,
+)
 
 SCHEMA = "study/1"
 
@@ -33,17 +42,6 @@ _KEYS = (
 )  # fmt: skip
 
 _FACTORS = (*TEXTS, *NUMBERS, *SWITCHES)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StudyFile:
-    """A study as it was read."""
-
-    study: Study
-    files: tuple[Path, ...]
-    """The files that it was read from."""
-    sha256: str
-    """Of their contents, with number of shots and seed: two studies with the same hash have the same shots."""
 
 
 def preset_names() -> list[str]:
@@ -61,34 +59,35 @@ def study_path(name: str) -> Path:
     return Path(name)
 
 
-def read_study(path: Path, count: int | None = None, seed: int | None = None) -> StudyFile:
+def read_study(path: Path, count: int | None = None, seed: int | None = None) -> Study:
     """The study in a study.yaml; `count` and `seed` replace those of the file."""
     fields = read_yaml(path, _KEYS)
     fields.choice("ringpose", (SCHEMA,))
     scene_file = path.parent / fields.text("scene")
     scene = read_scene(scene_file)
     factors = _factors(fields.fields("vary", _FACTORS), scene)
+    if "distance_m" not in [factor.name for factor in factors]:
+        raise fields.problem("vary", "has no distance_m", "give the distances of the ring")
     cases = _cases(fields, factors, scene) if "cases" in fields.values else {}
     if cases:
         factors = (Factor(name=CASE, values=tuple(cases)), *factors)
     grid = [factor.name for factor in factors if not factor.drawn]
-    table = fields.text("table") if fields.has("table") else next(iter(grid), "")
-    if table and table not in grid:
-        raise fields.problem("table", f"is {table!r}, must be a factor of the grid", hint(table, grid))
-    methods = _methods(fields)
-    level = fields.choice("level", ("images", "features"))
+    names = fields.texts("methods") if fields.has("methods") else ("ml", "paper")
+    methods = tuple(StudyMethod(_alone(fields, "methods", each).choice("methods", StudyMethod)) for each in names)
+    if not methods or len(set(methods)) < len(methods):
+        raise fields.problem("methods", "must name each method once, and at least one")
     study = Study(
         title=fields.text("title"),
         scene=scene,
-        level=cast(Literal["images", "features"], level),
+        level=cast(Literal["images", "features"], fields.choice("level", ("images", "features"))),
         count=count if count is not None else fields.integer("count", least=1, most=MAX_SHOTS),
         seed=seed if seed is not None else fields.integer("seed", least=0, most=2**32 - 1),
         factors=factors,
         methods=methods,
-        table=table,
+        table=fields.choice("table", grid) if fields.has("table") else next(iter(grid), ""),
         cases=cases,
         assumed=_assumed(fields) if "assume" in fields.values else None,
-        calibrate=fields.boolean("calibrate") if fields.has("calibrate") else False,
+        calibrate=bool(fields.optional("calibrate", fields.boolean)),
         run=_run(fields, methods),
         limits=_limits(fields, cases),
     )
@@ -96,18 +95,12 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     files = (path, scene_file, scene_file.parent / read_yaml(scene_file).text("rig"))
     contents = [hashlib.sha256(read_bytes(file)).hexdigest() for file in files]
     identity = json.dumps({"files": contents, "count": study.count, "seed": study.seed})
-    return StudyFile(study=study, files=files, sha256=hashlib.sha256(identity.encode()).hexdigest())
+    return replace(study, files=files, sha256=hashlib.sha256(identity.encode()).hexdigest())
 
 
-def _methods(fields: Fields) -> tuple[StudyMethod, ...]:
-    names = fields.texts("methods") if fields.has("methods") else ("ml", "paper")
-    known = [method.value for method in StudyMethod]
-    for name in names:
-        if name not in known:
-            raise fields.problem("methods", f"has {name!r}, must be of {', '.join(known)}", hint(name, known))
-    if not names or len(set(names)) < len(names):
-        raise fields.problem("methods", "must name each method once, and at least one")
-    return tuple(StudyMethod(name) for name in names)
+def _alone(fields: Fields, key: str, value: Any) -> Fields:
+    """One of the values of a key as the value of the key, to be read by the methods of `Fields`."""
+    return Fields(fields.file, {key: value}, path=fields.path)
 
 
 def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
@@ -120,6 +113,19 @@ def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
     return ShotRun(
         shots=track.integer("shots", least=2, most=1000), period_s=track.number("period_s", least=0.01, most=60.0)
     )
+
+
+def _assumed(fields: Fields) -> AssumptionOptions:
+    """What the estimator assumes; keys that are not given have the defaults of `ringpose pose`."""
+    largest = {"max_speed_m_s": 10.0, "max_rate_rad_s": 10.0, "ring_tolerance_m": MAX_TOLERANCE_M, "rig_stability": 1e3}
+    entry = fields.fields("assume", ("still", *largest))
+    still = bool(entry.optional("still", entry.boolean))
+    if still and (entry.has("max_speed_m_s") or entry.has("max_rate_rad_s")):
+        raise entry.problem("still", "excludes max_speed_m_s and max_rate_rad_s", "give one of them")
+    given = entry.given(largest, lambda key: entry.number(key, least=0.0, most=largest[key]))
+    if "max_rate_rad_s" in given:
+        given["max_rate_deg_s"] = degrees(given.pop("max_rate_rad_s"))
+    return AssumptionOptions(still=still, **given)
 
 
 def _limits(fields: Fields, cases: Iterable[str]) -> dict[str, float | Mapping[str, float]]:
@@ -137,10 +143,7 @@ def _limits(fields: Fields, cases: Iterable[str]) -> dict[str, float | Mapping[s
 
 
 def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
-    factors = tuple(_factor(vary, str(name), scene) for name in vary.values if not str(name).startswith("x_"))
-    if "distance_m" not in [factor.name for factor in factors]:
-        raise vary.problem("", "has no distance_m", "give the distances of the ring")
-    return factors
+    return tuple(_factor(vary, name, scene) for name in vary.values if not name.startswith(FREE_PREFIX))
 
 
 def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[str, tuple[Factor, ...]]:
@@ -151,152 +154,97 @@ def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[st
         if not isinstance(name, str) or not name.isprintable() or not name.strip():
             raise fields.problem("cases", f"has the name {name!r}", "give a text of one line")
         entry = entries.fields(name, _FACTORS)
-        own = [str(key) for key in entry.values if not str(key).startswith("x_")]
-        for key in own:
-            if key not in single:
-                raise entry.problem(key, "has not one value in vary", "give it one there, the one of the other cases")
-            given = entry.raw(key)
-            if isinstance(given, list) and len(given) != 1:
-                raise entry.problem(key, "has several values", "give one, or {choice: [...]}")
-        cases[name] = tuple(_factor(entry, key, scene) for key in own)
+        cases[name] = _factors(entry, scene)
+        for factor in cases[name]:
+            if factor.name not in single:
+                raise entry.problem(factor.name, "has not one value in vary", "give it one, that of the other cases")
+            if not factor.drawn and len(factor.values) > 1:
+                raise entry.problem(factor.name, "has several values", "give one, or {choice: [...]}")
     if not cases:
         raise fields.problem("cases", "names no case")
     return cases
-
-
-def _assumed(fields: Fields) -> AssumptionOptions:
-    """What the estimator assumes; keys that are not given have the defaults of `ringpose pose`."""
-    entry = fields.fields("assume", ("still", "max_speed_m_s", "max_rate_rad_s", "ring_tolerance_m", "rig_stability"))
-    still = entry.boolean("still") if entry.has("still") else False
-    if still and (entry.has("max_speed_m_s") or entry.has("max_rate_rad_s")):
-        raise entry.problem("still", "excludes max_speed_m_s and max_rate_rad_s", "give one of them")
-    rate_rad_s = entry.optional("max_rate_rad_s", partial(entry.number, least=0.0, most=10.0))
-    return AssumptionOptions(
-        still=still,
-        max_speed_m_s=entry.optional("max_speed_m_s", partial(entry.number, least=0.0, most=10.0)),
-        max_rate_deg_s=None if rate_rad_s is None else degrees(rate_rad_s),
-        ring_tolerance_m=entry.optional("ring_tolerance_m", partial(entry.number, least=0.0, most=MAX_TOLERANCE_M)),
-        rig_stability=entry.number("rig_stability", least=0.0, most=1000.0) if entry.has("rig_stability") else 1.0,
-    )
 
 
 def _factor(vary: Fields, name: str, scene: Scene) -> Factor:
     """A value, a list of values to combine, or `{uniform: [a, b]}` or `{choice: [...]}`, of which each shot draws."""
     given = vary.raw(name)
     if not isinstance(given, dict):
-        values = given if isinstance(given, list) else [given]
-        return Factor(name=name, values=_values(vary, name, values, scene))
+        return Factor(name=name, values=_values(vary, name, name, scene))
     entry = vary.fields(name, ("uniform", "choice"))
     if entry.has("uniform") == entry.has("choice"):
         raise vary.problem(name, "must have either uniform or choice")
     if entry.has("choice"):
-        choices = entry.raw("choice")
-        return Factor(
-            name=name,
-            values=_values(entry, "choice", choices if isinstance(choices, list) else [choices], scene, name),
-            drawn=True,
-        )
+        return Factor(name=name, values=_values(entry, "choice", name, scene), drawn=True)
     if name not in NUMBERS:
         raise vary.problem(name, "is not a number, and cannot be uniform", "give choice: [...]")
     least, most = entry.vector("uniform", 2).tolist()
     if not least < most:
         raise entry.problem("uniform", f"is [{least:g}, {most:g}], must ascend")
-    _check_number(entry, "uniform", name, least)
-    _check_number(entry, "uniform", name, most)
+    for end in (least, most):
+        _value(_alone(entry, "uniform", end), "uniform", name, scene)
     return Factor(name=name, uniform=(least, most), drawn=True)
 
 
-def _values(fields: Fields, key: str, values: list[Any], scene: Scene, name: str = "") -> tuple[Value, ...]:
-    if not values:
-        raise fields.problem(key, "has no value")
-    checked = tuple(_value(fields, key, name or key, value, scene) for value in values)
-    if len(set(checked)) < len(checked):
-        raise fields.problem(key, "has a value twice")
-    return checked
+def _values(fields: Fields, key: str, name: str, scene: Scene) -> tuple[Value, ...]:
+    """The values of the factor `name` at a key: one, or a list of different ones."""
+    given = fields.raw(key)
+    listed = given if isinstance(given, list) else [given]
+    values = tuple(_value(_alone(fields, key, each), key, name, scene) for each in listed)
+    if not values or len(set(values)) < len(values):
+        raise fields.problem(key, "has a value twice" if values else "has no value")
+    return values
 
 
-def _value(fields: Fields, key: str, name: str, value: Any, scene: Scene) -> Value:
+def _value(fields: Fields, key: str, name: str, scene: Scene) -> Value:
+    """A value of the factor `name`."""
     if name in SWITCHES:
-        if not isinstance(value, bool):
-            raise fields.problem(key, f"has {value!r}, must be true or false")
-        return value
-    if name in TEXTS:
-        return _text(fields, key, name, value, scene)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise fields.problem(key, f"has {value!r}, must be a number")
-    _check_number(fields, key, name, float(value))
-    return float(value)
-
-
-def _text(fields: Fields, key: str, name: str, value: Any, scene: Scene) -> str:
-    if not isinstance(value, str):
-        raise fields.problem(key, f"has {value!r}, must be a text")
-    if name == "sequence":
-        _check_sequence(fields, key, value, scene)
-        return value
-    known = tuple(scene.lights) if name == "light" else ("ring", "body")
-    if value not in known:
-        raise fields.problem(key, f"has {value!r}, must be of {', '.join(known)}", hint(value, known))
-    return value
-
-
-def _check_sequence(fields: Fields, key: str, text: str, scene: Scene) -> None:
+        return fields.boolean(key)
+    if name in NUMBERS:
+        return fields.number(key, *NUMBERS[name])
+    if name != "sequence":
+        return fields.choice(key, scene.lights if name == "light" else ("ring", "body"))
+    text = fields.text(key)
     try:
         masks = [step.mask(len(scene.rig.lasers.names)) for step in parsed_sequence(text)]
     except UsageError as error:
-        raise fields.problem(key, f"has {text!r}: {error.found}", error.remedy) from error
+        raise fields.problem(key, f"is {text!r}: {error.found}", error.remedy) from error
     if not any(masks):
-        raise fields.problem(key, f"has {text!r}, in which no laser is on")
-
-
-def _check_number(fields: Fields, key: str, name: str, value: float) -> None:
-    bounds = NUMBERS[name]
-    if not np.isfinite(value) or not bounds.least <= value <= bounds.most:
-        remedy = "a ring at or behind the camera cannot be seen" if name == "distance_m" and value <= 0 else ""
-        raise fields.problem(key, f"has {value:g}, must be from {bounds.least:g} to {bounds.most:g}", remedy)
+        raise fields.problem(key, f"is {text!r}, in which no laser is on")
+    return text
 
 
 def _check(fields: Fields, study: Study) -> None:
     """Reject factors that do not fit the level or the rig."""
     if study.shots > MAX_SHOTS:
-        raise fields.problem(
-            "", f"has {study.shots} shots, must have at most {MAX_SHOTS}", "give a smaller grid or count"
-        )
+        found = f"has {study.shots} shots, must have at most {MAX_SHOTS}"
+        raise fields.problem("", found, "give a smaller grid or count")
     for factor in study.factors:
-        _check_factor(fields, "vary", factor, study)
+        _check_factor(fields, f"vary.{factor.name}", factor, study)
     for name, own in study.cases.items():
         for factor in own:
             if factor.name == study.table:
                 raise fields.problem("table", f"is {study.table!r}, which a case changes", "give table: case")
-            _check_factor(fields, f"cases.{name}", factor, study)
+            _check_factor(fields, f"cases.{name}.{factor.name}", factor, study)
     if study.calibrate and study.level == "features":
         raise fields.problem("calibrate", "needs images", "give level: images")
     if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
         raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
 
 
-def _check_factor(fields: Fields, place: str, factor: Factor, study: Study) -> None:
-    key, scene = f"{place}.{factor.name}", study.scene
-    if factor.name in NUMBERS and NUMBERS[factor.name].only_features and study.level == "images":
+def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> None:
+    scene, given = study.scene, factor.uniform or factor.values
+    if factor.name in ONLY_FEATURES and study.level == "images":
         raise fields.problem(key, "is not rendered in images", "give level: features")
     if factor.name == "rig_errors" and True in factor.values and scene.rig.covariance is None:
         remedy = "give a rig.yaml with a covariance, as calibrate-planes writes it"
         raise fields.problem(key, "needs the rig's covariance, and the scene's rig has none", remedy)
     if factor.name == "stripe_dn" and study.level == "features":
-        largest_dn = max(cast(tuple[float, ...], factor.uniform or factor.values))
+        largest_dn = max(cast(tuple[float, ...], given))
         if largest_dn > 2**scene.sensor.bits - 1:
             raise fields.problem(key, f"has {largest_dn:g}; drawn features do not saturate", "give level: images")
     if factor.name == "radius_outer_m":
-        smallest_m = min(cast(tuple[float, ...], factor.uniform or factor.values))
+        smallest_m = min(cast(tuple[float, ...], given))
         inward_m = scene.ring.radius_outer_m - float(scene.ring.profile_m[:, 0].min())
         if smallest_m <= inward_m:
             found = f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section"
             raise fields.problem(key, found)
-
-
-def require_same(recorded: dict[str, Any], current: dict[str, Any], place: str) -> None:
-    """Reject results of another study or version; the message names the difference."""
-    for key, what in (("study_sha256", "another study"), ("code_sha256", "another version of ringpose")):
-        if recorded.get(key) != current[key]:
-            found = f"holds results of {what} ({recorded.get('title')}, version {recorded.get('version')})"
-            raise DataError(place, found, "choose another folder, or --force to discard them")

@@ -218,15 +218,8 @@ enum { ROUNDS = 2 };
 /* Index of the middle one of three sharp widths about index k. */
 static int inner_width(int k) { return k < 1 ? 1 : k > SHARP_WIDTHS - 2 ? SHARP_WIDTHS - 2 : k; }
 
-static int argmin_sharp(const double *cost) {
-    int k = 0;
-    for (int s = 1; s < SHARP_WIDTHS; s++)
-        if (cost[s] < cost[k]) k = s;
-    return k;
-}
-
 EdgeWidth blur_width(const Columns *columns, const EdgeFit *fit, double sigma, double correlation) {
-    int best = argmin_sharp(fit->cost), k = inner_width(best);
+    int best = argmin(fit->cost, SHARP_WIDTHS), k = inner_width(best);
     const double *w = &WIDTH[k], *cost = &fit->cost[k];
     double before = (cost[0] - cost[-1]) / (w[0] - w[-1]), after = (cost[1] - cost[0]) / (w[1] - w[0]);
     double curvature = (after - before) / (w[1] - w[-1]);
@@ -270,8 +263,7 @@ EdgeWidth pooled_width(const EdgeWidth *width, size_t ends, const EndParams *par
 }
 
 EdgeWidth combined_width(const EdgeWidth *own, const EdgeWidth *common, const EndParams *params) {
-    double others = 1 / (1 / common->information + params->width_spread * params->width_spread);
-    double all = own->information + others;
+    double others = weight_of(common, params), all = own->information + others;
     return (EdgeWidth){(own->logarithm * own->information + common->logarithm * others) / all, all};
 }
 

@@ -1,4 +1,4 @@
-/* Stripe endpoints: edges fitted with a pooled blur, their variances, covariances and flags. */
+/* Stripe endpoints: edges fitted with a pooled blur, and their variances. */
 #include "arguments.h"
 
 #include <math.h>
@@ -7,21 +7,6 @@
 
 #include "ends.h"
 #include "median.h"
-#include "tracks.h"
-
-typedef struct {
-    double width, border, saturated_share, kink_level, unclear;
-    double clipped_phase, facet_sigmas, fit_dof, min_columns;
-    double saturated, kink, clipped, blunt, unclear_flag; /* flags */
-} MarkParams;
-
-/* Output arrays; two ends for each laser, left and right. */
-typedef struct {
-    ptrdiff_t lasers;
-    double *position, *covariance; /* distorted pixels */
-    int64_t *flags;
-    double *track_end, *straight_sigma; /* ends of the tracks, undistorted pixels */
-} Marks;
 
 /* One end, as read from its image. */
 typedef struct {
@@ -37,13 +22,6 @@ typedef struct {
     EdgeWidth width;
     double blunt_gain[2]; /* left, right ends */
 } Pooled;
-
-static int argmin(const double *cost, int count) {
-    int k = 0;
-    for (int s = 1; s < count; s++)
-        if (cost[s] < cost[k]) k = s;
-    return k;
-}
 
 /* Gain in log likelihood by widths larger than that of the cross-section. */
 static double blunt_gain(const double cost[WIDTHS]) {
@@ -187,96 +165,6 @@ static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, Strip
     return done;
 }
 
-/* Weight of all stripes of a shot in the scatter of one, and the largest decrease of its logarithm by the others. */
-#define SHARED_WEIGHT 0.75
-#define MAX_DECREASE 0.3
-
-/* Mean logarithm of the error of the mean of a stripe's centres, times the root of their number. */
-static double mean_log_error(const Track *track, Py_ssize_t tracks) {
-    double sum = 0, columns = 0;
-    for (Py_ssize_t i = 0; i < tracks; i++) {
-        sum += track[i].count * log(track[i].scatter * sqrt(track[i].correlation));
-        columns += track[i].count;
-    }
-    return sum / columns;
-}
-
-/* The track with its scatter pooled with that of the others: surface, lens and speckle are the same for all stripes of a
-   shot, and the scatter of 40 correlated columns is uncertain by a third. That of a single stripe may be larger, on
-   textured background. */
-static Track with_pooled_scatter(Track track, double mean_log) {
-    double own = log(track.scatter * sqrt(track.correlation));
-    if (!isfinite(own) || !isfinite(mean_log)) return track;
-    track.scatter *= exp(fmax(SHARED_WEIGHT * (mean_log - own), -MAX_DECREASE));
-    return track;
-}
-
-/* Standard deviations of errors that all centres of a track have in common, so that their scatter does not show them:
-   the background, which shifts a centre by the relative change of the amplitude times the section's sigma; and
-   clipping. */
-typedef struct {
-    double background, shared;
-} HiddenErrors;
-
-static HiddenErrors hidden_errors(const Track *track, const StripeEnd end[2], const MarkParams *params) {
-    double section = end[0].section_sigma, facets = track->count / (params->facet_sigmas * section);
-    int clipped = end[0].saturated > params->saturated_share || end[1].saturated > params->saturated_share;
-    double rows = fmax(fabs(track->slope) * (track->x_end - track->x_start), 1);
-    if (isnan(section)) return (HiddenErrors){0, 0};
-    return (HiddenErrors){section * sqrt(end[0].background / fmax(facets, 1)),
-                          clipped ? params->clipped_phase / section / rows : 0};
-}
-
-/* Sigma of the middle of the edge; that of a blunt edge includes its width. */
-static double middle_of_edge(const StripeEnd *end) {
-    return end->blunt == 1 ? sqrt(fmax(end->sigma * end->sigma - end->width * end->width, 0)) : end->sigma;
-}
-
-static double flags_of(const StripeEnd *end, const MarkParams *params) {
-    int blunt = end->blunt == 1;
-    return (end->saturated > params->saturated_share ? params->saturated : 0) +
-           (end->outside > params->kink_level ? params->kink : 0) + (blunt ? params->blunt : 0) +
-           (middle_of_edge(end) > params->unclear ? params->unclear_flag : 0);
-}
-
-/* NaN everywhere, no flags. */
-static void clear_marks(Marks *marks) {
-    for (ptrdiff_t k = 0; k < 2 * marks->lasers; k++) {
-        for (int i = 0; i < 2; i++) marks->position[2 * k + i] = marks->track_end[2 * k + i] = NAN;
-        for (int i = 0; i < 4; i++) marks->covariance[4 * k + i] = NAN;
-        marks->straight_sigma[k] = NAN;
-        marks->flags[k] = 0;
-    }
-}
-
-/* Covariance: sigma of the edge along the line, sigma of the line across it. */
-static void place(const StripeEnd *end, double across, double position[2], double covariance[4]) {
-    double along = end->sigma * end->sigma;
-    position[0] = end->x;
-    position[1] = end->y;
-    covariance[0] = along;
-    covariance[1] = covariance[2] = along * end->slope;
-    covariance[3] = along * end->slope * end->slope + across * across;
-}
-
-/* `fit_dof`: independent columns that the fit of the line removes from the estimate of the scatter. */
-static void mark_ends(const Track *track, const StripeEnd end[2], ptrdiff_t laser, double fit_dof,
-                      const MarkParams *params, Marks *marks) {
-    HiddenErrors hidden = hidden_errors(track, end, params);
-    double middle = fmax(middle_sigma(track, fit_dof, params->min_columns), hidden.background);
-    for (int side = 0; side < 2; side++) {
-        ptrdiff_t k = 2 * laser + side;
-        double x = side ? track->x_end : track->x_start;
-        int inside = end[side].x >= params->border && end[side].x <= params->width - 1 - params->border;
-        double across = hypot(line_sigma(track, end[side].x, middle), hidden.shared);
-        if (inside) place(&end[side], across, marks->position + 2 * k, marks->covariance + 4 * k);
-        marks->flags[k] = (int64_t)(inside ? flags_of(&end[side], params) : params->clipped);
-        marks->track_end[2 * k] = x;
-        marks->track_end[2 * k + 1] = line_y(track, x);
-        marks->straight_sigma[k] = hypot(line_sigma(track, x, middle), hidden.shared);
-    }
-}
-
 PyObject *call_end_columns(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {{"lit", 'I', {N, M}},
@@ -324,43 +212,4 @@ PyObject *call_ends(PyObject *module, PyObject *tuple) {
     free(draft);
     found.used = ends;
     return close_arguments(&a, list_bytes(done, &found));
-}
-
-static int check_lasers(const int64_t *laser, Py_ssize_t tracks, Py_ssize_t lasers) {
-    for (Py_ssize_t i = 0; i < tracks; i++) {
-        if (laser[i] >= 0 && laser[i] < lasers) continue;
-        PyErr_Format(PyExc_ValueError, "lasers: number %zd is not of the rig", i);
-        return 0;
-    }
-    return 1;
-}
-
-PyObject *call_marks(PyObject *module, PyObject *tuple) {
-    (void)module;
-    static const Parameter parameter[] = {{"tracks", 'd', {N, NUMBERS(Track)}},
-                                          {"ends", 'd', {N, 2, NUMBERS(StripeEnd)}},
-                                          {"lasers", 'q', {N}},
-                                          {"params", 'T', {NUMBERS(MarkParams)}},
-                                          {">position", 'd', {M, 2, 2}},
-                                          {">covariance", 'd', {M, 2, 2, 2}},
-                                          {">flags", 'q', {M, 2}},
-                                          {">straight", 'd', {M, 2, 2}},
-                                          {">sigma", 'd', {M, 2}}};
-    Arguments a;
-    if (!OPEN(tuple, parameter, &a)) return NULL;
-    const Py_ssize_t tracks = a.view[0].shape[0];
-    const int64_t *laser = a.view[2].buf;
-    const Track *track = a.view[0].buf;
-    const StripeEnd *end = a.view[1].buf;
-    const MarkParams *params = (const MarkParams *)a.number[3];
-    Marks marks = {a.view[4].shape[0], a.view[4].buf, a.view[5].buf, a.view[6].buf, a.view[7].buf, a.view[8].buf};
-    if (!check_lasers(laser, tracks, marks.lasers)) return close_arguments(&a, NULL);
-    clear_marks(&marks);
-    const double mean_log = mean_log_error(track, tracks);
-    const double fit_dof = params->fit_dof / sqrt((double)tracks);
-    for (Py_ssize_t i = 0; i < tracks; i++) {
-        const Track pooled = with_pooled_scatter(track[i], mean_log);
-        mark_ends(&pooled, &end[2 * i], (ptrdiff_t)laser[i], fit_dof, params, &marks);
-    }
-    return close_arguments(&a, Py_BuildValue(""));
 }

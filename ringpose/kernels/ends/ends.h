@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "tracks.h"
+#include "lens.h"
 
 /* ---- images and parameters ---- */
 
@@ -176,13 +176,19 @@ double variance_over_places(const Columns *columns, const EdgeFit *fit, const Ed
 enum { CDF_STEPS = 800 };
 extern double NORMAL_CDF[CDF_STEPS + 1];
 
-
 static inline double normal_cdf(double t) {
     if (!(t > -4)) return 0;
     if (t >= 4) return 1;
     double at = (t + 4) * 100;
     int low = at < CDF_STEPS - 1 ? (int)at : CDF_STEPS - 1; /* the last numbers below 4 become 800 when 4 is added */
     return NORMAL_CDF[low] + (NORMAL_CDF[low + 1] - NORMAL_CDF[low]) * (at - low);
+}
+
+static inline int argmin(const double *cost, int count) {
+    int k = 0;
+    for (int s = 1; s < count; s++)
+        if (cost[s] < cost[k]) k = s;
+    return k;
 }
 
 /* Vertex of the parabola through three equidistant values, in their distance from the middle one; 0 if it is not a

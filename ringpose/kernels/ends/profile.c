@@ -11,12 +11,6 @@
 
 enum { MAX_REACH = 14, MAX_ROWS = 2 * MAX_REACH + 1 };
 
-/* Pixels of one column about the stripe's line. */
-typedef struct {
-    int rows;
-    double offset[MAX_ROWS], shape[MAX_ROWS], bright[MAX_ROWS], ambient[MAX_ROWS];
-} Section;
-
 /* Rows of a section that are used: those beyond `inner` from the line; those beyond `flank` give the background level,
    those of a side that is brighter than the other by more than `contrast` excepted. */
 typedef struct {
@@ -26,18 +20,11 @@ typedef struct {
 /* Offset of a row that is not used. */
 #define UNUSED (-1.0)
 
-typedef struct {
-    double value, residual_variance, gain; /* amplitude; gain: variance of the amplitude over that of a pixel */
-} Peak;
-
 /* A pixel of either image. */
 static inline double pixel(const Images *images, const void *data, ptrdiff_t row, ptrdiff_t column) {
     ptrdiff_t at = row * images->width + column;
     return images->wide ? (double)((const uint16_t *)data)[at] : (double)((const uint8_t *)data)[at];
 }
-
-/* Columns that are fitted at once. */
-enum { TOGETHER = 4 };
 
 enum { SECTION_ROWS = 10, ROWS = 2 * SECTION_ROWS + 1, SECTION_COLUMNS = 64, SIGMAS = 17 };
 
@@ -122,124 +109,72 @@ static double section_sigma(const Images *images, const double *y, ptrdiff_t fir
     return 0.7 * pow(4 / 0.7, (k + shift) / 16);
 }
 
-/* The rows up to `reach` from the line at y; at the border the outermost are repeated. */
-static void read_section(const Images *images, double y, ptrdiff_t column, int reach, Section *section) {
-    ptrdiff_t middle = (ptrdiff_t)rint(y);
-    section->rows = 2 * reach + 1;
-    for (int k = 0; k < section->rows; k++) {
-        ptrdiff_t row = middle + k - reach, at = row < 0 ? 0 : row >= images->height ? images->height - 1 : row;
-        section->offset[k] = fabs((double)at - y);
-        section->bright[k] = pixel(images, images->lit, at, column);
-        if (images->dark) section->ambient[k] = pixel(images, images->dark, at, column);
-    }
-    double darker = fmin(section->bright[0], section->bright[section->rows - 1]);
-    for (int k = 0; !images->dark && k < section->rows; k++) section->ambient[k] = darker;
-}
-
-/* Adds to a section that was read what a stripe of that sigma and a peak of 1 would show. */
-static void shape_section(const Images *images, double y, double sigma, int reach, Section *section) {
-    double per_variance = 1 / (sigma * sigma), middle = rint(y), off = y - middle, *shape = section->shape;
-    if (middle < reach || middle + reach >= (double)images->height) { /* rows are repeated there */
-        for (int k = 0; k < section->rows; k++)
-            shape[k] = exp(-0.5 * section->offset[k] * section->offset[k] * per_variance);
-        return;
-    }
-    double here = exp(-0.5 * off * off * per_variance), fall = exp(-0.5 * per_variance);
-    double ratio = exp(off * per_variance), value[MAX_ROWS];
-    fill_gauss(fall, ratio, reach + 1, value);
-    for (int k = 0; k <= reach; k++) shape[reach + k] = here * value[k];
-    fill_gauss(fall, 1 / ratio, reach + 1, value);
-    for (int k = 1; k <= reach; k++) shape[reach - k] = here * value[k];
-}
-
-/* Peak of the Gaussian section on the level of the rows beside it, in values of its rows. */
-static Peak fitted_peak(const Section *section, const double *value, const Parts *parts) {
-    double level = 0, under = 0, norm = 0, sum = 0, weights = 0, squares = 0, residuals = 0;
-    int beside = 0, used = 0;
-    for (int k = 0; k < section->rows; k++)
-        if (section->offset[k] > parts->flank) {
-            beside++;
-            level += value[k];
-            under += section->shape[k];
-        }
-    if (beside) level /= beside;
-    if (beside) under /= beside;
-    for (int k = 0; k < section->rows; k++) {
-        double shape = section->shape[k];
-        if (!(section->offset[k] > parts->inner) || section->offset[k] > parts->flank) continue;
-        norm += shape * (shape - under);
-        sum += shape * (value[k] - level);
-        weights += shape;
-        squares += shape * shape;
-    }
-    norm = fmax(norm, 1e-9);
-    Peak peak = {sum / norm, 0, (squares + (beside ? weights * weights / beside : 0)) / (norm * norm)};
-    for (int k = 0; k < section->rows; k++) {
-        if (!(section->offset[k] > parts->inner)) continue;
-        double residual = value[k] - level - peak.value * (section->shape[k] - under);
-        residuals += residual * residual;
-        used++;
-    }
-    peak.residual_variance = residuals / (used > 3 ? used - 2 : 1);
-    return peak;
-}
-
-/* ---- four columns at once ---- */
-
+/* Columns that are fitted together, in GNU C vectors. */
+enum { TOGETHER = 4 };
 typedef double Doubles __attribute__((vector_size(8 * TOGETHER), aligned(8), may_alias));
 typedef int64_t Masks __attribute__((vector_size(8 * TOGETHER), aligned(8), may_alias));
 
+/* The rows of some columns about the stripe's line: distance from it, light of the lasers, and what a stripe with a peak
+   of 1 would show. */
 typedef struct {
     Doubles offset[MAX_ROWS], value[MAX_ROWS], shape[MAX_ROWS];
 } Sections;
 
-/* True if the sections of this number of columns lie in the image. */
-static int sections_inside(const Images *images, const double *y, int reach) {
-    int inside = 1;
-    for (int i = 0; i < TOGETHER; i++)
-        inside &= rint(y[i]) >= reach && rint(y[i]) + reach < (double)images->height;
-    return inside;
+/* Amplitudes, residual variances, and variances of the amplitudes over that of a pixel. */
+typedef struct {
+    Doubles value, residual_variance, gain;
+} Peaks;
+
+/* First row of a column's section. Of a line far outside the image none lies in it. */
+static inline ptrdiff_t top_row(const Images *images, double y, int reach) {
+    return (ptrdiff_t)fmin(fmax(rint(y), -reach - 1), (double)(images->height + reach)) - reach;
 }
 
-static inline void load_sections(const Images *images, const double *y, ptrdiff_t first, int reach,
-                                 Sections *sections) {
-    for (int i = 0; i < TOGETHER; i++) {
-        double *value = (double *)sections->value + i, *offset = (double *)sections->offset + i;
-        ptrdiff_t top = (ptrdiff_t)rint(y[i]) - reach;
-        for (int k = 0; k <= 2 * reach; k++) {
-            value[TOGETHER * k] = pixel(images, images->lit, top + k, first + i);
-            offset[TOGETHER * k] = fabs((double)(top + k) - y[i]);
-        }
-        for (int k = 0; images->dark && k <= 2 * reach; k++)
-            value[TOGETHER * k] -= pixel(images, images->dark, top + k, first + i);
-    }
+/* At the border the outermost rows are repeated. */
+static inline ptrdiff_t inside(const Images *images, ptrdiff_t row) {
+    return row < 0 ? 0 : row < images->height ? row : images->height - 1;
 }
 
-static inline void shape_sections(const double *y, double sigma, int reach, Sections *sections) {
-    double per_variance = 1 / (sigma * sigma), fall = exp(-0.5 * per_variance), square = fall * fall;
+/* Sections of the columns of the profile with those indices, up to `reach` from the line. */
+static inline void load_sections(const Images *images, const Profile *profile, const ptrdiff_t index[TOGETHER],
+                                 int reach, Sections *sections) {
+    double per_variance = 1 / (profile->sigma * profile->sigma), fall = exp(-0.5 * per_variance), square = fall * fall;
     Doubles here, ratio;
     for (int i = 0; i < TOGETHER; i++) {
-        double off = y[i] - rint(y[i]);
+        double *value = (double *)sections->value + i, *offset = (double *)sections->offset + i;
+        double y = profile->y[index[i]], off = y - rint(y);
+        ptrdiff_t top = top_row(images, y, reach), column = profile->first + index[i];
         here[i] = exp(-0.5 * off * off * per_variance);
         ratio[i] = exp(off * per_variance);
+        for (int k = 0; k <= 2 * reach; k++) {
+            ptrdiff_t row = inside(images, top + k);
+            value[TOGETHER * k] = pixel(images, images->lit, row, column);
+            offset[TOGETHER * k] = fabs((double)row - y);
+            if (images->dark) value[TOGETHER * k] -= pixel(images, images->dark, row, column);
+        }
     }
     Doubles below = here - here + 1, above = below, down = fall * ratio, up = fall * (1 / ratio);
-    Doubles *shape = sections->shape + reach;
     for (int k = 0; k <= reach; k++) {
-        shape[k] = here * below;
-        shape[-k] = here * above;
+        sections->shape[reach + k] = here * below;
+        sections->shape[reach - k] = here * above;
         below *= down;
         above *= up;
         down *= square;
         up *= square;
+    }
+    for (int i = 0; i < TOGETHER; i++) { /* rows that are repeated */
+        ptrdiff_t top = top_row(images, profile->y[index[i]], reach);
+        if (top >= 0 && top + 2 * reach < images->height) continue;
+        for (int k = 0; k <= 2 * reach; k++)
+            if (inside(images, top + k) != top + k)
+                sections->shape[k][i] = exp(-0.5 * sections->offset[k][i] * sections->offset[k][i] * per_variance);
     }
 }
 
 /* A vector where a mask is set, else 0. */
 #define WHERE(mask, vector) ((Doubles)((Masks)(vector) & (mask)))
 
-/* Leaves out the rows of a brighter side, where a stripe on the body lies a few rows beside the line. Sections at the
-   image's border, and the last columns of a profile, are fitted one by one, with both sides. */
+/* Leaves out the rows of a brighter side, where a stripe on the body lies a few rows beside the line. */
 static inline void leave_out_brighter_sides(Sections *sections, int rows, const Parts *parts) {
     const Doubles zero = {0}, one = zero + 1;
     Doubles sum[2] = {zero, zero}, count[2] = {zero, zero};
@@ -256,7 +191,8 @@ static inline void leave_out_brighter_sides(Sections *sections, int rows, const 
     }
 }
 
-static inline void fit_peaks(const Sections *sections, int rows, const Parts *parts, Doubles peak[3]) {
+/* Peaks of the Gaussian sections on the level of the rows beside them. */
+static inline void fit_peaks(const Sections *sections, int rows, const Parts *parts, Peaks *peaks) {
     const Doubles zero = {0}, one = zero + 1;
     Doubles level = zero, under = zero, beside = zero, used = zero, residuals = zero;
     Doubles norm = zero, sum = zero, weights = zero, squares = zero;
@@ -280,30 +216,57 @@ static inline void fit_peaks(const Sections *sections, int rows, const Parts *pa
     }
     Masks enough = norm > 1e-9;
     norm = WHERE(enough, norm) + WHERE(~enough, zero + 1e-9);
-    peak[0] = sum / norm;
-    peak[2] = (squares + WHERE(any, weights * weights / count)) / (norm * norm);
+    peaks->value = sum / norm;
+    peaks->gain = (squares + WHERE(any, weights * weights / count)) / (norm * norm);
     for (int k = 0; k < rows; k++) {
         Masks here = sections->offset[k] > parts->inner;
-        Doubles residual = sections->value[k] - level - peak[0] * (sections->shape[k] - under);
+        Doubles residual = sections->value[k] - level - peaks->value * (sections->shape[k] - under);
         residuals += WHERE(here, residual * residual);
         used += WHERE(here, one);
     }
     Masks many = used > 3;
-    peak[1] = residuals / (WHERE(many, used - 2) + WHERE(~many, one));
+    peaks->residual_variance = residuals / (WHERE(many, used - 2) + WHERE(~many, one));
 }
 
-/* The same peaks of this number of columns first, first + 1, ... with the line at y, in what the lasers add. */
+/* Peaks in what the lasers add to columns of the profile. */
 VECTOR_LOOP
-static void fitted_peaks(const Images *images, const double *y, ptrdiff_t first, double sigma, int reach,
-                         const Parts *parts,
-                  Peak peak[TOGETHER]) {
+static void fit_lit_peaks(const Images *images, const Profile *profile, const ptrdiff_t index[TOGETHER], int reach,
+                          const Parts *parts, Peaks *peaks) {
     Sections sections;
-    Doubles found[3];
-    load_sections(images, y, first, reach, &sections);
-    shape_sections(y, sigma, reach, &sections);
+    load_sections(images, profile, index, reach, &sections);
     if (isfinite(parts->contrast)) leave_out_brighter_sides(&sections, 2 * reach + 1, parts);
-    fit_peaks(&sections, 2 * reach + 1, parts, found);
-    for (int i = 0; i < TOGETHER; i++) peak[i] = (Peak){found[0][i], found[1][i], found[2][i]};
+    fit_peaks(&sections, 2 * reach + 1, parts, peaks);
+}
+
+/* Light beside the stripe: in the image without lasers, or of the darker end of the section. */
+static inline double ambient_at(const Images *images, ptrdiff_t top, int reach, int k, ptrdiff_t column) {
+    if (images->dark) return pixel(images, images->dark, inside(images, top + k), column);
+    return fmin(pixel(images, images->lit, inside(images, top), column),
+                pixel(images, images->lit, inside(images, top + 2 * reach), column));
+}
+
+/* Amplitudes that a fit finds of stripes with some peaks, where saturation clips them. */
+VECTOR_LOOP
+static void fit_clipped_peaks(const Images *images, const Profile *profile, const ptrdiff_t index[TOGETHER], int reach,
+                              const Parts *parts, double saturation, const double *peak, int count, Doubles *shown) {
+    Sections sections;
+    Doubles room[MAX_ROWS];
+    Peaks peaks;
+    load_sections(images, profile, index, reach, &sections);
+    for (int i = 0; i < TOGETHER; i++) {
+        ptrdiff_t top = top_row(images, profile->y[index[i]], reach);
+        for (int k = 0; k <= 2 * reach; k++)
+            room[k][i] = fmax(saturation - ambient_at(images, top, reach, k, profile->first + index[i]), 0);
+    }
+    for (int n = 0; n < count; n++) {
+        for (int k = 0; k <= 2 * reach; k++) {
+            Doubles light = peak[n] * sections.shape[k];
+            Masks below = light < room[k];
+            sections.value[k] = WHERE(below, light) + WHERE(~below, room[k]);
+        }
+        fit_peaks(&sections, 2 * reach + 1, parts, &peaks);
+        shown[n] = peaks.value;
+    }
 }
 
 enum { CURVE_POINTS = 64, WINDOW = 64, RUN = 5 };
@@ -398,18 +361,6 @@ static double saturated_half_width(double *half_width, size_t face, double sigma
     return widest > 0 ? fmin(widest + 0.5, params->flank_sigmas * sigma - 1) : -1;
 }
 
-/* Marks a column with a saturated pixel; returns the largest distance from the line at which the stripe is saturated. */
-static double mark_saturation(Profile *profile, ptrdiff_t i, const Section *section, const EndParams *params) {
-    double widest = 0;
-    profile->saturated[i] = 0;
-    for (int k = 0; k < section->rows; k++)
-        if (section->bright[k] >= params->saturation) {
-            profile->saturated[i] = 1;
-            if (section->ambient[k] < params->saturation / 2) widest = fmax(widest, section->offset[k]);
-        }
-    return widest;
-}
-
 double low_residual_variance(double *variance, size_t n) { return LOW_TO_MEAN * kth(variance, n, (n - 1) / 4); }
 
 /* Residual variance beyond the ends of the face, where the stripe is dark: the smaller of both sides. */
@@ -452,14 +403,6 @@ static void fill_texture(Profile *profile, double expected, const EndParams *par
     profile->background = background / ((double)face * expected * expected);
 }
 
-/* Amplitude that a fit finds of a stripe with this peak, where saturation clips it. */
-static double visible_peak(const Section *section, double peak, const Parts *parts, const EndParams *params) {
-    double shown[MAX_ROWS];
-    for (int k = 0; k < section->rows; k++)
-        shown[k] = fmin(peak * section->shape[k], fmax(params->saturation - section->ambient[k], 0));
-    return fitted_peak(section, shown, parts).value;
-}
-
 /* Peak of which clipping leaves the observed amplitude: in the median of some columns of the face. */
 static double unclipped_peak(const Images *images, const Profile *profile, int reach, const Parts *parts,
                              double observed, const EndParams *params) {
@@ -467,12 +410,13 @@ static double unclipped_peak(const Images *images, const Profile *profile, int r
     const ptrdiff_t face = profile->face_last - profile->face_first + 1;
     const ptrdiff_t some = face < PEAK_COLUMNS ? face : PEAK_COLUMNS;
     for (double peak = observed; peak < MAX_PEAK * params->saturation; peak *= PEAK_STEP) {
-        for (ptrdiff_t k = 0; k < some; k++) {
-            Section section;
-            const ptrdiff_t i = profile->face_first + k * face / some;
-            read_section(images, profile->y[i], profile->first + i, reach, &section);
-            shape_section(images, profile->y[i], profile->sigma, reach, &section);
-            shown[k] = visible_peak(&section, peak, parts, params);
+        for (ptrdiff_t first = 0; first < some; first += TOGETHER) {
+            ptrdiff_t index[TOGETHER];
+            Doubles found;
+            for (ptrdiff_t k = 0; k < TOGETHER; k++)
+                index[k] = profile->face_first + (first + k < some ? first + k : some - 1) * face / some;
+            fit_clipped_peaks(images, profile, index, reach, parts, params->saturation, &peak, 1, &found);
+            for (ptrdiff_t k = 0; k < TOGETHER && first + k < some; k++) shown[first + k] = found[k];
         }
         const double here = median(shown, (size_t)some);
         if (here >= observed)
@@ -483,46 +427,38 @@ static double unclipped_peak(const Images *images, const Profile *profile, int r
     return MAX_PEAK * params->saturation;
 }
 
+/* Indices of columns next to each other; beyond the last one it is repeated. */
+static void neighbours(const Profile *profile, ptrdiff_t first, ptrdiff_t index[TOGETHER]) {
+    for (ptrdiff_t k = 0; k < TOGETHER; k++) index[k] = first + k < profile->count ? first + k : profile->count - 1;
+}
+
 /* Headroom of each column for a stripe of the expected amplitude. */
 static void fill_room(const Images *images, Profile *profile, int reach, const Parts *parts, double expected,
                       const EndParams *params) {
-    static const double lit[LIGHT_LEVELS] = {0.1, 0.5, 1};
-    Section section;
+    const double peak[LIGHT_LEVELS] = {0.1 * expected, 0.5 * expected, expected};
     profile->clipped = 1;
-    for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile->y[i], profile->first + i, reach, &section);
-        shape_section(images, profile->y[i], profile->sigma, reach, &section);
-        for (int r = 0; r < LIGHT_LEVELS; r++)
-            profile->headroom[r][i] = visible_peak(&section, lit[r] * expected, parts, params) / (lit[r] * expected);
+    for (ptrdiff_t i = 0; i < profile->count; i += TOGETHER) {
+        ptrdiff_t index[TOGETHER];
+        Doubles shown[LIGHT_LEVELS];
+        neighbours(profile, i, index);
+        fit_clipped_peaks(images, profile, index, reach, parts, params->saturation, peak, LIGHT_LEVELS, shown);
+        for (int level = 0; level < LIGHT_LEVELS; level++)
+            for (int k = 0; k < TOGETHER; k++) profile->headroom[level][index[k]] = shown[level][k] / peak[level];
     }
-}
-
-/* Amplitudes of one or TOGETHER columns from the i-th on; returns how many. */
-static ptrdiff_t next_peaks(const Images *images, const Profile *profile, ptrdiff_t i, int reach, const Parts *parts,
-                            Peak peak[TOGETHER]) {
-    const double *y = profile->y + i;
-    if (profile->count - i >= TOGETHER && sections_inside(images, y, reach)) {
-        fitted_peaks(images, y, profile->first + i, profile->sigma, reach, parts, peak);
-        return TOGETHER;
-    }
-    Section section;
-    read_section(images, *y, profile->first + i, reach, &section);
-    shape_section(images, *y, profile->sigma, reach, &section);
-    for (int k = 0; images->dark && k < section.rows; k++) section.bright[k] -= section.ambient[k];
-    *peak = fitted_peak(&section, section.bright, parts);
-    return 1;
 }
 
 /* Amplitude and residual variance of every column; the gain is that of the first one. Returns the amplitude on the face
    (median). */
 static double fill_peaks(const Images *images, Profile *profile, int reach, const Parts *parts) {
-    Peak peak[TOGETHER];
-    for (ptrdiff_t i = 0, found; i < profile->count; i += found) {
-        found = next_peaks(images, profile, i, reach, parts, peak);
-        if (i == 0) profile->gain = peak[0].gain;
-        for (ptrdiff_t k = 0; k < found; k++) {
-            profile->amplitude[i + k] = peak[k].value;
-            profile->residual_variance[i + k] = peak[k].residual_variance;
+    for (ptrdiff_t i = 0; i < profile->count; i += TOGETHER) {
+        ptrdiff_t index[TOGETHER];
+        Peaks peaks;
+        neighbours(profile, i, index);
+        fit_lit_peaks(images, profile, index, reach, parts, &peaks);
+        if (i == 0) profile->gain = peaks.gain[0];
+        for (int k = 0; k < TOGETHER; k++) {
+            profile->amplitude[index[k]] = peaks.value[k];
+            profile->residual_variance[index[k]] = peaks.residual_variance[k];
         }
     }
     size_t face = (size_t)(profile->face_last - profile->face_first + 1);
@@ -530,28 +466,21 @@ static double fill_peaks(const Images *images, Profile *profile, int reach, cons
     return fmax(median(profile->scratch, face), 1);
 }
 
-/* Marks saturation in a column; returns its brightest ambient light. */
+/* Marks saturation in a column, with its largest distance from the line in `scratch`; returns the brightest ambient
+   light. */
 static double scan_column(const Images *images, Profile *profile, ptrdiff_t i, int reach, const EndParams *params) {
-    double maximum = 0, middle = rint(profile->y[i]), brightest = 0;
-    ptrdiff_t column = profile->first + i, row = (ptrdiff_t)middle - reach;
+    double y = profile->y[i], brightest = 0, darkest = INFINITY;
+    ptrdiff_t column = profile->first + i, top = top_row(images, y, reach);
     for (int k = 0; k < LIGHT_LEVELS; k++) profile->headroom[k][i] = 1;
     profile->scratch[i] = profile->saturated[i] = 0;
-    if (!images->dark && middle >= reach && middle + reach < (double)images->height) {
-        for (int k = 0; k <= 2 * reach; k++) {
-            double here = pixel(images, images->lit, row + k, column);
-            maximum = here > maximum ? here : maximum;
-        }
-        double start = pixel(images, images->lit, row, column), end = pixel(images, images->lit, row + 2 * reach, column);
-        profile->ambient[i] = INFINITY;
-        if (maximum < params->saturation) return fmin(start, end);
-    }
-    Section section;
-    read_section(images, profile->y[i], column, reach, &section);
-    profile->scratch[i] = mark_saturation(profile, i, &section, params);
-    double darkest = INFINITY;
-    for (int k = 0; k < section.rows; k++) {
-        brightest = fmax(brightest, section.ambient[k]);
-        darkest = fmin(darkest, section.ambient[k]);
+    for (int k = 0; k <= 2 * reach; k++) {
+        ptrdiff_t row = inside(images, top + k);
+        double ambient = ambient_at(images, top, reach, k, column);
+        brightest = ambient > brightest ? ambient : brightest;
+        darkest = ambient < darkest ? ambient : darkest;
+        if (pixel(images, images->lit, row, column) < params->saturation) continue;
+        profile->saturated[i] = 1;
+        if (ambient < params->saturation / 2) profile->scratch[i] = fmax(profile->scratch[i], fabs((double)row - y));
     }
     profile->ambient[i] = images->dark ? brightest - darkest : INFINITY;
     return brightest;

@@ -1,7 +1,6 @@
-"""Arguments of the kernels for line segments through stripe centres (tracks), the ring's rim, and arcs.
+"""Arguments of the kernels for line segments through stripe centres (tracks) and for the ring's rim.
 
-The sources are tracks.c (segmentation and line fits), rim.c (which segments lie on the rim of one planar ring) and
-arcs.c (two concentric arcs through the segments' endpoints).
+The sources are tracks.c (segmentation and line fits) and rim.c (which segments lie on the rim of one planar ring).
 """
 
 import math
@@ -28,21 +27,30 @@ class Lens(NamedTuple):
 class TrackParams(NamedTuple):
     """Parameters of the segmentation of stripe centres into straight tracks."""
 
-    kink_px: float
-    """A piece is split where it deviates from its chord by more than this plus 1.5 sigmas of its centres."""
-    joined_px: float
-    """Tracks are joined if their lines differ by less than this, plus two of their sigmas, in the middle of the gap."""
-    short_series: float
-    """Bias correction: factor on the correlation of residuals, which a line fit reduces in short series."""
-    on_line_px: float
-    """A centre belongs to a line if it is closer to it than this."""
+    image_width: float
     border_px: float
     """A track that ends closer than this to the image's left or right border is clipped."""
-    min_columns: float
-    image_width: float
-    max_lag: float
-    """Largest lag, in columns, of the autocorrelation of residuals."""
+    kink_px: float = 0.6
+    """A piece is split where it deviates from its chord by more than this plus 1.5 sigmas of its centres."""
+    joined_px: float = 0.5
+    """Tracks are joined if their lines differ by less than this, plus two of their sigmas, in the middle of the gap."""
+    short_series: float = 1.25
+    """Bias correction of the autocorrelations: fitting a line removes a part of those of a short series."""
+    on_line_px: float = 2.5
+    """A centre belongs to a line if it is closer than this; the nearest body behind a ring is 4 px away at 1 m."""
+    min_columns: float = 10
+    """Minimum length of a track whose direction is usable; 20 mm of ring at 1 m are twice as long."""
+    max_lag: float = 40
+    """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
+
+FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS = 5.0, 0.5
+"""Degrees of freedom, in independent columns, that a line fit removes from a series, and the minimum that remains.
+
+The line absorbs part of the correlated errors, which then show neither in the scatter nor in the autocorrelation:
+without this correction, at 29 columns and a speckle of 4 px (30 mm at 1 m, wide lens), one line in ten was off by three
+sigmas.
+"""
 
 TRACK_COLUMNS = (
     "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
@@ -55,53 +63,63 @@ LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION,
     len(TRACK_COLUMNS)
 )
 
+MAX_CUT, COLUMNS_PER_CUT = 4, 12
+"""Centres at either end of a track that its line does not use (tracks.h): at most so many, one for so many columns."""
+
 
 class UnionParams(NamedTuple):
     """Conditions under which tracks on a common line are also tried as one merged track."""
 
-    min_beyond_ends: float
+    min_beyond_ends: float = 5
     """Fewest centres on a track's line beyond its ends; with fewer there is nothing to merge it with."""
-    max_gap: float
+    max_gap: float = 0.5
     """Longest gap, as a share of the length of both tracks together."""
-    separation_px: float
-    """Largest distance of the two lines in the middle of the gap,"""
-    separation_sigmas: float
+    separation_px: float = 1.0
+    """Largest distance of the two lines in the middle of the gap, for facets,"""
+    separation_sigmas: float = 3.0
     """to which this many of its sigmas are added."""
-    max_separation_px: float
+    max_separation_px: float = 6.0
     """Limit of that distance, whatever the sigmas."""
-    rounds: float
-    """Number of merging rounds; each adds one more track."""
-    fit_dof: float
-    """Degrees of freedom that the line fit takes from the number of independent columns,"""
-    min_columns: float
-    """and the smallest number that is left."""
+    rounds: float = 2
+    """Number of rounds of pairwise merging: up to four tracks become one."""
+    fit_dof: float = FIT_DOF_CORRECTION
+    min_columns: float = MIN_SEGMENT_COLUMNS
+
+
+DEPTH_RANGE_M = (0.05, 3.0)
+"""Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""
+
+FACE_LENGTH_M = (0.003, 0.1)
+"""Range of the length of a stripe on the face: the faces of adapter rings are 20 to 60 mm wide, and stripes cross them
+at 45 degrees or more."""
 
 
 class CandidateParams(NamedTuple):
     """Which tracks are candidates for the rim, and how they are ranked for each laser."""
 
-    min_depth_m: float
-    max_depth_m: float
-    """Depth range of the rim."""
-    min_length_m: float
-    max_length_m: float
-    """Length range of a stripe on it."""
-    typical_scatter_px: float
-    """The merit of a track is 2 log(columns) - (scatter / typical_scatter)^2 / 2, less the penalties below."""
-    max_counted_columns: float
-    """Columns beyond this number do not increase the merit."""
-    spill_penalty: float
-    """Penalty if all centres on the line lie beyond the ends of the track, proportional to their share."""
-    coincidence_penalty: float
+    min_depth_m: float = DEPTH_RANGE_M[0]
+    max_depth_m: float = DEPTH_RANGE_M[1]
+    min_length_m: float = FACE_LENGTH_M[0]
+    max_length_m: float = FACE_LENGTH_M[1]
+    typical_scatter_px: float = 0.3
+    """Scatter of a stripe's centres about its line, on metal. The merit of a track is 2 log(columns) -
+    (scatter / typical_scatter)^2 / 2, less the penalties below."""
+    max_counted_columns: float = 120
+    """Columns beyond this number do not increase the merit: the longest tracks are on the body."""
+    spill_penalty: float = 15.0
+    """Penalty if all centres on the line lie beyond the ends of the track, where the face should end; proportional to
+    their share."""
+    coincidence_penalty: float = 3.0
     """Limit of that penalty if the centres may belong to another laser's stripe on the body behind the rim, at ..."""
-    min_behind_m: float
-    max_behind_m: float
-    """... a distance in this range behind it."""
-    clipped_penalty: float
-    """Penalty of a track that is truncated by the image border."""
-    union_penalty: float
-    """Penalty of a merged track."""
-    most: float
+    min_behind_m: float = 0.01
+    max_behind_m: float = 0.3
+    """... a distance in this range behind it: light planes are nearly parallel, so that one face in five has another
+    laser's stripe on its line."""
+    clipped_penalty: float = 4.0
+    """Penalty of a track that is truncated by the image border: its end was not observed."""
+    union_penalty: float = 3.0
+    """Penalty of a merged track: merging also favours the body's stripes, which shadows and glints break."""
+    most: float = 20
     """Largest number of candidates for each laser."""
 
 
@@ -113,23 +131,26 @@ class RingParams(NamedTuple):
     principal_x: float
     principal_y: float
     image_height: float
-    border_px: float
+    border_px: float = 15.0
     """A stripe closer than this to the upper or lower border may be missed without penalty."""
-    along_sigma_px: float
-    """Sigma of the distance of a track's end from its circle."""
-    across_sigma_px: float
-    """Sigma of the distance of a track from the line in which the plane cuts the light plane."""
-    plane_limit: float
+    along_sigma_px: float = 2.0
+    """Sigma of the distance of a track's end from its circle, before refinement."""
+    across_sigma_px: float = 0.4
+    """Sigma of the distance of a track from the line in which the plane cuts the light plane: noise, calibration."""
+    plane_limit: float = 8.0
     """Largest cost of a common plane, for each track."""
-    circle_limit: float
+    circle_limit: float = 6.0
     """Largest cost of two concentric circles, for each track."""
-    dropped_end_penalty: float
-    """Penalty of treating one of six ends as occluded."""
-    unseen_penalty: float
-    """Penalty of each laser whose stripe is missing where the plane predicts it."""
-    max_tilt_rad: float
-    min_radius_m: float
-    min_band_m: float
+    dropped_end_penalty: float = 6.0
+    """Penalty of treating one of six ends as occluded: by chance one in four hundred."""
+    unseen_penalty: float = 6.0
+    """Penalty of each laser whose stripe is missing where the plane predicts it: occluded, or this is not the rim."""
+    max_tilt_rad: float = math.radians(75)
+    """Maximum tilt: beyond, a face is too oblique to show a stripe of usable length."""
+    min_radius_m: float = 0.2
+    """Minimum radius; that of the smallest adapter rings is 1.5 times as large."""
+    min_band_m: float = 0.003
+    """Minimum width of a face; narrower bands are edges."""
     left_x: float = -math.inf
     """Ends to the left of this normalised x, ..."""
     right_x: float = math.inf
@@ -138,11 +159,3 @@ class RingParams(NamedTuple):
     """... above this normalised y or ..."""
     bottom_y: float = math.inf
     """... below this are truncated by the image border and not used for the circles."""
-
-
-class FaceParams(NamedTuple):
-    """Parameters of the search for the rim."""
-
-    unions: UnionParams
-    candidates: CandidateParams
-    ring: RingParams

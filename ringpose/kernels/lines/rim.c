@@ -9,7 +9,6 @@
 #include <string.h>
 #include <stdint.h>
 
-#include "arcs.h"
 #include "kernels.h"
 #include "tracks.h"
 
@@ -37,12 +36,6 @@ typedef struct {
     double top, bottom;                                        /* and y */
 } RingParams;
 
-typedef struct {
-    UnionParams unions;
-    CandidateParams candidates;
-    RingParams ring;
-} FaceParams;
-
 /* A track with a hypothetical laser. */
 typedef struct {
     int32_t track, laser;
@@ -57,7 +50,9 @@ typedef struct {
     int lasers;
     uint32_t unlabelled;      /* mask of the lasers that unlabelled tracks may belong to */
     const double (*plane)[3]; /* m / d of each light plane: 1/z = (m / d) . (x, y, 1) */
-    const FaceParams *params;
+    const UnionParams *unions;
+    const CandidateParams *candidates;
+    const RingParams *ring;
 } Scene;
 
 enum { MAX_MEMBERS = 3 };
@@ -166,7 +161,7 @@ static int possible(const double light[3], const CandidateParams *params, Candid
 
 /* True if centres on an unlabelled track's line may be another laser's stripe on the body behind. */
 static int may_be_other_laser(const Track *track, const Candidate *candidate, const Scene *scene) {
-    const CandidateParams *params = &scene->params->candidates;
+    const CandidateParams *params = scene->candidates;
     double x = (candidate->x[0] + candidate->x[1]) / 2, y = (candidate->y[0] + candidate->y[1]) / 2;
     double depth = 2 / (candidate->inverse_depth[0] + candidate->inverse_depth[1]);
     for (int laser = 0; track->laser < 0 && laser < scene->lasers; laser++) {
@@ -182,7 +177,7 @@ static int may_be_other_laser(const Track *track, const Candidate *candidate, co
 /* Merit of a track: long, little scatter, no centres on its line beyond its ends. If those may be another laser's, a
    group of three gets back what exceeds the penalty of such a coincidence. */
 static void rate(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
-    const CandidateParams *params = &scene->params->candidates;
+    const CandidateParams *params = scene->candidates;
     double share = track->beyond_ends / (track->beyond_ends + track->count);
     double scatter = track->scatter / params->typical_scatter;
     double straight = 2 * log(fmin(track->count, params->max_counted_columns)) - 0.5 * scatter * scatter;
@@ -219,7 +214,6 @@ static int rank(const Candidate *candidate, Candidate *own, int count, int maxim
 
 /* The best tracks for each laser, sorted by laser; `all` holds rules->candidates.most of each. Returns how many. */
 static int find_candidates(const Track *track, size_t count, size_t unions, const Scene *scene, Candidate *all) {
-    const FaceParams *params = scene->params;
     int found = 0;
     for (int laser = 0; laser < scene->lasers; laser++) {
         int own = 0;
@@ -227,12 +221,12 @@ static int find_candidates(const Track *track, size_t count, size_t unions, cons
             int allowed = track[i].laser < 0 ? scene->unlabelled >> laser & 1 : track[i].laser == laser;
             Candidate candidate = {.track = (int32_t)i, .laser = laser};
             if (!allowed) continue;
-            place(&track[i], &params->ring, &candidate);
-            if (!possible(scene->plane[laser], &params->candidates, &candidate)) continue;
+            place(&track[i], scene->ring, &candidate);
+            if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
             rate(&track[i], i >= count - unions, scene, &candidate);
-            own = rank(&candidate, all + found, own, (int)params->candidates.maximum);
+            own = rank(&candidate, all + found, own, (int)scene->candidates->maximum);
         }
-        for (int i = 0; i < own; i++) complete(scene->plane[laser], &params->ring, &all[found + i]);
+        for (int i = 0; i < own; i++) complete(scene->plane[laser], scene->ring, &all[found + i]);
         found += own;
     }
     return found;
@@ -271,7 +265,7 @@ static double plane_cost(const Candidate *const member[], int size, double plane
 
 /* Lasers outside the group whose stripe on the plane the image would show at normalised x. */
 static int count_unseen_lasers(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
-    const RingParams *params = &scene->params->ring;
+    const RingParams *params = scene->ring;
     double x = 0;
     int unseen_penalty = 0;
     for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[1]) / (2 * size);
@@ -285,6 +279,92 @@ static int count_unseen_lasers(const Candidate *const member[], int size, const 
     }
     return unseen_penalty;
 }
+
+/* ---- two short arcs about one centre through points in a plane ---- */
+
+typedef struct {
+    double x, y;
+    int arc, used;
+} End;
+
+/* a (x^2 + y^2) + x + b y + c_arc = 0, by least squares over the used points. */
+typedef struct {
+    double a, b, c[2];
+} Arcs;
+
+/* Moments of the normal equations for a and b; the c are eliminated by centring each arc. */
+typedef struct {
+    double mean_x[2], mean_y[2], mean_q[2];
+    double uu, uv, vv, ut, vt;
+} Moments;
+
+/* 0 if an arc has no point. */
+static int moments_of(const End *end, int ends, Moments *m) {
+    double count[2] = {0};
+    *m = (Moments){.uu = 0};
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int arc = end[k].arc;
+            count[arc] += 1;
+            m->mean_x[arc] += end[k].x;
+            m->mean_y[arc] += end[k].y;
+            m->mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
+        }
+    if (count[0] == 0 || count[1] == 0) return 0;
+    for (int arc = 0; arc < 2; arc++) {
+        m->mean_x[arc] /= count[arc];
+        m->mean_y[arc] /= count[arc];
+        m->mean_q[arc] /= count[arc];
+    }
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int arc = end[k].arc;
+            double u = end[k].x * end[k].x + end[k].y * end[k].y - m->mean_q[arc];
+            double v = end[k].y - m->mean_y[arc], t = end[k].x - m->mean_x[arc];
+            m->uu += u * u;
+            m->uv += u * v;
+            m->vv += v * v;
+            m->ut += u * t;
+            m->vt += v * t;
+        }
+    return 1;
+}
+
+static void solve_arcs(const Moments *m, int straight, Arcs *arcs) {
+    double determinant = m->uu * m->vv - m->uv * m->uv;
+    arcs->a = arcs->b = 0;
+    if (!straight && determinant > 1e-12 * m->uu * m->vv) {
+        arcs->a = -(m->vv * m->ut - m->uv * m->vt) / determinant;
+        arcs->b = -(m->uu * m->vt - m->uv * m->ut) / determinant;
+    } else if (m->vv > 0)
+        arcs->b = -m->vt / m->vv;
+    for (int arc = 0; arc < 2; arc++)
+        arcs->c[arc] = -m->mean_x[arc] - arcs->a * m->mean_q[arc] - arcs->b * m->mean_y[arc];
+}
+
+/* One over the radius; positive if the centre lies on the side of positive x. */
+static double arcs_curvature(const Arcs *arcs) {
+    double level = 1 + arcs->b * arcs->b - 2 * arcs->a * (arcs->c[0] + arcs->c[1]);
+    return -2 * arcs->a / sqrt(fmax(level, 1e-12));
+}
+
+/* 0 if an arc has no point. Straight lines if the radius would be smaller than `radius`: two arcs pass through any four
+   ends, and if these form a square, the radius is not determined. */
+static int fit_wide_arcs(const End *end, int ends, double radius, Arcs *arcs) {
+    Moments moments;
+    if (!moments_of(end, ends, &moments)) return 0;
+    solve_arcs(&moments, 0, arcs);
+    if (fabs(arcs_curvature(arcs)) > 1 / radius) solve_arcs(&moments, 1, arcs);
+    return 1;
+}
+
+/* Distance of a point from its arc, positive towards positive x. */
+static double outside_arc(const Arcs *arcs, const End *end) {
+    double x = end->x, y = end->y, residual = arcs->a * (x * x + y * y) + x + arcs->b * y + arcs->c[end->arc];
+    return residual / fmax(hypot(2 * arcs->a * x + 1, 2 * arcs->a * y + arcs->b), 1e-9);
+}
+
+static double arcs_band(const Arcs *arcs) { return fabs(arcs->c[1] - arcs->c[0]) / sqrt(1 + arcs->b * arcs->b); }
 
 /* Half the chi-square of two concentric arcs through the used ends; infinite if the rim is too narrow. */
 static double arcs_cost(const End *end, int ends, double sigma, const RingParams *params) {
@@ -336,7 +416,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     End end[2 * MAX_MEMBERS] = {{0}};
-    const RingParams *params = &scene->params->ring;
+    const RingParams *params = scene->ring;
     double sigma = params->along_sigma * flat_ends(member, size, plane, params, end) / params->focal_x;
     double best = arcs_cost(end, 2 * size, sigma, params);
     if (size < 3 || best < params->dropped_end_penalty) return best;
@@ -351,7 +431,7 @@ static double circle_cost(const Candidate *const member[], int size, const doubl
 
 /* Score of a group; minus infinity if it is impossible or not above `minimum`. */
 static double group_score(const Candidate *const member[], int size, const Scene *scene, double minimum) {
-    const RingParams *params = &scene->params->ring;
+    const RingParams *params = scene->ring;
     double plane[3] = {0}, merit = 0;
     for (int i = 0; i < size; i++) merit += member[i]->merit + (size == MAX_MEMBERS ? member[i]->coincidence_bonus : 0);
     if (!(merit > minimum)) return -INFINITY;
@@ -400,7 +480,7 @@ static void visit(Search *search, const Candidate *const member[], const int32_t
 
 /* True if the first tracks of a group may lie on one plane; further tracks never lower the cost. */
 static int on_one_plane(const Candidate *const member[], int count, const Search *search) {
-    double plane[3], limit = search->scene->params->ring.plane_limit * search->size;
+    double plane[3], limit = search->scene->ring->plane_limit * search->size;
     return count < 2 || plane_cost(member, count, plane) < limit;
 }
 
@@ -459,12 +539,12 @@ typedef struct {
 /* 0 if there is no memory. */
 static int find(const Track *track, size_t count, const Scene *scene, Found *found) {
     List *all = &found->tracks;
-    size_t room = (size_t)scene->lasers * (size_t)scene->params->candidates.maximum;
+    size_t room = (size_t)scene->lasers * (size_t)scene->candidates->maximum;
     found->candidate = malloc((room ? room : 1) * sizeof *found->candidate);
     if (found->candidate == NULL || !reserve(all, count + 1)) return 0;
     if (count) memcpy(all->data, track, count * sizeof *track);
     all->used = count;
-    if (!unite_collinear(track, count, &scene->params->unions, all)) return 0;
+    if (!unite_collinear(track, count, scene->unions, all)) return 0;
     int candidates = find_candidates(all->data, all->used, all->used - count, scene, found->candidate);
     for (int size = 1; size <= MAX_MEMBERS; size++)
         found->best[size - 1] = best_group(found->candidate, candidates, size, scene);
@@ -493,19 +573,19 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
                                           {"ring", 'T', {NUMBERS(RingParams)}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    FaceParams params;
-    memcpy(&params.unions, a.number[3], sizeof params.unions);
-    memcpy(&params.candidates, a.number[4], sizeof params.candidates);
-    memcpy(&params.ring, a.number[5], sizeof params.ring);
     const Py_ssize_t tracks = a.view[0].shape[0], lasers = a.view[2].shape[0];
+    const Scene scene = {(int)lasers,
+                         (unsigned)a.number[1][0],
+                         (const double(*)[3])a.view[2].buf,
+                         (const UnionParams *)a.number[3],
+                         (const CandidateParams *)a.number[4],
+                         (const RingParams *)a.number[5]};
     if (!require(lasers <= MAX_LASERS && tracks <= INT32_MAX / 2, "planes, tracks: there are too many") ||
-        !require(params.candidates.maximum >= 1 && params.candidates.maximum <= MAX_CANDIDATES &&
-                     params.unions.rounds >= 0 &&
-                     params.unions.rounds <= MAX_ROUNDS,
+        !require(scene.candidates->maximum >= 1 && scene.candidates->maximum <= MAX_CANDIDATES &&
+                     scene.unions->rounds >= 0 && scene.unions->rounds <= MAX_ROUNDS,
                  "params: a parameter of the rim search is out of range") ||
         !check_lasers(a.view[0].buf, tracks, lasers))
         return close_arguments(&a, NULL);
-    Scene scene = {(int)lasers, (unsigned)a.number[1][0], (const double(*)[3])a.view[2].buf, &params};
     Found found = {.tracks = {NULL, 0, 0, sizeof(Track)}};
     int done;
     Py_BEGIN_ALLOW_THREADS

@@ -11,16 +11,13 @@
 #include "median.h"
 #include "tracks.h"
 
+/* min_columns: of a piece; width: of the image; lengths in px. */
 typedef struct {
-    double kink, joined;      /* px */
-    double short_series;      /* factor */
-    double count_on_line, border;   /* px */
-    size_t min_columns, max_lag;
-    double width;             /* of the image */
+    double width, border, kink, joined, short_series, count_on_line, min_columns, max_lag;
 } TrackParams;
 
 typedef struct {
-    size_t n, pieces;
+    size_t n;
     const double *column; /* distorted */
     const double *x, *y;  /* undistorted */
     const double *sigma;
@@ -75,7 +72,7 @@ static double correlation_columns(double *residual, size_t n, const TrackParams 
     mean /= (double)n;
     for (size_t i = 0; i < n; i++) residual[i] -= mean;
     double variance = fmax(sum_of_lagged_products(residual, n, 0), 1e-12);
-    for (size_t lag = 1; lag < params->max_lag && lag < n / 3; lag++) {
+    for (size_t lag = 1; (double)lag < params->max_lag && lag < n / 3; lag++) {
         double correlation = sum_of_lagged_products(residual, n, lag) / variance;
         if (!(correlation > 0)) break;
         columns += 2 * correlation;
@@ -230,20 +227,9 @@ enum { SMOOTHED = 7 };
 /* Lag at which the speckle of two centres is independent, and fewest differences for an estimate of the scatter. */
 enum { LAG = 4, MIN_DIFFERENCES = 8 };
 
-typedef struct {
-    Draft *data;
-    size_t used, capacity;
-} Drafts;
-
-static int push(Drafts *drafts, const Draft *draft) {
-    if (drafts->used == drafts->capacity) {
-        size_t capacity = drafts->capacity ? 2 * drafts->capacity : 64;
-        Draft *data = realloc(drafts->data, capacity * sizeof *data);
-        if (!data) return 0;
-        drafts->data = data;
-        drafts->capacity = capacity;
-    }
-    drafts->data[drafts->used++] = *draft;
+static int push(List *drafts, const Draft *draft) {
+    if (!reserve(drafts, 1)) return 0;
+    ((Draft *)drafts->data)[drafts->used++] = *draft;
     return 1;
 }
 
@@ -332,9 +318,9 @@ static ptrdiff_t kink_index(size_t first, size_t n, const Work *work, double *si
 }
 
 /* Splits a piece recursively where it is farthest from its chord (Ramer-Douglas-Peucker). */
-static int cut(size_t first, size_t last, double sigma, double laser, const Work *work, Drafts *drafts) {
+static int cut(size_t first, size_t last, double sigma, double laser, const Work *work, List *drafts) {
     size_t n = last - first;
-    if (n < work->params->min_columns) return 1;
+    if ((double)n < work->params->min_columns) return 1;
     ptrdiff_t where = kink_index(first, n, work, &sigma);
     if (where >= 0) {
         size_t at = (size_t)(where < 1 ? 1 : where > (ptrdiff_t)n - 1 ? (ptrdiff_t)n - 1 : where);
@@ -367,13 +353,13 @@ static int by_start(const void *first, const void *second) {
 }
 
 /* Joins tracks that continue each other; tracks that were joined to another one keep no blocks. */
-static int join(Drafts *drafts, const Work *work) {
-    if (drafts->used) qsort(drafts->data, drafts->used, sizeof *drafts->data, by_start);
-    Drafts joined = {NULL, 0, 0};
+static int join(List *drafts, const Work *work) {
+    if (drafts->used) qsort(drafts->data, drafts->used, sizeof(Draft), by_start);
+    List joined = {NULL, 0, 0, sizeof(Draft)};
     for (size_t i = 0; i < drafts->used; i++) {
-        Draft draft = drafts->data[i];
+        Draft draft = ((Draft *)drafts->data)[i];
         for (size_t j = joined.used; j-- > 0;) {
-            Draft *partner = &joined.data[j];
+            Draft *partner = (Draft *)joined.data + j;
             if (!partner->blocks || partner->blocks + draft.blocks > BLOCKS) continue;
             if (!continues(&partner->track, &draft.track, work->params)) continue;
             Draft both = *partner;
@@ -385,35 +371,34 @@ static int join(Drafts *drafts, const Work *work) {
             break;
         }
         if (!push(&joined, &draft)) {
-            free(joined.data);
+            release(&joined);
             return 0;
         }
     }
-    free(drafts->data);
+    release(drafts);
     *drafts = joined;
     return 1;
 }
 
-static Track *find_segments(const Centers *centers, const TrackParams *params, size_t *count) {
+/* 0 if there is no memory. */
+static int find_segments(const Centers *centers, const TrackParams *params, List *tracks) {
     size_t n = centers->n ? centers->n : 1;
     double *memory = malloc(4 * n * sizeof *memory);
     Work work = {centers, params, memory, memory + n, memory + 2 * n, memory + 3 * n};
-    Drafts drafts = {NULL, 0, 0};
-    Track *tracks = NULL;
+    List drafts = {NULL, 0, 0, sizeof(Draft)};
     int done = memory != NULL;
     for (size_t first = 0, last; done && first < centers->n; first = last) {
         for (last = first + 1; last < centers->n && centers->piece[last] == centers->piece[first];) last++;
         done = cut(first, last, INFINITY, (double)centers->laser[centers->piece[first]], &work, &drafts);
     }
-    if (done && join(&drafts, &work) && count_beyond_ends(drafts.data, drafts.used, &work)) {
-        tracks = malloc((drafts.used ? drafts.used : 1) * sizeof *tracks);
-        *count = 0;
-        for (size_t i = 0; tracks && i < drafts.used; i++)
-            if (drafts.data[i].blocks) tracks[(*count)++] = drafts.data[i].track;
-    }
-    free(drafts.data);
+    done = done && join(&drafts, &work) && count_beyond_ends(drafts.data, drafts.used, &work) &&
+           reserve(tracks, drafts.used);
+    const Draft *draft = drafts.data;
+    for (size_t i = 0; done && i < drafts.used; i++)
+        if (draft[i].blocks) ((Track *)tracks->data)[tracks->used++] = draft[i].track;
+    release(&drafts);
     free(memory);
-    return tracks;
+    return done;
 }
 
 /* True if all centres are finite, their pieces ascend from 0, and every piece has a laser. */
@@ -429,48 +414,46 @@ static int centers_in_order(const Py_buffer view[4]) {
     return 1;
 }
 
-enum { TRACK_PARAMS = 8, MIN_COLUMNS = 4 };
+enum { MIN_COLUMNS = 4 };
 
 /* A piece must be at least as long as half the window of the running median. */
-static int track_params_fit(const double rule[TRACK_PARAMS]) {
-    int fit = rule[5] >= MIN_COLUMNS && rule[6] >= 1 && rule[6] < 1e6 && rule[7] >= 0;
-    for (int i = 0; i < TRACK_PARAMS; i++) fit = fit && isfinite(rule[i]);
+static int track_params_fit(const TrackParams *params) {
+    const double *number = (const double *)params;
+    int fit = params->min_columns >= MIN_COLUMNS && params->width >= 1 && params->width < 1e6 && params->max_lag >= 0;
+    for (int i = 0; i < NUMBERS(TrackParams); i++) fit = fit && isfinite(number[i]);
     return require(fit, "params: a parameter of the tracks is out of range");
 }
 
-static Track *find_tracks(const Py_buffer view[4], const Lens *lens, const double rule[TRACK_PARAMS], size_t *count) {
+static int find_tracks(const Py_buffer view[4], const Lens *lens, const TrackParams *params, List *tracks) {
     const size_t n = (size_t)view[0].shape[0];
     const double(*at)[2] = view[0].buf;
     double *column = malloc((n ? 3 * n : 1) * sizeof *column);
-    if (column == NULL) return NULL;
+    if (column == NULL) return 0;
     double *x = column + n, *y = x + n;
     for (size_t i = 0; i < n; i++) {
         column[i] = x[i] = at[i][0];
         y[i] = at[i][1];
     }
     undistort(lens, x, y, n);
-    Centers centers = {n, (size_t)view[3].shape[0], column, x, y, view[1].buf, view[2].buf, view[3].buf};
-    TrackParams params = {rule[0], rule[1], rule[2], rule[3], rule[4], (size_t)rule[5], (size_t)rule[7], rule[6]};
-    Track *track = find_segments(&centers, &params, count);
+    Centers centers = {n, column, x, y, view[1].buf, view[2].buf, view[3].buf};
+    int done = find_segments(&centers, params, tracks);
     free(column);
-    return track;
+    return done;
 }
 
 PyObject *call_tracks(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {{"position", 'd', {N, 2}}, {"sigma", 'd', {N}},
                                           {"piece", 'q', {N}},       {"laser", 'q', {ANY}},
-                                          {"lens", 'T', {NUMBERS(Lens)}}, {"params", 'T', {TRACK_PARAMS}}};
+                                          {"lens", 'T', {NUMBERS(Lens)}}, {"params", 'T', {NUMBERS(TrackParams)}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    if (!track_params_fit(a.number[5]) || !centers_in_order(a.view)) return close_arguments(&a, NULL);
-    Track *track;
-    size_t count = 0;
+    const TrackParams *params = (const TrackParams *)a.number[5];
+    if (!track_params_fit(params) || !centers_in_order(a.view)) return close_arguments(&a, NULL);
+    List tracks = {NULL, 0, 0, sizeof(Track)};
+    int done;
     Py_BEGIN_ALLOW_THREADS
-    track = find_tracks(a.view, (const Lens *)a.number[4], a.number[5], &count);
+    done = find_tracks(a.view, (const Lens *)a.number[4], params, &tracks);
     Py_END_ALLOW_THREADS
-    PyObject *result =
-        track ? PyBytes_FromStringAndSize((const char *)track, (Py_ssize_t)(count * sizeof *track)) : PyErr_NoMemory();
-    free(track);
-    return close_arguments(&a, result);
+    return close_arguments(&a, list_bytes(done, &tracks));
 }

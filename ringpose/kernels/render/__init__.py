@@ -44,7 +44,7 @@ class TargetTables(NamedTuple):
 
 
 class View(NamedTuple):
-    """A lit target, and the pixels of an image of it; rows are the members of the structs in render.c."""
+    """A target, its light, and the rays of an image's pixels; columns are the members of the structs in render.c."""
 
     target: TargetTables
     poses: Float64[Array, "time column=12"]
@@ -52,11 +52,11 @@ class View(NamedTuple):
     lamps: Float64[Array, "lamp=4 column=5"]
     lasers: Float64[Array, "laser column=11"]
     light: tuple[float, ...]
-    """Of the struct Light: other light, and properties that all lasers have in common."""
+    """The members of the struct `Light`: other light, and properties that all lasers have in common."""
     xy: Float64[Array, "xy=2 pixel"]
     """Rays (x, y, 1) of the pixels."""
     per_px: Float64[Array, "axis=2 xy=2 pixel"] | None
-    """Their derivatives; only several samples of a pixel need them."""
+    """Derivatives of the rays by column and row; needed for more than one sample of a pixel."""
     width: int
 
     def blank_image(self) -> "PixelImage":
@@ -67,12 +67,12 @@ class View(NamedTuple):
 
 
 class PixelImage(NamedTuple):
-    """What `render` fills for the chosen pixels."""
+    """The image that `render` fills."""
 
     radiance: Float32[Array, "source pixel"]
     """W/(m2 sr): ambient light first, then each laser."""
     code: Int32[Array, "pixel"]
-    """Equal where two pixels show the same surface, sunlit or not."""
+    """Equal for two pixels that show the same surface in the same light (see `Code of a pixel` in render.c)."""
     stripe: UInt8[Array, "pixel"]
     """Bits `WIDE` and `THIN` near a stripe that is wider or thinner than about a pixel."""
 
@@ -83,26 +83,16 @@ WIDE, THIN = 1, 2
 def render(
     view: View, image: PixelImage, pixels: Int64[Array, "chosen"] | None = None, samples: int = 1, step: int = 1
 ) -> None:
-    """Fill the image of the chosen pixels, or of all, with the mean over their samples.
+    """Fill the chosen pixels of the image, or all, with the mean radiance of their samples.
 
-    A single sample has the middle pose. The code and the stripe of several samples are those of the last one. All
-    samples are cast; of those of each surface in a pixel, one in `step` is shaded for all.
+    A single sample is cast at the middle pose; of several, code and stripe are those of the last one. A ray is cast for
+    every sample, but of the samples in a pixel that hit the same surface only one in `step` is shaded.
     """
     _kernels.render(*view.target, *view[1:], pixels, samples, step, *image)
 
 
-def crossed(view: View, code: Int32[Array, "pixel"], pixels: Int64[Array, "chosen"]) -> Bool[Array, "chosen"]:
-    """Which of the chosen pixels an edge of a surface or of a laser's shadow may cross.
-
-    Those whose four corners, at the first and the last pose, and middle do not all have the code of the image.
-    """
-    result = np.empty(len(pixels), np.uint8)
-    _kernels.crossed(*view.target, *view[1:], pixels, code, result)
-    return result.astype(np.bool_)
-
-
 def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
-    """Where a neighbour of the eight shows another surface (2), or another side of the shadow of sun or Earth (1)."""
+    """2 if one of the eight neighbours shows another surface, 1 if only the shadow of sun or Earth differs, else 0."""
     edge = np.empty(code.shape, np.uint8)
     _kernels.code_edges(np.pad(code, 1, mode="edge"), edge)
     return edge

@@ -652,33 +652,6 @@ static void render_all(const Scene *scene, const PixelRays *rays, const int64_t 
     }
 }
 
-/* Which pixels an edge of a surface or of a laser's shadow may cross: those whose corners, at the first and the last
-   time, and middle do not all show the same. */
-static void find_crossed(const Scene *scene, const PixelRays *rays, const int64_t *chosen, size_t count,
-                         const int32_t *code, uint8_t *crossed) {
-    const int32_t shared = ~(SUN_SHADOW | EARTH_SHADOW | SECOND);
-    Block block;
-    Choice parts;
-    for (size_t next = 0, from = 0; (block.rays.count = next_pixels(rays, chosen, count, &next, &block)) > 0; from = next) {
-        begin_block(rays, 4, 1, &block);
-        parts_near(scene, &block, &parts);
-        for (int corner = 0; corner < (scene->times == 1 ? 4 : 8); corner++) {
-            const double along = corner & 1 ? 0.5 : -0.5, down = corner & 2 ? 0.5 : -0.5;
-            const int time = corner & 4 ? scene->times - 1 : 0;
-            for (int i = 0; i < block.rays.count; i++) {
-                block.x[i] = block.middle_x[i] + along * block.per_px[0][0][i] + down * block.per_px[1][0][i];
-                block.y[i] = block.middle_y[i] + along * block.per_px[0][1][i] + down * block.per_px[1][1][i];
-                block.time[i] = time;
-            }
-            aim(scene->stand + time, &block);
-            intersect(&scene->target, &parts, &block.rays);
-            shade(scene, 1, 1, &block);
-            for (int i = 0; i < block.rays.count; i++)
-                crossed[from + (size_t)i] |= (((int32_t)block.code[i] ^ code[block.pixel[i]]) & shared) != 0;
-        }
-    }
-}
-
 /* The arguments that describe a target; those of a function follow. */
 #define TARGET \
     {"parts", 'd', {ANY, NUMBERS(Part)}}, {"points", 'd', {ANY, 2}}, {"gaps", 'd', {ANY, NUMBERS(Gap)}}, \
@@ -779,26 +752,6 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         Py_BEGIN_ALLOW_THREADS render_all(scene, &pixels.rays, pixels.chosen, pixels.count, samples,
                                           is_printed ? 1 : step, view[2].buf, view[3].obj ? view[3].buf : NULL,
                                           view[4].obj ? view[4].buf : NULL);
-        Py_END_ALLOW_THREADS
-    }
-    free(scene);
-    return close_arguments(&arguments, fits ? Py_NewRef(Py_None) : NULL);
-}
-
-PyObject *call_crossed(PyObject *module, PyObject *tuple) {
-    static const Parameter parameter[] = {TARGET, VIEW, {"code", 'i', {N}}, {">crossed", 'B', {ANY}}};
-    Arguments arguments;
-    Pixels pixels;
-    (void)module;
-    if (!OPEN(tuple, parameter, &arguments)) return NULL;
-    const Py_buffer *view = arguments.view + AFTER_VIEW;
-    Scene *scene = open_scene(&arguments, &pixels);
-    const int fits = scene && require(pixels.chosen && (size_t)view[1].shape[0] == pixels.count && pixels.rays.per_px[0][0],
-                                      "the result does not fit the pixels");
-    if (fits) {
-        scene->dark = 1; /* only the lasers' shadows are needed */
-        memset(view[1].buf, 0, pixels.count);
-        Py_BEGIN_ALLOW_THREADS find_crossed(scene, &pixels.rays, pixels.chosen, pixels.count, view[0].buf, view[1].buf);
         Py_END_ALLOW_THREADS
     }
     free(scene);

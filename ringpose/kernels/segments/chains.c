@@ -30,15 +30,6 @@ static const int STEP_Y[8] = {0, 1, 1, 1, 0, -1, -1, -1};
 
 enum { MAGNITUDES = INT16_MAX + 1, WALL = INT16_MIN };
 
-/* Prefetching: the surroundings of the anchor this many later, as anchors are in no spatial order, and the pixel this
-   many steps ahead of a walk. */
-enum { ANCHORS_AHEAD = 8, STEPS_AHEAD = 3 };
-#if defined(__GNUC__)
-#define FETCH(address) __builtin_prefetch(address, 1)
-#else
-#define FETCH(address) ((void)0)
-#endif
-
 typedef struct {
     int32_t index;
     uint32_t orientation;
@@ -51,12 +42,11 @@ struct Way {
     const Way *to_left, *to_right;
 };
 
-/* The anchors that have a gradient on all sides, strongest first, equals in their given order: a counting sort. The
-   last one is repeated a few times, for those who look ahead. */
+/* The anchors that have a gradient on all sides, strongest first, equals in their given order: a counting sort. */
 static int sort_anchors(const EdgeArea *area, const int32_t *index, const uint8_t *orientation, size_t anchors,
                         List *sorted) {
     uint32_t *place = calloc(MAGNITUDES, sizeof *place);
-    if (place == NULL || !reserve(sorted, anchors + ANCHORS_AHEAD)) {
+    if (place == NULL || !reserve(sorted, anchors)) {
         free(place);
         return 0;
     }
@@ -70,7 +60,6 @@ static int sort_anchors(const EdgeArea *area, const int32_t *index, const uint8_
     Anchor *anchor = sorted->data;
     for (size_t i = 0; i < anchors; i++)
         anchor[place[area->magnitude[index[i]]]++] = (Anchor){index[i], orientation[i] & 3};
-    for (size_t i = 0; i < ANCHORS_AHEAD && anchors > 0; i++) anchor[anchors + i] = anchor[anchors - 1];
     sorted->used = anchors;
     free(place);
     return 1;
@@ -82,7 +71,6 @@ static int sort_anchors(const EdgeArea *area, const int32_t *index, const uint8_
 static int walk(const EdgeArea *area, int32_t at, const Way *way, List *path) {
     int16_t *value = area->magnitude + at;
     for (;;) {
-        FETCH(value + STEPS_AHEAD * way->straight);
         int straight = abs(value[way->straight]), left = abs(value[way->left]), right = abs(value[way->right]);
         if (straight >= left && straight >= right) {
             value += way->straight;
@@ -117,18 +105,12 @@ static int add_chain(const int32_t *path, size_t back, size_t count, size_t widt
     return 1;
 }
 
-static void fetch_around(const EdgeArea *area, int32_t index) {
-    const int32_t width = (int32_t)area->width;
-    for (int32_t row = -MARGIN; row <= MARGIN; row++) FETCH(area->magnitude + index + row * width);
-}
-
 /* All chains; `path` gets every pixel taken, of short ones too. */
 static int take_chains(const EdgeArea *area, const Way *way, const List *sorted, size_t min_pixels, List *path,
                        List *pixels, List *starts) {
     const Anchor *anchor = sorted->data;
     for (size_t i = 0; i < sorted->used; i++) {
         int32_t at = anchor[i].index;
-        fetch_around(area, anchor[i + ANCHORS_AHEAD].index);
         if (area->magnitude[at] < area->lower) continue;
         area->magnitude[at] = (int16_t)-area->magnitude[at];
         size_t first = path->used;

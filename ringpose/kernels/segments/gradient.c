@@ -32,9 +32,7 @@ enum { ANCHOR_SPACING = 8, NO_ANCHORS = INT16_MAX };
 enum { SMOOTH = 4 };
 
 typedef struct {
-    void *memory;
-    uint32_t *wide_sum;
-    uint16_t *sum; /* in the same place */
+    void *memory, *sum; /* sum: uint16_t, or uint32_t of wide images */
     int16_t *smooth[SMOOTH];
     int16_t *along, *across;
     uint8_t *is_anchor;
@@ -52,9 +50,8 @@ static int allocate_rows(Rows *rows, size_t width, int16_t upper) {
     if (rows->memory == NULL) return 0;
     const size_t off = (uintptr_t)rows->memory % (BESIDE * sizeof(int16_t)) / sizeof(int16_t);
     int16_t *row = (int16_t *)rows->memory + (BESIDE - off);
-    rows->wide_sum = (uint32_t *)(void *)row + BESIDE;
     row += BESIDE;
-    rows->sum = (uint16_t *)row;
+    rows->sum = row;
     for (int i = 0; i < SMOOTH; i++) rows->smooth[i] = row + (size_t)(2 + i) * step;
     rows->along = row + 6 * step;
     rows->across = row + 7 * step;
@@ -64,46 +61,30 @@ static int allocate_rows(Rows *rows, size_t width, int16_t upper) {
     return 1;
 }
 
-/* Binomial 1 4 6 4 1 down the columns, then along the row. */
-VECTOR_LOOP
-static void smooth_row(const uint8_t *restrict image, size_t row, size_t width, const Rows *rows) {
-    const uint8_t *restrict c = image + row * width;
-    const uint8_t *restrict a = c - 2 * width, *restrict b = c - width;
-    const uint8_t *restrict d = c + width, *restrict e = d + width;
-    uint16_t *restrict sum = rows->sum;
-    int16_t *restrict smooth = rows->smooth[row % SMOOTH];
-    for (size_t x = 0; x < width; x++) sum[x] = (uint16_t)(a[x] + 4 * (b[x] + d[x]) + 6 * c[x] + e[x]);
-    const uint16_t *before = sum - 2;
-    for (size_t x = 0; x < width; x++) {
-        uint16_t total = (uint16_t)(before[x] + 4 * (before[x + 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + 8);
-        smooth[x] = (int16_t)(total >> 4);
+/* Binomial 1 4 6 4 1 down the columns, then along the row; `shift` from the sum of pixels to a smoothed value. */
+#define SMOOTH_ROW(name, Pixel, Sum, shift)                                                                        \
+    VECTOR_LOOP                                                                                                    \
+    static void name(const Image *image, size_t row, const Rows *rows) {                                           \
+        const size_t width = image->width;                                                                         \
+        const Pixel *restrict c = (const Pixel *)image->data + row * width;                                        \
+        const Pixel *restrict a = c - 2 * width, *restrict b = c - width;                                          \
+        const Pixel *restrict d = c + width, *restrict e = d + width;                                              \
+        Sum *restrict sum = (Sum *)rows->sum;                                                                      \
+        int16_t *restrict smooth = rows->smooth[row % SMOOTH];                                                     \
+        const int bits = (shift);                                                                                  \
+        for (size_t x = 0; x < width; x++) sum[x] = (Sum)(a[x] + 4 * (b[x] + d[x]) + 6 * c[x] + e[x]);             \
+        const Sum *before = sum - 2, half = (Sum)(1 << (bits - 1));                                                \
+        for (size_t x = 0; x < width; x++) {                                                                       \
+            Sum total = (Sum)(before[x] + 4 * (before[x + 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + half);      \
+            smooth[x] = (int16_t)(total >> bits);                                                                  \
+        }                                                                                                          \
     }
-}
 
-/* The same of values of `bits` bits. */
-VECTOR_LOOP
-static void smooth_wide_row(const uint16_t *restrict image, size_t row, size_t width, int bits, const Rows *rows) {
-    const uint16_t *restrict c = image + row * width;
-    const uint16_t *restrict a = c - 2 * width, *restrict b = c - width;
-    const uint16_t *restrict d = c + width, *restrict e = d + width;
-    uint32_t *restrict sum = rows->wide_sum;
-    int16_t *restrict smooth = rows->smooth[row % SMOOTH];
-    const int shift = bits - 4;
-    const uint32_t half = UINT32_C(1) << (shift - 1);
-    for (size_t x = 0; x < width; x++)
-        sum[x] = a[x] + 4 * ((uint32_t)b[x] + d[x]) + 6 * (uint32_t)c[x] + e[x];
-    const uint32_t *before = sum - 2;
-    for (size_t x = 0; x < width; x++) {
-        uint32_t total = before[x] + 4 * (before[x + 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + half;
-        smooth[x] = (int16_t)(total >> shift);
-    }
-}
+SMOOTH_ROW(smooth_row, uint8_t, uint16_t, 4)
+SMOOTH_ROW(smooth_wide_row, uint16_t, uint32_t, image->bits - 4)
 
 static void smooth_image_row(const Image *image, size_t row, const Rows *rows) {
-    if (image->bits > 8)
-        smooth_wide_row(image->data, row, image->width, image->bits, rows);
-    else
-        smooth_row(image->data, row, image->width, rows);
+    (image->bits > 8 ? smooth_wide_row : smooth_row)(image, row, rows);
 }
 
 /* Absolute value as a maximum, which vectors have one instruction for. */
@@ -139,27 +120,17 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
     return maximum;
 }
 
-/* 1 where the magnitude is a maximum down the column or along the row; of two equal ones the earlier in raster
-   order. */
+/* 1 where the magnitude is a maximum down the column or, in rows in which upright edges have anchors, along the row; of
+   two equal ones the earlier in raster order. */
 VECTOR_LOOP
 static void mark_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to,
-                        int16_t upper) {
-    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict minimum = rows->minimum;
-    uint8_t *restrict is_anchor = rows->is_anchor;
-    for (size_t x = from; x < to; x++) {
-        int flat = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
-        int upright = (here[x] >= upper) & (here[x] > *(here + x - 1)) & (here[x] >= here[x + 1]);
-        is_anchor[x] = (uint8_t)(flat | upright);
-    }
-}
-
-/* The same in rows in which upright edges have no anchors. */
-VECTOR_LOOP
-static void mark_flat_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to) {
+                        int16_t upper, int crosses) {
     const int16_t *restrict up = here - width, *restrict down = here + width, *restrict minimum = rows->minimum;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++)
         is_anchor[x] = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
+    for (size_t x = from; crosses && x < to; x++)
+        is_anchor[x] |= (here[x] >= upper) & (here[x] > *(here + x - 1)) & (here[x] >= here[x + 1]);
 }
 
 /* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. Branches would be mispredicted. */
@@ -220,10 +191,7 @@ static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, 
     for (size_t from = MARGIN + 1; from < last; from += BLOCK) {
         size_t to = last - from < BLOCK ? last : from + BLOCK;
         if (strongest(here, from, to) < upper) continue;
-        if (row % ANCHOR_SPACING == 0)
-            mark_maxima(rows, here, width, from, to, upper);
-        else
-            mark_flat_maxima(rows, here, width, from, to);
+        mark_maxima(rows, here, width, from, to, upper, row % ANCHOR_SPACING == 0);
         append_maxima(rows, row, width, from, to, anchors);
     }
     if (anchors->index.used > first) keep_anchors(rows, here, row, width, first, anchors);

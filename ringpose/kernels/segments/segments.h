@@ -11,15 +11,8 @@ typedef struct {
     int32_t x, y;
 } Pixel;
 
-
-
 typedef struct {
     int32_t first, last; /* pixels of a chain */
 } Piece;
-
-
-/* Sums over the points of a line. */
-
-
 
 #endif

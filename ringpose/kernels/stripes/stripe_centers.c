@@ -1,7 +1,6 @@
 /* Sub-pixel centres with variances of linked ridges: zero of the first derivative of a matched Gaussian filter; on
    speckled stripes, whose noise is proportional to the light, weighted least squares, in which the flanks have the
    largest weight. */
-#include "cholesky.h"
 #include "stripes.h"
 
 #include <math.h>
@@ -130,9 +129,6 @@ static void step_again(const Measure *how, size_t i, Columns *columns) {
     }
 }
 
-/* Those rows. */
-static double complete_from(const Filter *filter, double width) { return WHOLE_SPREADS * hypot(filter->sigma, width); }
-
 /* True if a column has a complete stripe near its ridge. */
 static int is_center(const Measure *how, size_t i, const Columns *columns) {
     double y = columns->y[i], bottom = (double)how->image->height - 1 - how->whole;
@@ -197,10 +193,27 @@ typedef struct {
 
 static double phase_offset(size_t phase) { return ((double)phase + 0.5) / PHASES - 0.5; }
 
-/* A row of the inverse of the equations whose triangle this is. */
-static void invert_row(double triangle[SHAPES][SHAPES], size_t row, double inverse[SHAPES]) {
-    for (size_t i = 0; i < SHAPES; i++) inverse[i] = i == row;
-    solve(triangle[0], SHAPES, inverse, 1);
+/* The factor L of the symmetric, positive equations L L^T, in their lower triangle (Cholesky). */
+static void factorise(double a[SHAPES][SHAPES]) {
+    for (size_t j = 0; j < SHAPES; j++) {
+        for (size_t k = 0; k < j; k++)
+            for (size_t i = j; i < SHAPES; i++) a[i][j] -= a[i][k] * a[j][k];
+        double root = sqrt(a[j][j]);
+        for (size_t i = j; i < SHAPES; i++) a[i][j] /= root;
+    }
+}
+
+/* A row of the inverse of the equations with that factor. */
+static void invert_row(double factor[SHAPES][SHAPES], size_t row, double inverse[SHAPES]) {
+    for (size_t i = 0; i < SHAPES; i++) {
+        inverse[i] = i == row;
+        for (size_t k = 0; k < i; k++) inverse[i] -= factor[i][k] * inverse[k];
+        inverse[i] /= factor[i][i];
+    }
+    for (size_t i = SHAPES; i-- > 0;) {
+        for (size_t k = i + 1; k < SHAPES; k++) inverse[i] -= factor[k][i] * inverse[k];
+        inverse[i] /= factor[i][i];
+    }
 }
 
 /* Weighted design matrix of a stripe with an offset from the middle row, and the normal equations. */
@@ -229,7 +242,7 @@ static void find_weights(double width, double speckle, size_t reach, Weights *we
     for (size_t j = 0, mirrored = PHASES - 1; j < mirrored; j++, mirrored--) {
         double equation[SHAPES][SHAPES] = {{0}};
         shape_rows(width, speckle, phase_offset(j), reach, shape, equation);
-        factorised(equation[0], SHAPES);
+        factorise(equation);
         invert_row(equation, BRIGHTNESS, brightness);
         invert_row(equation, OFFSET, offset);
         for (size_t k = 0; k <= last; k++) {
@@ -421,7 +434,7 @@ static Measure measure_with(const Job *job, size_t filter, double width) {
     double sigma = how.filter->sigma, spread = sigma * sigma + width * width;
     how.inverse_spread = width > 0 ? 1 / spread : 0;
     how.peak_per_response = width > 0 ? spread * sqrt(spread) / width : FLAT_PEAK_PER_RESPONSE * sigma * sigma;
-    how.whole = complete_from(how.filter, width);
+    how.whole = WHOLE_SPREADS * hypot(sigma, width);
     how.sigma_per_noise = how.filter->slope_norm / job->filters[0].bend_norm;
     return how;
 }
@@ -582,10 +595,6 @@ static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order
     return number;
 }
 
-static void take_square_roots(const double *restrict variance, size_t count, double *restrict sigma) {
-    for (size_t i = 0; i < count; i++) sigma[i] = sqrt(variance[i]);
-}
-
 /* Sigmas from variances, when all pieces are known; `sorted` is scratch. */
 static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t count, PieceScatter *sorted,
                         Centers *centers) {
@@ -597,7 +606,7 @@ static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t c
         memcpy(columns->variance, sigma, columns->count * sizeof *sigma);
         for (size_t j = 0; j < columns->count; j++, y += 2) columns->y[j] = *y;
         raise_variances(columns, measured[i].of, pooled * excess(measured[i].of, 1) / excess(measured[i].first, 1));
-        take_square_roots(columns->variance, columns->count, sigma);
+        for (size_t j = 0; j < columns->count; j++) sigma[j] = sqrt(columns->variance[j]);
         sigma += columns->count;
     }
 }

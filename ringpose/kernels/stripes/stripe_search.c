@@ -141,7 +141,6 @@ typedef struct {
     uint8_t *selected;   /* windows that bands ask for, from those that begin in cell -1; or NULL */
     uint8_t *selected_rows;    /* rows of windows that hold some of those */
     ptrdiff_t first, end; /* of these rows */
-    uint8_t *required;   /* cells that those look at, from cell -3 */
     size_t *extent;    /* of each row of cells that are needed, first and one after last; from cell -3 */
     List *runs;
 } Search;
@@ -217,18 +216,6 @@ static void add_cells(const Search *search, ptrdiff_t cell, size_t from, size_t 
     memset(sum + from, 0, (to - from) * sizeof *sum);
     add_pixels(search, image->lit, rows, from, to, 1, sum);
     if (image->dark) add_pixels(search, image->dark, rows, from, to, -1, sum);
-}
-
-/* Sums of the cells of a row that selected windows need. */
-static void add_required_cells(const Search *search, ptrdiff_t cell) {
-    size_t row = (size_t)(cell + 1 + ABOVE), end = search->extent[2 * row + 1];
-    const uint8_t *need = search->required + row * search->blocks;
-    for (size_t b = search->extent[2 * row]; b < end;) {
-        size_t from = b;
-        while (b < end && need[b]) b++;
-        if (b > from) add_cells(search, cell, from, b);
-        while (b < end && !need[b]) b++;
-    }
 }
 
 /* ---- windows ---- */
@@ -322,7 +309,6 @@ static void mark_band(Search *search, size_t from, size_t to, size_t top, size_t
     }
     for (size_t row = first; row < end + ABOVE + BELOW; row++) {
         size_t *extent = search->extent + 2 * row;
-        memset(search->required + row * search->blocks + from, 1, to - from);
         if (extent[1] == 0 || extent[0] > from) extent[0] = from;
         if (extent[1] < to) extent[1] = to;
     }
@@ -332,10 +318,9 @@ static int mark_bands(Search *search, const Bands *bands) {
     const StripeImage *image = search->noise->image;
     size_t blocks = search->blocks, rows = search->cells + 1, all = rows + ABOVE + BELOW;
     search->extent = calloc(2 * all, sizeof *search->extent);
-    search->selected = calloc((rows + all) * blocks + rows, 1);
+    search->selected = calloc(rows * blocks + rows, 1);
     if (search->selected == NULL || search->extent == NULL) return 0;
-    search->required = search->selected + rows * blocks;
-    search->selected_rows = search->required + all * blocks;
+    search->selected_rows = search->selected + rows * blocks;
     for (size_t band = 0; band < bands->count; band++) {
         const int32_t *side = bands->sides + SIDES * band;
         size_t left = clamped(side[0], image->width + 1), right = clamped(side[1], image->width + 1);
@@ -362,11 +347,10 @@ static int keep_rows(Search *search, ptrdiff_t from, ptrdiff_t to) {
    area has been read, whose samples are then in the cache. */
 static int pass(Search *search) {
     ptrdiff_t first = search->first, end = search->end, kept = first;
+    const size_t whole[2] = {0, search->blocks};
     for (ptrdiff_t window = first - ABOVE - BELOW; window < end; window++) {
-        if (search->selected)
-            add_required_cells(search, window + BELOW);
-        else
-            add_cells(search, window + BELOW, 0, search->blocks);
+        const size_t *extent = search->selected ? search->extent + 2 * (window + BELOW + 1 + ABOVE) : whole;
+        if (extent[0] < extent[1]) add_cells(search, window + BELOW, extent[0], extent[1]);
         if (window >= first) find_windows(search, window);
         if (window <= first || window % AREA) continue;
         if (!keep_rows(search, kept, window - 1)) return 0;

@@ -39,12 +39,15 @@ static Filter *filters_of(const Py_buffer *taps, const Py_buffer *figures) {
 /* Lists as large as the last images needed them: asking the system anew for every image takes a fifth of its time.
    Whoever holds the interpreter's lock may take them. */
 typedef struct {
-    List runs, found, ridges, pieces;
+    List runs, found, ridges, pieces, centers;
 } Lists;
+
+/* Numbers of a centre: x, y, sigma, peak, piece. */
+enum { CENTER = 5 };
 
 #define NO_LISTS                                                                                                   \
     {{NULL, 0, 0, sizeof(Run)}, {NULL, 0, 0, sizeof(Ridge)}, {NULL, 0, 0, sizeof(Ridge)},                          \
-     {NULL, 0, 0, sizeof(StripePiece)}}
+     {NULL, 0, 0, sizeof(StripePiece)}, {NULL, 0, 0, CENTER * sizeof(double)}}
 static const Lists no_lists = NO_LISTS;
 static Lists idle_lists = NO_LISTS;
 
@@ -58,9 +61,9 @@ static Lists take_lists(void) {
 }
 
 static void give_lists_back(Lists *lists) {
-    List *list[] = {&lists->runs, &lists->found, &lists->ridges, &lists->pieces};
+    List *list[] = {&lists->runs, &lists->found, &lists->ridges, &lists->pieces, &lists->centers};
     int taken = idle_lists.ridges.data != NULL;
-    for (size_t i = 0; i < 4; i++) {
+    for (size_t i = 0; i < sizeof list / sizeof *list; i++) {
         list[i]->used = 0;
         if (taken || list[i]->capacity * list[i]->item > MAX_KEPT_BYTES) release(list[i]);
     }
@@ -83,41 +86,24 @@ static int find_pieces(const StripeImage *image, const Filter *filter, const Str
     return done;
 }
 
-/* Arrays of `count` positions, sigmas, peaks and pieces. */
-static PyObject *new_arrays(size_t count) {
-    PyObject *result = PyTuple_New(4);
-    for (Py_ssize_t i = 0; result && i < 4; i++) {
-        PyObject *array = PyByteArray_FromStringAndSize(NULL, (Py_ssize_t)((i == 0 ? 16 : 8) * count));
-        if (array == NULL || PyTuple_SetItem(result, i, array) < 0) {
-            Py_DECREF(result);
-            return NULL;
-        }
-    }
-    return result;
+static PyObject *bytes_of(const void *data, size_t count) {
+    return PyBytes_FromStringAndSize(data, (Py_ssize_t)(count * sizeof(double)));
 }
 
-static void *array_data(PyObject *arrays, Py_ssize_t i) { return PyByteArray_AsString(PyTuple_GetItem(arrays, i)); }
-
-static int shorten(PyObject *arrays, size_t count) {
-    for (Py_ssize_t i = 0; i < 4; i++)
-        if (PyByteArray_Resize(PyTuple_GetItem(arrays, i), (Py_ssize_t)((i == 0 ? 16 : 8) * count)) < 0) return 0;
-    return 1;
-}
-
+/* Positions, sigmas, peaks and pieces of the centres. */
 static PyObject *centers_of(const StripeImage *image, const Filter *filters, size_t filter_count,
-                            const StripeParams *params, const Lists *lists) {
-    size_t maximum = kept_ridges(params, &lists->pieces);
-    PyObject *arrays = new_arrays(maximum);
-    if (arrays == NULL) return NULL;
-    Centers centers = {array_data(arrays, 0), array_data(arrays, 1), array_data(arrays, 2), array_data(arrays, 3), 0};
+                            const StripeParams *params, Lists *lists) {
+    size_t room = kept_ridges(params, &lists->pieces);
+    if (!reserve(&lists->centers, room + 1)) return PyErr_NoMemory();
+    double *memory = lists->centers.data;
+    Centers centers = {memory, memory + 2 * room, memory + 3 * room, (int64_t *)(memory + 4 * room), 0};
     int done;
     Py_BEGIN_ALLOW_THREADS
     done = find_centers(image, filters, filter_count, params, &lists->ridges, &lists->pieces, &centers);
     Py_END_ALLOW_THREADS
-    if (!done) PyErr_NoMemory();
-    if (done && (centers.count == maximum || shorten(arrays, centers.count))) return arrays;
-    Py_DECREF(arrays);
-    return NULL;
+    if (!done) return PyErr_NoMemory();
+    return Py_BuildValue("(NNNN)", bytes_of(centers.position, 2 * centers.count), bytes_of(centers.sigma, centers.count),
+                         bytes_of(centers.peak, centers.count), bytes_of(centers.piece, centers.count));
 }
 
 PyObject *call_stripes(PyObject *module, PyObject *tuple) {

@@ -24,7 +24,7 @@ MAX_READ = 536
 
 @runtime_checkable
 class Actions(Protocol):
-    """Actions of the camera that a request triggers."""
+    """Actions of the camera that requests of a client trigger."""
 
     def start(self) -> None:
         """Start the acquisition, triggered or free-running."""

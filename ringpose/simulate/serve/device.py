@@ -10,8 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 
@@ -40,14 +39,11 @@ _BURST_BYTES = 16_000
 """Bytes sent without delay: less than common receive buffers."""
 
 
-@runtime_checkable
-class Exposures(Protocol):
-    """The scene in front of the camera."""
+ExposedImage = Callable[[float, float, float, Literal[8, 12]], tuple[UInt[Array, "row column"], Mapping[str, Any]]]
+"""Makes the grey values of an exposure that has just ended, and its log record.
 
-    def image(
-        self, began_s: float, exposure_s: float, gain_db: float, bits: Literal[8, 12]
-    ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
-        """Grey values of an exposure that has just ended (monotonic clock), and its log record."""
+The arguments are the exposure's start (monotonic clock) and duration in seconds, the gain in dB, and the bit depth.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,14 +78,14 @@ class ServedCamera:
     def __init__(
         self,
         identity: Identity,
-        exposures: Exposures,
+        exposed_image: ExposedImage,
         faults: CameraFaults | None = None,
         lines_changed: Callable[[int, float], None] | None = None,
         log: Callable[[Mapping[str, Any]], None] | None = None,
     ) -> None:
         self.identity = identity
         self.registers = Registers(identity)
-        self._exposures = exposures
+        self._exposed_image = exposed_image
         self._faults = faults or CameraFaults()
         self._lines_changed = lines_changed
         self._log = log
@@ -119,9 +115,7 @@ class ServedCamera:
             thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._stopped.set()
         for thread in self._threads:
@@ -232,7 +226,7 @@ class ServedCamera:
         pixel_format = self.registers.pixel_format
         gain_db = self.registers.number(features.GAIN, features.GAIN_BOUNDS_DB)
         bits: Literal[8, 12] = 8 if pixel_format is PixelFormat.MONO8 else 12
-        image, record = self._exposures.image(began_s, exposure_s, gain_db, bits)
+        image, record = self._exposed_image(began_s, exposure_s, gain_db, bits)
         self._block = block_after(self._block)
         if self._log is not None:
             self._log({"frame_id": self._block, "began_s": began_s, "exposure_s": exposure_s, **record})
@@ -254,17 +248,16 @@ class ServedCamera:
 class Stream:
     """Sends frames from one address to one client, at the rate of a link, with injected losses."""
 
-    def __init__(self, address: str, loss: float = 0.0, *, resends: bool = True, seed: int = 1) -> None:
+    def __init__(self, address: str, loss: float = 0.0, *, resends: bool = True) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, 0))
         self._loss = loss
         self._resends = resends
-        self._generator = np.random.default_rng(seed)
+        self._generator = np.random.default_rng(1)
         self._client: tuple[str, int] | None = None
         self._kept: OrderedDict[int, StreamedFrame] = OrderedDict()
         self._lock = threading.Lock()
         self.lost_packets = 0
-        self.resent_packets = 0
 
     def open(self, client: tuple[str, int]) -> None:
         """Send the following frames to this client."""
@@ -300,7 +293,6 @@ class Stream:
             frame = self._kept.get(block)
         if frame is not None and self._resends:
             numbers = range(first, min(last + 1, frame.packets))
-            self.resent_packets += len(numbers)
             self._send_packets(frame, numbers)
 
     def send_bytes(self, datagram: bytes, client: tuple[str, int]) -> None:

@@ -8,22 +8,23 @@ from ringpose.errors import UsageError
 from ringpose.simulate.serve.device import CameraFaults
 from ringpose.simulate.serve.relays import RelayFaults
 
-_LASER_FAULTS = ("stuck", "welded", "dark", "late")
-"""Faults of one laser, written `name:LASER`."""
+FAULTS = {
+    "loss": "loss=0.002",
+    "no-resend": "no-resend",
+    "dead-camera": "dead-camera=20",
+    "keeps-lines": "keeps-lines",
+    "unplug": "unplug=20",
+    "operate": "operate=0.008",
+    "release": "release=0.004",
+    "stuck": "stuck:2",
+    "welded": "welded:2",
+    "dark": "dark:2",
+    "late": "late:2=0.05",
+}
+"""An example of each fault, which shows whether it is of one laser (`:2`) and whether it has a value (`=20`)."""
 
 _COUNTS = ("dead-camera", "unplug")
 """Faults whose value is a number of frames."""
-
-_EXAMPLE_VALUES = {
-    "loss": "0.002",
-    "late": "0.05",
-    "operate": "0.008",
-    "release": "0.004",
-    **dict.fromkeys(_COUNTS, "20"),
-}
-"""Faults with a value, and an example of it for messages."""
-
-FAULTS = ("loss", "no-resend", "dead-camera", "keeps-lines", "unplug", "operate", "release", *_LASER_FAULTS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +42,10 @@ def parsed_faults(texts: Iterable[str], lasers: int) -> InjectedFaults:
     faults = [_parsed(text, lasers) for text in texts]
     values = {name: value for name, _, value in faults}
     counts = {name: int(values[name]) for name in _COUNTS if name in values}
-    lasers_of = {name: frozenset(laser for other, laser, _ in faults if other == name) for name in _LASER_FAULTS}
+
+    def lasers_with(name: str) -> frozenset[int]:
+        return frozenset(laser for other, laser, _ in faults if other == name)
+
     return InjectedFaults(
         camera=CameraFaults(
             loss=values.get("loss", 0.0),
@@ -52,9 +56,9 @@ def parsed_faults(texts: Iterable[str], lasers: int) -> InjectedFaults:
         contacts=RelayFaults(
             operate_s=values.get("operate", 0.0),
             release_s=values.get("release", 0.0),
-            stuck=lasers_of["stuck"],
-            welded=lasers_of["welded"],
-            dead=lasers_of["dark"],
+            stuck=lasers_with("stuck"),
+            welded=lasers_with("welded"),
+            dead=lasers_with("dark"),
             late_s={laser: value for name, laser, value in faults if name == "late"},
         ),
         unplug_after=counts.get("unplug"),
@@ -67,9 +71,8 @@ def _parsed(text: str, lasers: int) -> tuple[str, int, float]:
     name, colon, laser = head.partition(":")
     if name not in FAULTS:
         raise UsageError("--fault", f'"{text}" is not a fault', f"give one of {', '.join(FAULTS)}")
-    example = name + (":2" if name in _LASER_FAULTS else "")
-    example += f"={_EXAMPLE_VALUES[name]}" if name in _EXAMPLE_VALUES else ""
-    if bool(colon) != (name in _LASER_FAULTS) or bool(equals) != (name in _EXAMPLE_VALUES):
+    example = FAULTS[name]
+    if bool(colon) != (":" in example) or bool(equals) != ("=" in example):
         raise UsageError("--fault", f'"{text}" does not have the form of {name}', f"give {example}")
     if colon and not (laser.isdecimal() and 1 <= int(laser) <= lasers):
         raise UsageError("--fault", f'"{text}" does not name a laser', f"lasers are numbered from 1 to {lasers}")

@@ -45,7 +45,7 @@ class Client:
         return self._remaining is None or self._remaining > 0
 
     def awaits_more_than(self, frames: int) -> bool:
-        """Whether it asked for more frames than these, and every earlier one has been handed to the network."""
+        """Whether it asked for more frames than this number, and all earlier ones are handed to the network."""
         is_asked = self._remaining is None or self._remaining > frames
         return is_asked and not self._queue and not self._is_sending
 
@@ -114,8 +114,8 @@ class Viewer:
             await drained(self.writer)
 
 
-async def received(reader: asyncio.StreamReader, begun: bytes = b"") -> wire.Fields:
-    """The header of the message that begins with these bytes."""
+async def received(reader: asyncio.StreamReader, begun: bytes = b"") -> wire.Header:
+    """Read a message from a client and return its header; `begun` are the bytes that have been read already."""
     try:
         async with asyncio.timeout(MESSAGE_S):
             prefix = begun + await reader.readexactly(wire.PREFIX.size - len(begun))
@@ -142,7 +142,7 @@ class BrowserRequest:
 
 
 async def browser_request(reader: asyncio.StreamReader) -> BrowserRequest:
-    """The request after its first word, `GET`."""
+    """Read an HTTP request whose first word, `GET`, has been read already."""
     try:
         async with asyncio.timeout(MESSAGE_S):
             head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1")

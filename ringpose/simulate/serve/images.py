@@ -12,11 +12,10 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 from ringpose.errors import DeviceError
@@ -109,9 +108,7 @@ class ImageServer:
         started.wait()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(RuntimeError):  # the loop has ended by a failure
             self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join()
@@ -135,6 +132,7 @@ class ImageServer:
         self._loop.set_exception_handler(self._on_failure)
         self._stop = asyncio.Event()
         self._changed = asyncio.Event()
+        self._exposed: asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]] = asyncio.Queue()
         server = await asyncio.start_server(self._connected, sock=self._socket)
         producer = asyncio.create_task(self._produce())
         stopped = asyncio.create_task(self._stop.wait())
@@ -165,19 +163,18 @@ class ImageServer:
 
     async def _produce(self) -> None:
         """Expose frame after frame, several at once, and publish them in order."""
-        rendered: asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]] = asyncio.Queue()
         expose = self._expose_in_lockstep if self._setup.clock == "lockstep" else self._expose_by_the_clock
-        await asyncio.gather(expose(rendered), self._publish_in_order(rendered))
+        await asyncio.gather(expose(), self._publish_in_order())
 
-    async def _expose_in_lockstep(self, rendered: "asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]]") -> None:
+    async def _expose_in_lockstep(self) -> None:
         exposed = 0
         while True:
             await self._until(self._all_await_frames)
             stamp_s = self._camera.start_s + exposed / self._setup.rate_hz
             exposed += 1
-            rendered.put_nowait((self._loop.time(), self._begun(stamp_s)))
+            self._expose(self._loop.time(), stamp_s)
 
-    async def _expose_by_the_clock(self, rendered: "asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]]") -> None:
+    async def _expose_by_the_clock(self) -> None:
         """The frames of a shot follow each other at the rate; where rendering takes longer, the next shot is late."""
         rate_hz, slot, began_s = self._setup.rate_hz, 0, self._loop.time()
         while True:
@@ -192,16 +189,17 @@ class ImageServer:
                 slot = max(due, slot)
             begin_s = began_s + slot / rate_hz
             stamp_s = time.time() + begin_s - self._loop.time()
-            rendered.put_nowait((begin_s, self._begun(stamp_s)))
+            self._expose(begin_s, stamp_s)
 
-    def _begun(self, stamp_s: float) -> "asyncio.Future[ServedFrame]":
+    def _expose(self, begin_s: float, stamp_s: float) -> None:
         self._in_flight += 1
-        return self._loop.run_in_executor(self._renderer, self._camera.next_exposure(stamp_s))
+        frame = self._loop.run_in_executor(self._renderer, self._camera.next_exposure(stamp_s))
+        self._exposed.put_nowait((begin_s, frame))
 
-    async def _publish_in_order(self, rendered: "asyncio.Queue[tuple[float, asyncio.Future[ServedFrame]]]") -> None:
+    async def _publish_in_order(self) -> None:
         """Publish each frame when it is rendered, not before it is exposed."""
         while True:
-            begin_s, future = await rendered.get()
+            begin_s, future = await self._exposed.get()
             frame = await future
             await asyncio.sleep(begin_s + frame.exposure_s - self._loop.time() if self._setup.clock == "wall" else 0.0)
             self._in_flight -= 1
@@ -292,17 +290,10 @@ class ImageServer:
         await drained(writer)
         client = Client(writer, self._changed)
         self._clients.add(client)
-        sending = asyncio.create_task(client.send_frames())
-        reading = asyncio.create_task(self._answer_requests(client, reader))
         try:
-            done, _ = await asyncio.wait({sending, reading}, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
+            await _first_ended(client.send_frames(), self._answer_requests(client, reader))
         finally:
             self._clients.discard(client)
-            sending.cancel()
-            reading.cancel()
-            await asyncio.gather(sending, reading, return_exceptions=True)
 
     async def _authenticate(self, secret: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         nonce = secrets.token_hex(16)
@@ -362,12 +353,20 @@ class ImageServer:
         viewer = Viewer(writer)
         self._viewers.add(viewer)
         self._changed.set()
-        sending = asyncio.create_task(viewer.send_pictures())
-        leaving = asyncio.create_task(reader.read(1))
         try:
-            await asyncio.wait({sending, leaving}, return_when=asyncio.FIRST_COMPLETED)
+            await _first_ended(viewer.send_pictures(), reader.read(1))
         finally:
             self._viewers.discard(viewer)
-            sending.cancel()
-            leaving.cancel()
-            await asyncio.gather(sending, leaving, return_exceptions=True)
+
+
+async def _first_ended(*works: Coroutine[Any, Any, Any]) -> None:
+    """Run until one of them ends, whose error is raised, and cancel the other."""
+    tasks = [asyncio.create_task(work) for work in works]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

@@ -10,11 +10,10 @@ import threading
 import time
 import tty
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from types import TracebackType
 
 from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, SwitchRow, row_of
 
@@ -57,14 +56,12 @@ class ServedRelays:
         codec: RelayCodec,
         relays: Sequence[int] = (0, 1, 2),
         faults: RelayFaults | None = None,
-        changed: Callable[[int], None] | None = None,
     ) -> None:
         self.relays = tuple(relays)
         self.contacts = RelayContacts(len(self.relays), faults)
         self.port = ""
         """Path of the pseudo-terminal, once the board is served."""
         self._codec = codec
-        self._changed = changed
         self._coils_until_s = [0.0] * BOARD_RELAYS
         """Time until which each coil is on (monotonic clock)."""
         self._thread: threading.Thread | None = None
@@ -73,10 +70,6 @@ class ServedRelays:
     def channels(self) -> str:
         """The parameter `ch=` of the laser URI: the relays by the board's own numbers."""
         return ",".join(str(relay + self._codec.first) for relay in self.relays)
-
-    def mask_at(self, time_s: float) -> int:
-        """Mask of the lasers that are on at a time (monotonic clock); bit i is laser i of the rig."""
-        return self.contacts.mask_at(time_s)
 
     def __enter__(self) -> "ServedRelays":
         self._master, self._slave = os.openpty()
@@ -88,9 +81,7 @@ class ServedRelays:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.unplug()
 
     def unplug(self) -> None:
@@ -117,7 +108,6 @@ class ServedRelays:
     def _execute(self, command: Command) -> None:
         """Switch the coils and contacts of a command, and answer it."""
         now_s = time.monotonic()
-        before = self._coil_mask(now_s)
         on, off = row_of(command)
         until_s = now_s + command.duration_s if isinstance(command, Pulse) else None
         for relay in range(BOARD_RELAYS):
@@ -127,14 +117,9 @@ class ServedRelays:
             self._coils_until_s[relay] = 0.0 if not is_on else float("inf") if until_s is None else until_s
             if relay in self.relays:
                 self.contacts.command(self.relays.index(relay), is_on, now_s, until_s)
-        coils = self._coil_mask(now_s)
+        coils = sum(1 << relay for relay, end_s in enumerate(self._coils_until_s) if end_s > now_s)
         with suppress(BlockingIOError):  # the client does not read its answers
             os.write(self._master, self._codec.answer(command, coils, BOARD_RELAYS))
-        if self._changed is not None and not isinstance(command, Read) and coils != before:
-            self._changed(coils)
-
-    def _coil_mask(self, now_s: float) -> int:
-        return sum(1 << relay for relay, until_s in enumerate(self._coils_until_s) if until_s > now_s)
 
 
 def _has_valid_relays(command: Command) -> bool:
@@ -188,18 +173,22 @@ class RelayContacts:
         with self._lock:
             return tuple(_share_on(changes, begin_s, end_s) for changes in self._changes)
 
-    def on_since_s(self, laser: int, time_s: float) -> float | None:
-        """Time since which a laser has been on without interruption; None if it is off at `time_s`."""
+    def on_since_s(self, time_s: float) -> tuple[float | None, ...]:
+        """For each laser the time since which it has been on without interruption; None if it is off at `time_s`."""
         with self._lock:
-            changes = [change for change in self._changes[laser] if change[0] <= time_s]
-        since_s = None
-        for change_s, on in changes:
-            since_s = (change_s if since_s is None else since_s) if on else None
-        return since_s
+            return tuple(_on_since_s(changes, time_s) for changes in self._changes)
 
 
 def _is_on(changes: list[tuple[float, bool]], time_s: float) -> bool:
     return changes[bisect_right(changes, (time_s, True)) - 1][1]
+
+
+def _on_since_s(changes: list[tuple[float, bool]], time_s: float) -> float | None:
+    since_s = None
+    for change_s, on in changes:
+        if change_s <= time_s:
+            since_s = (change_s if since_s is None else since_s) if on else None
+    return since_s
 
 
 def _share_on(changes: list[tuple[float, bool]], begin_s: float, end_s: float) -> float:

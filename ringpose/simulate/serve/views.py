@@ -4,26 +4,23 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
-from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
 
-from ringpose.simulate.pipeline import render_board_view, render_ring_view
-from ringpose.simulate.placement import board_poses, ring_views
 from ringpose.simulate.renderer import RenderedView
 from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.relays import RelayContacts
 from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.options import AdvancePolicy
-from ringpose.types.scene import BoardSet, Scene, Sensor
+from ringpose.types.scene import Sensor
 
 _SLICES = 8
 """Time steps of an exposure in which a laser is warming up."""
 
 
 class MovingViews:
-    """The views in order; the next one is rendered in the background and shown when it is ready."""
+    """The views in turn; the next one is rendered in the background and shown when it is due and ready."""
 
     def __init__(
         self, names: Sequence[str], render: Callable[[int], RenderedView], move: AdvancePolicy, after_s: float
@@ -63,41 +60,23 @@ class MovingViews:
         self._next = self._worker.submit(self._render, self._number + 1) if has_next else None
 
 
-def ring_moving_views(scene: Scene, move: AdvancePolicy, after_s: float) -> MovingViews:
-    """The views of the ring in the trajectory of the scene."""
-    views = ring_views(scene)
-    return MovingViews([view.name for view in views], lambda k: render_ring_view(scene, views[k], k), move, after_s)
-
-
-def board_moving_views(scene: Scene, boards: BoardSet, move: AdvancePolicy, after_s: float) -> MovingViews:
-    """The views of a calibration board in its poses of the scene."""
-    poses = board_poses(scene, boards)
-    names = [pose.name for pose in poses]
-    return MovingViews(names, lambda k: render_board_view(scene, boards, poses[k], k), move, after_s)
-
-
 class SceneExposures:
-    """Exposures of the views of a scene, with each laser on for its actual time; its context ends the rendering."""
+    """Exposures of the views of a scene, with each laser on for its actual time.
+
+    `warm_up_s` is the time constant of the power of a laser that has been switched on.
+    """
 
     def __init__(self, views: MovingViews, sensor: Sensor, contacts: RelayContacts, warm_up_s: float = 0.0) -> None:
         self._views = views
         self._sensor = sensor
         self._contacts = contacts
-        self._warm_up_s = warm_up_s
+        self._warm_up_s = max(warm_up_s, 1e-9)
         self._generator = np.random.default_rng(1)
-
-    def __enter__(self) -> "SceneExposures":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._views.close()
 
     def image(
         self, began_s: float, exposure_s: float, gain_db: float, bits: Literal[8, 12]
     ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
-        """See `Exposures`; the record contains the view and the share of the exposure in which each laser was on."""
+        """See `ExposedImage`; the record contains the view and the share of the exposure in which each laser was on."""
         name, rendered = self._views.at(began_s)
         shares = self.laser_shares(began_s, exposure_s).tolist()
         factor = 2.0 ** (bits - self._sensor.bits)
@@ -109,18 +88,17 @@ class SceneExposures:
 
     def laser_shares(self, began_s: float, exposure_s: float) -> Float64[Array, "laser"]:
         """Energy of each laser during an exposure, as a share of that at full power."""
-        edges = np.linspace(began_s, began_s + exposure_s, _SLICES + 1).tolist()
+        edges_s = np.linspace(began_s, began_s + exposure_s, _SLICES + 1)
         slices = [
-            np.array(self._contacts.shares(begin_s, end_s)) * self._warm_up((begin_s + end_s) / 2)
-            for begin_s, end_s in pairwise(edges)
+            np.array(self._contacts.shares(begin_s, end_s)) * self._power((begin_s + end_s) / 2)
+            for begin_s, end_s in pairwise(edges_s.tolist())
         ]
         mean: Float64[Array, "laser"] = np.mean(slices, axis=0)
         return mean
 
-    def _warm_up(self, time_s: float) -> Float64[Array, "laser"]:
-        """Power of each laser as a share of full power; 1 for a laser that is off."""
-        lasers = range(len(self._contacts.shares(time_s, time_s)))
-        since_s = [self._contacts.on_since_s(laser, time_s) for laser in lasers]
+    def _power(self, time_s: float) -> Float64[Array, "laser"]:
+        """Power of each laser at a time as a share of full power; 1 for a laser that is off."""
+        since_s = self._contacts.on_since_s(time_s)
         age_s = np.array([np.inf if since is None else time_s - since for since in since_s])
-        power: Float64[Array, "laser"] = -np.expm1(-age_s / max(self._warm_up_s, 1e-9))
+        power: Float64[Array, "laser"] = -np.expm1(-age_s / self._warm_up_s)
         return power

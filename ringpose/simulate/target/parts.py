@@ -111,15 +111,28 @@ def target_tables(parts: Sequence[Part]) -> TargetTables:
     materials: dict[Material, int] = {}
     foils: dict[Foil, int] = {}
     for part in parts:
-        row = _Row(part, len(material_of), sum(map(len, points)), len(gaps), len(forms), foils)
-        rows.append(row.numbers)
-        points.append(row.profile_m)
+        profile_m = part.shape.profile_m if isinstance(part.shape, Revolution) else np.empty((0, 2))
+        if len(profile_m) > MAX_POINTS:
+            raise DataError(f"part {part.name}", f"has {len(profile_m)} points", f"give at most {MAX_POINTS}")
+        low, high, center, radius_m = _bounds(part)
+        rows.append([
+            BOX if isinstance(part.shape, Box) else REVOLUTION,
+            *part.rotation.T.ravel(), *part.translation_m, *low, *high,
+            len(material_of), sum(map(len, points)), len(profile_m), len(gaps), len(part.gaps),
+            NONE if part.form is None else len(forms),
+            NONE if part.foil is None else foils.setdefault(part.foil, len(foils)),
+            *(part.rotation @ center + part.translation_m), radius_m,
+        ])  # fmt: skip
+        points.append(profile_m)
         for gap in part.gaps:
-            gaps.append([np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, row.top_m - gap.depth_m])
+            top_m = profile_m[:, 1].max()
+            gaps.append([np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, top_m - gap.depth_m])
         if part.form is not None:  # deviations are interpolated between the least and the greatest radius
-            radii_m = row.profile_m[:, 0].min(), row.profile_m[:, 0].max()
+            radii_m = profile_m[:, 0].min(), profile_m[:, 0].max()
             forms.append([*part.form.radial_m.ravel(), *part.form.axial_m.ravel(), *radii_m])
-        material_of += [materials.setdefault(material, len(materials)) for material in _materials(part)]
+        surfaces = len(profile_m) or 6  # a surface of revolution has one more than pieces: the walls of its gaps
+        all_materials = (*part.materials, *[part.materials[-1]] * surfaces)[:surfaces]
+        material_of += [materials.setdefault(material, len(materials)) for material in all_materials]
     reliefs = [relief(foil) for foil in foils]
     return TargetTables(
         parts=np.array(rows).reshape(-1, 30),
@@ -137,51 +150,20 @@ def target_tables(parts: Sequence[Part]) -> TargetTables:
     )
 
 
-class _Row:
-    """The row of a part in its table, with the bounds of its shape."""
-
-    def __init__(self, part: Part, surface: int, point: int, gap: int, form: int, foils: dict[Foil, int]) -> None:
-        self.profile_m = part.shape.profile_m if isinstance(part.shape, Revolution) else np.empty((0, 2))
-        margin_m = 0.0
-        if part.form is not None:  # the largest deviation
-            radial_m, axial_m = np.abs(part.form.radial_m), np.abs(part.form.axial_m)
-            margin_m = float(max(radial_m.sum(axis=(1, 2)).max(), axial_m.sum()))
-        if isinstance(part.shape, Box):
-            low, high = part.shape.low_m, part.shape.high_m
-            self.top_m = float(high[2])
-            center, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-        else:
-            if len(self.profile_m) > MAX_POINTS:
-                raise DataError(f"part {part.name}", f"has {len(self.profile_m)} points", f"give at most {MAX_POINTS}")
-            (least, lowest), (greatest, highest) = self.profile_m.min(axis=0), self.profile_m.max(axis=0)
-            self.top_m = float(highest)
-            low = np.array([max(least - margin_m, 0.0), lowest, lowest - margin_m])
-            high = np.array([greatest + margin_m, highest, highest + margin_m])
-            center = np.array([0.0, 0.0, (lowest + highest) / 2])
-            radius = float(np.hypot(high[0], (high[2] - low[2]) / 2))
-        foil = NONE if part.foil is None else foils.setdefault(part.foil, len(foils))
-        self.numbers = [
-            BOX if isinstance(part.shape, Box) else REVOLUTION,
-            *part.rotation.T.ravel(),
-            *part.translation_m,
-            *low,
-            *high,
-            surface,
-            point,
-            len(self.profile_m),
-            gap,
-            len(part.gaps),
-            NONE if part.form is None else form,
-            foil,
-            *(part.rotation @ center + part.translation_m),
-            radius * (1 + 1e-9),
-        ]
-
-
-def _materials(part: Part) -> tuple[Material, ...]:
-    """The material of each surface of a part; a ring has one more, that of the walls of its gaps."""
-    faces = 6 if isinstance(part.shape, Box) else len(part.shape.profile_m)
-    return (*part.materials, *[part.materials[-1]] * faces)[:faces]
+def _bounds(part: Part) -> tuple[Float64[Array, "3"], Float64[Array, "3"], Float64[Array, "xyz=3"], float]:
+    """Bounds of a part's shape in its own frame, as `Part` in target.h has them, and its bounding sphere."""
+    if isinstance(part.shape, Box):
+        low, high = part.shape.low_m, part.shape.high_m
+        return low, high, (low + high) / 2, float(np.linalg.norm(high - low)) / 2 * (1 + 1e-9)
+    margin_m = 0.0
+    if part.form is not None:  # the largest deviation
+        radial_m, axial_m = np.abs(part.form.radial_m), np.abs(part.form.axial_m)
+        margin_m = float(max(radial_m.sum(axis=(1, 2)).max(), axial_m.sum()))
+    (least, lowest), (greatest, highest) = part.shape.profile_m.min(axis=0), part.shape.profile_m.max(axis=0)
+    low = np.array([max(least - margin_m, 0.0), lowest, lowest - margin_m])
+    high = np.array([greatest + margin_m, highest, highest + margin_m])
+    radius_m = float(np.hypot(high[0], (high[2] - low[2]) / 2)) * (1 + 1e-9)
+    return low, high, np.array([0.0, 0.0, (lowest + highest) / 2]), radius_m
 
 
 def _material(material: Material) -> list[float]:

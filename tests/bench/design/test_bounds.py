@@ -46,12 +46,6 @@ def test_a_rig_that_may_have_changed_never_lowers_the_bound():
     assert np.degrees(bound.normal_sd_rad) == pytest.approx(0.29, rel=0.15)
 
 
-def test_without_a_change_of_the_rig_its_bound_is_the_same():
-    scene = make_scene("B", distance_m=0.5)
-
-    assert with_stability(scene.rig, RigStability()) is scene.rig
-
-
 def test_two_stripes_determine_the_ring_only_with_its_radii():
     scene = make_scene("B", distance_m=0.5)
     points = face_points_of(scene, POINT_PX, LINE_PX)

@@ -16,8 +16,8 @@ from ringpose.bench.design.maps import (
     place_result,
     places,
     scene_at,
-    scene_with,
 )
+from ringpose.bench.design.rig_changes import with_changes
 from ringpose.estimate.nuisance import with_stability
 from ringpose.files.scenes.scene import read_scene
 from ringpose.pose.pipeline import pose_line
@@ -114,7 +114,7 @@ def test_a_stripe_that_leaves_the_image_is_counted_and_leaves_the_centre_open(sc
 
 
 def test_stripes_that_nearly_cross_are_ambiguous_in_a_single_frame(scene):
-    near = place_result(scene_with(scene, {"laser_angle_rad": 0.002}), Place(distance_m=0.5))
+    near = place_result(with_changes(scene, {"laser_angle_rad": 0.002}), Place(distance_m=0.5))
     wide = place_result(scene, Place(distance_m=0.5))
 
     assert near.weak
@@ -153,7 +153,7 @@ def test_no_rig_is_chosen_that_does_not_cover_the_places(scene):
     ],
 )
 def test_a_change_of_the_rig_is_what_it_names_and_planes_contain_their_projectors(scene, name, value, found):
-    changed = scene_with(scene, {name: value})
+    changed = with_changes(scene, {name: value})
 
     assert found(changed.rig) == pytest.approx(value)
     lasers = changed.rig.lasers
@@ -163,7 +163,7 @@ def test_a_change_of_the_rig_is_what_it_names_and_planes_contain_their_projector
 
 
 def test_more_lasers_over_the_same_angle_improve_the_centre(scene):
-    three, five = (place_result(scene_with(scene, {"lasers": n}), Place(distance_m=0.5)) for n in (3.0, 5.0))
+    three, five = (place_result(with_changes(scene, {"lasers": n}), Place(distance_m=0.5)) for n in (3.0, 5.0))
 
     assert five.stripes == 5
     assert five.sd["center_m"] < three.sd["center_m"]

@@ -87,8 +87,8 @@ def test_errors_of_the_default_method_are_near_their_bound(study, rows):
 
     assert statistics.answers == statistics.targets == study.shots
     # of ratios that are 1, 96 % are in this band if 8 shots count along one direction, and 99.95 % if along all three
-    assert 0.5 < statistics.ratio("center_m") < 1.5
-    assert 0.5 < statistics.ratio("normal_rad") < 1.5
+    assert 0.5 < statistics.rms("ratio_center_m") < 1.5
+    assert 0.5 < statistics.rms("ratio_normal_rad") < 1.5
     assert 0.4 < statistics.mean("center_nees") < 2.0
     assert statistics.wrong == 0
 
@@ -96,7 +96,7 @@ def test_errors_of_the_default_method_are_near_their_bound(study, rows):
 def test_a_known_radius_lowers_bound_and_error(study, rows):
     summary = summarized(study, rows)
 
-    assert summary.all("ml-known").bound("center_m") < 0.5 * summary.all("ml").bound("center_m")
+    assert summary.all("ml-known").rms("bound_center_m") < 0.5 * summary.all("ml").rms("bound_center_m")
     assert summary.all("ml-known").rms("center_m") < 0.5 * summary.all("ml").rms("center_m")
 
 
@@ -234,7 +234,7 @@ def test_the_estimator_assumes_what_the_study_states(study):
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "flag"), [("not round or flat", "ring_form"), ("too fast", "motion")])
 def test_a_rendered_shot_that_violates_an_assumption_is_flagged(case, flag):
-    study = read_study(study_path("violations")).study
+    study = read_study(study_path("violations"))
     rows = [study_rows(study, turn * study.cells + list(study.cases).index(case))[0] for turn in range(3)]
 
     assert any(flag in str(row["flags"]).split() for row in rows)
@@ -255,7 +255,7 @@ def test_an_image_of_a_study_is_detected_and_scored(study):
 @pytest.mark.parametrize("index", [412, 710, 966, 1084])
 def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_without_a_flag(index):
     """A stripe on a surface behind the ring beside a missing or a wrong one: two stripes that agree on another ring."""
-    row = study_rows(read_study(study_path("outliers")).study, index)[0]
+    row = study_rows(read_study(study_path("outliers")), index)[0]
 
     assert row["method"] == "ml"
     assert row["edge_points"] > 30

@@ -14,14 +14,14 @@ CHESSBOARD = Board(kind="chessboard", squares_x=9, squares_y=6, square_m=0.04)
 def test_the_default_boards_fit_on_a4(board):
     drawing = board_drawing(board)
 
-    assert drawing.page == "A4 lying"
+    assert drawing.page == "A4 landscape"
     assert (drawing.width_m, drawing.height_m) == (0.297, 0.21)
 
 
 def test_a_board_is_drawn_on_the_smallest_page_that_holds_it_or_on_one_of_its_own_size():
     drawing = board_drawing(Board(kind="chessboard", squares_x=10, squares_y=10, square_m=0.2))
 
-    assert board_drawing(CHESSBOARD).page == "A3 lying"
+    assert board_drawing(CHESSBOARD).page == "A3 landscape"
     assert drawing.page == "of its own size"
     assert drawing.width_m > 2.0
 
@@ -53,4 +53,4 @@ def test_the_page_describes_the_board():
     words = board_drawing(A4_BOARDS["four_markers"]).labels[-1].text
 
     assert words.startswith("four_markers, DICT_4X4_50, marker 45 mm, width 250 mm, height 165 mm, margin 5 mm.")
-    assert words.endswith("Page A4 lying, 297 x 210 mm: print at 100 %, then measure.")
+    assert words.endswith("Page A4 landscape, 297 x 210 mm: print at 100 %, then measure.")

@@ -8,6 +8,7 @@ import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
 from ringpose.calibrate.boards.layout import corner_points, marker_corners
+from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import DataError
 from ringpose.types.board import Board
@@ -133,3 +134,18 @@ def test_corners_beside_saturated_paper_are_counted(gain, share):
     image = np.minimum(gain * drawn_board(FOUR), 255.0).astype(np.uint8)
 
     assert find_board(image, FOUR, "exposed").saturated_share == share
+
+
+def grid_of(kind: str, squares: int) -> Board:
+    return Board(kind=kind, squares_x=squares, squares_y=squares, dictionary="DICT_5X5_50")
+
+
+@pytest.mark.parametrize(("kind", "squares", "needed"), [("charuco", 11, 60), ("aruco_grid", 8, 64)])
+def test_a_dictionary_with_too_few_markers_for_the_board_is_rejected(kind, squares, needed):
+    with pytest.raises(DataError, match=f'"DICT_5X5_50" has 50 markers, the board has {needed}; give a larger'):
+        marker_dictionary(grid_of(kind, squares))
+
+
+@pytest.mark.parametrize(("kind", "squares"), [("charuco", 10), ("aruco_grid", 7), ("four_markers", 1000)])
+def test_a_dictionary_with_all_markers_of_the_board_is_accepted(kind, squares):
+    assert len(marker_dictionary(grid_of(kind, squares)).bytesList) == 50

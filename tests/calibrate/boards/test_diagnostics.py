@@ -10,6 +10,7 @@ from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 from ringpose.calibrate.boards.diagnostics import BoardFailure, charuco_failure, edge_width_px
 from ringpose.calibrate.boards.patterns.markers import find_markers, marker_dictionary
 from ringpose.calibrate.boards.views import find_board
+from ringpose.types.board import Board
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
@@ -98,6 +99,36 @@ def test_an_image_of_another_board_is_reported(drawn, board, failure, found):
 
     assert missing.failure is failure
     assert missing.found.startswith(found)
+
+
+CIRCLES = Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02)
+
+
+def drawn_circles(columns: int, rows: int, white: int) -> np.ndarray:
+    """Every second row half a step to the right, 40 pixels a step of the rows."""
+    image = np.full((40 * rows + 40, 80 * columns + 80), white, np.uint8)
+    for row, column in np.ndindex(rows, columns):
+        cv2.circle(image, (80 * column + 40 * (row % 2) + 50, 40 * row + 40), 14, 20, -1)
+    return image
+
+
+@pytest.mark.parametrize(
+    ("image", "numbers", "width"),
+    [
+        (drawn_circles(5, 9, 255), {45}, ""),
+        (np.full((480, 640), 128, np.uint8), {0}, ", nothing has contrast"),
+        (drawn_circles(4, 11, 200)[:, :210], range(20, 26), ""),
+        (drawn_circles(4, 11, 200)[:250], range(20, 26), ""),
+    ],
+    ids=["another grid", "even image", "columns cut off", "rows cut off"],
+)
+def test_the_number_of_circles_is_reported(image, numbers, width):
+    found = find_board(np.ascontiguousarray(image), CIRCLES, "x")
+
+    number, text = found.found.split(maxsplit=1)
+    assert found.failure is BoardFailure.NOT_WHOLE
+    assert int(number) in numbers
+    assert text.startswith(f"circles are seen, the board has 4 x 11 = 44{width}")
 
 
 def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers():

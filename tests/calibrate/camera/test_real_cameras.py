@@ -1,7 +1,6 @@
 """Cameras of photographs and renders, against their reference results."""
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,21 +21,13 @@ K2 = CameraModel(fix_k3=True)
 SAMPLES = Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025)
 ETNA = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)
 UBA = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167, square_y_m=0.021125)
-CHARUCO = Board(kind="charuco", squares_x=11, squares_y=8, square_m=0.025, marker_m=0.018, dictionary="DICT_5X5_100")
-TRUTH = [1781.3, 1780.6, 803.7, 596.2, -0.105, 0.118, 0.00055, -0.0004, 0.0]
-
-
-@cache
-def board_views(paths: tuple[Path, ...], board: Board) -> tuple[list[BoardView], int, int]:
-    """The views of a board in images, with the width and height of these."""
-    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(paths)]
-    found = [find_board(image, board, path.stem) for path, image in zip(sorted(paths), images, strict=True)]
-    height, width = images[0].shape
-    return [view for view in found if not isinstance(view, NoBoard)], width, height
 
 
 def calibrated(paths: Sequence[Path], board: Board, model: CameraModel) -> tuple[CameraCalibration, CameraAssessment]:
-    views, width, height = board_views(tuple(sorted(paths)), board)
+    images = {path.stem: cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(paths)}
+    found = [find_board(image, board, name) for name, image in images.items()]
+    views = [view for view in found if not isinstance(view, NoBoard)]
+    height, width = next(iter(images.values())).shape
     calibration = calibrate_camera(views, width, height, model)
     return widened(calibration, camera_assessment(calibration, views, model))
 
@@ -49,26 +40,18 @@ def deviations_from(calibration: CameraCalibration, reference: Sequence[float]) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [CameraModel(), K2], ids=["k3", "k2"])
-def test_the_rendered_camera_is_within_three_sigmas_of_the_truth(model, shared_data):
-    folder = shared_data / "rendered" / "calib_b" / "camera"
-
-    calibration, assessment = calibrated(list(folder.glob("*.png")), CHARUCO, model)
-
-    assert len(calibration.used) == 15
-    assert deviations_from(calibration, TRUTH).max() < 3
-    assert camera_verdict(calibration, assessment, 15).grade is Grade.GOOD
-
-
-@pytest.mark.slow
-def test_opencvs_right_samples_agree_with_the_reference_of_the_same_finder(shared_data):
-    paths = list((shared_data / "real" / "opencv_samples_stereo").glob("right[01]*.jpg"))
+@pytest.mark.parametrize(
+    ("names", "reference", "tolerance_px"),
+    [("left[01]*.jpg", [534.15, 534.15], 2.0), ("right[01]*.jpg", [534.96, 534.40], 3.0)],
+)
+def test_own_corners_fit_opencvs_samples_better_than_the_reference(names, reference, tolerance_px, shared_data):
+    paths = list((shared_data / "real" / "opencv_samples_stereo").glob(names))
 
     calibration, _ = calibrated(paths, SAMPLES, CameraModel())
 
     assert len(calibration.used) == 13
-    assert calibration.rms_px < 0.2  # reference: 0.235
-    assert np.abs(parameters_of(calibration.camera)[:2] - [534.96, 534.40]).max() < 3.0
+    assert calibration.rms_px < 0.2  # reference: 0.235; of the left ones 0.234 with one view less
+    assert parameters_of(calibration.camera)[:2] == pytest.approx(reference, abs=tolerance_px)
 
 
 @pytest.mark.slow
@@ -88,37 +71,6 @@ def test_etnas_cameras_are_within_a_sigma_of_the_reference(folder, reference, rm
     assert deviations_from(calibration, reference).max() < 1
     assert calibration.rms_px < rms_px + 0.01
     assert camera_verdict(calibration, assessment, len(paths)).grade is not Grade.GOOD
-
-
-def bent_board(seen_px: Sequence[np.ndarray], flat_m: np.ndarray) -> np.ndarray:
-    """The board's shape that makes the views agree best, one for all of them (OpenCV's `calibrateCameraRO`)."""
-    pixels = [np.asarray(px, np.float32) for px in seen_px]
-    places = [flat_m.astype(np.float32)] * len(pixels)
-    found = cv2.calibrateCameraRO(places, pixels, (1280, 1024), 6, None, None, flags=cv2.CALIB_FIX_K3)
-    (shape,) = (part for part in found[1:] if isinstance(part, np.ndarray) and part.size == 3 * len(flat_m))
-    return np.asarray(shape, dtype=np.float32).reshape(-1, 3)
-
-
-def rms_px(seen_px: Sequence[np.ndarray], board_m: np.ndarray) -> float:
-    """Residuals of a camera calibrated with a board of this shape."""
-    pixels = [np.asarray(px, np.float32) for px in seen_px]
-    start = np.array([[2420.0, 0, 650], [0, 2420, 520], [0, 0, 1]])
-    flags = cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS
-    places = [board_m.astype(np.float32)] * len(pixels)
-    return float(cv2.calibrateCamera(places, pixels, (1280, 1024), start, np.zeros(5), flags=flags)[0])
-
-
-@pytest.mark.slow
-def test_etnas_views_disagree_because_the_board_is_bent(shared_data):
-    """The shape that every other view asks for explains the views between, which it does not come from."""
-    paths = sorted((shared_data / "real" / "etna_laser_robot" / "calib3").glob("*.png"))
-    views, _, _ = board_views(tuple(paths), ETNA)
-    flat_m, seen_px = views[0].points_board_m, [view.points_px for view in views]
-
-    shape_m = bent_board(seen_px[::2], flat_m)
-
-    assert rms_px(seen_px[1::2], flat_m) > 0.55
-    assert rms_px(seen_px[1::2], shape_m) < 0.3
 
 
 @pytest.mark.slow

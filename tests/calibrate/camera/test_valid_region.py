@@ -12,7 +12,7 @@ from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
-from ringpose.calibrate.camera.validation import displacement_px, image_map, known_lens, projection_sigma_px
+from ringpose.calibrate.camera.validation import displacement_px, known_lens, map_points_px, projection_sigma_px
 from ringpose.types.board import Board, BoardView
 from ringpose.types.rig import Camera
 
@@ -56,9 +56,8 @@ def test_a_rational_lens_has_the_reported_errors_where_it_is_known(middle_views)
     for _ in range(6):
         boards = middle_views(10)
         found = calibrate_camera(boards, 800, 600, MODEL).camera
-        where = image_map(found)
-        known = known_lens(found, np.concatenate([view.points_px for view in boards]), where)
-        squares = (displacement_px(found, CAMERA, where) / projection_sigma_px(found, where)) ** 2
+        known = known_lens(found, np.concatenate([view.points_px for view in boards]))
+        squares = (displacement_px(found, CAMERA) / projection_sigma_px(found, found.covariance.data)) ** 2
         ratios.append(np.mean(squares[known]))
 
     assert 0.4 < np.mean(ratios) < 1.8
@@ -81,11 +80,11 @@ def test_the_share_of_the_image_in_which_the_lens_is_unknown_is_reported(middle_
 
 def test_a_rational_model_is_valid_up_to_the_largest_radius_of_a_corner():
     camera = replace(CAMERA, camera_matrix=np.array([[600.0, 0.0, 400.0], [0.0, 600.0, 300.0], [0.0, 0.0, 1.0]]))
-    where = image_map(camera)
+    where = map_points_px(camera)
 
-    known = known_lens(camera, np.array([[390.0, 290.0], [400.0, 520.0]]), where)
+    known = known_lens(camera, np.array([[390.0, 290.0], [400.0, 520.0]]))
 
-    assert np.array_equal(known, np.hypot(where.points_px[..., 0] - 400, where.points_px[..., 1] - 300) <= 220)
+    assert np.array_equal(known, np.hypot(where[..., 0] - 400, where[..., 1] - 300) <= 220)
 
 
 def test_polynomials_alone_are_known_everywhere(middle_views):

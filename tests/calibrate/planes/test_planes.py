@@ -8,6 +8,7 @@ from known_views import TRUE_CAMERA, plane_errors, stripe_views, true_poses
 from scipy.stats import chi2
 
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.plane_fit import paper_plane, robust_plane
 from ringpose.errors import DataError
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import ParameterCovariance
@@ -53,9 +54,9 @@ UNSEEN = {
         {0, 1, 2},
         0,
         {"max_stripes": 2},
-        r"no frame shows more than 2 stripes on the board, there are 3 lasers \(left, mid",
+        "no frame shows more than 2 stripes on the board, there are 3 lasers: left, mid",
     ),
-    "no stripe": (set(), 0, {}, "no shot shows a stripe on the board; see that the lasers are lit"),
+    "no stripe": (set(), 0, {}, "no frame shows more than 0 stripes on the board, there are 3 lasers"),
 }
 
 
@@ -226,3 +227,23 @@ def camera_covariance() -> ParameterCovariance:
     sigma = np.array([0.15, 0.15, 0.2, 0.2, 4e-4, 2e-3, 2e-5, 2e-5, 0.0])
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
     return ParameterCovariance(parameters=names, data=np.diag(sigma**2))
+
+
+def test_the_papers_plane_and_the_nearest_plane_agree_on_exact_points(rng):
+    points = rng.uniform(-1, 1, (50, 3))
+    points[:, 2] = 2 + 0.3 * points[:, 0] - 0.2 * points[:, 1]
+
+    paper, nearest = paper_plane(points), robust_plane(points)
+
+    assert np.abs(paper[0] - nearest[0]).max() < 1e-12
+    assert paper[1] == pytest.approx(nearest[1], abs=1e-12)
+
+
+def test_a_third_of_wrong_points_does_not_move_the_robust_plane(rng):
+    points = rng.uniform(-1, 1, (300, 3)) * [1, 1, 0] + rng.normal(0, 1e-4, (300, 3)) + [0, 0, 2]
+    points[:90, 2] += rng.uniform(0.01, 0.5, 90)
+
+    normal, distance_m, _ = robust_plane(points)
+
+    assert np.abs(normal - [0, 0, 1]).max() < 1e-4
+    assert distance_m == pytest.approx(2, abs=1e-4)

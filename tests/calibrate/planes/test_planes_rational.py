@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from known_views import plane_errors, projected_px, stripe_views, true_poses
+from known_views import plane_errors, stripe_views, true_poses
 from scipy.stats import chi2
 
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
@@ -63,16 +62,6 @@ def test_rig_of_a_rational_camera_comes_back_from_its_file_with_all_its_paramete
     )
     np.testing.assert_allclose(rig.covariance.data, found.covariance.data, rtol=1e-12)
     np.testing.assert_array_equal(rig.camera.distortion_coefficients, found.camera.distortion_coefficients)
-
-
-def test_true_points_of_a_rational_camera_are_those_of_opencv(rng):
-    points = rng.uniform([-0.3, -0.2, 0.4], [0.3, 0.2, 0.6], (50, 3))
-
-    expected, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), CAMERA.camera_matrix, CAMERA.distortion_coefficients
-    )
-
-    np.testing.assert_allclose(projected_px(points, CAMERA), expected.reshape(-1, 2), atol=1e-9)
 
 
 @pytest.mark.slow

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from known_views import NORMALS, TRUE_CAMERA, stripe_views, true_poses
 
-from ringpose.calibrate.planes.covariance import depth_uncertainty
+from ringpose.calibrate.planes.covariance import depth_sd_m
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import plane_angles
 from ringpose.calibrate.planes.verdict import planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.calibration import Grade
-from ringpose.types.rig import ParameterCovariance
+from ringpose.types.rig import ParameterCovariance, Rig
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
 
@@ -76,23 +76,16 @@ def test_a_view_whose_board_moved_by_a_fifth_of_a_millimetre_is_named(rng):
 
 
 def test_lasers_at_unexpected_angles_are_reported(good):
-    expected = np.radians([10.3, 14.0]).tolist()
+    verdict = planes_verdict(good, np.radians([10.3, 14.0]).tolist())
 
-    verdict = planes_verdict(good, expected)
-
-    poor = [finding for finding in verdict.findings if finding.grade is not Grade.GOOD]
-    assert [(finding.name, finding.place) for finding in poor] == [("angle_error_rad", "middle to right")]
+    poor = [(finding.name, finding.place) for finding in verdict.findings if finding.grade is not Grade.GOOD]
+    assert poor == [("angle_error_rad", "middle to right")]
 
 
-def test_angles_are_those_between_the_normals(good):
-    found = [angle.angle_rad for angle in plane_angles(good)]
-
+def test_an_angle_is_that_between_the_normals_with_the_deviation_of_drawn_planes(good, rng):
+    (angle, other) = plane_angles(good)
     wanted = [np.arccos(NORMALS[i] @ NORMALS[i + 1]) for i in range(2)]
-    assert found == pytest.approx(wanted, abs=1e-4)
-
-
-def test_an_angles_deviation_is_that_of_drawn_planes(good, rng):
-    (angle, _) = plane_angles(good)
+    assert [angle["angle_rad"], other["angle_rad"]] == pytest.approx(wanted, abs=1e-4)
     covariance = good.covariance
     places = [covariance.parameters.index(f"{name}.tilt_{i}") for name in ("left", "middle") for i in (1, 2)]
     drawn = rng.multivariate_normal(np.zeros(4), covariance.data[np.ix_(places, places)], 2000)
@@ -100,7 +93,7 @@ def test_an_angles_deviation_is_that_of_drawn_planes(good, rng):
     normals = good.planes.normal
     angles = [np.arccos(tilted(normals[0], each[:2]) @ tilted(normals[1], each[2:])) for each in drawn]
 
-    assert np.std(angles) == pytest.approx(angle.sd_rad, rel=0.1)
+    assert np.std(angles) == pytest.approx(angle["sd_rad"], rel=0.1)
 
 
 def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
@@ -110,7 +103,8 @@ def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
     covariance = ParameterCovariance(parameters=names, data=np.diag(sigma**2))
     normal, distance_m = good.planes.normal[0], float(good.planes.distance_m[0])
 
-    found = depth_uncertainty(TRUE_CAMERA, good.planes, covariance, (0.5,))[0, 0, 4]
+    rig = Rig(camera=TRUE_CAMERA, lasers=good.planes, covariance=covariance)
+    found = depth_sd_m(rig, 0, 0.5)[4]
 
     middle = rays(np.array([[(TRUE_CAMERA.image_width - 1) / 2, 0.0]]), TRUE_CAMERA)[0]
     x = 0.5 * middle[0]
@@ -122,7 +116,7 @@ def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
         seen = rays(pixel, replace(TRUE_CAMERA, camera_matrix=matrix))[0]
         depths.append((distance_m + step[6]) / (tilted(normal, step[4:6]) @ seen))
     assert np.std(depths) == pytest.approx(found, rel=0.08)
-    assert np.isnan(depth_uncertainty(TRUE_CAMERA, good.planes, covariance, (0.05,))).all()  # outside the image
+    assert np.isnan(depth_sd_m(rig, 0, 0.05)).all()  # outside the image
 
 
 def renamed(calibration, way):
@@ -144,9 +138,3 @@ def test_a_middle_plane_that_is_not_between_the_others_is_reported(way, good):
 
     assert "middle_outside_rad" in {finding.name for finding in verdict.findings if finding.grade != Grade.GOOD}
     assert any(advice.startswith("middle is not between left and right") for advice in verdict.advice)
-
-
-def test_an_order_of_the_lasers_that_fits_the_expected_angles_is_named(good):
-    verdict = planes_verdict(renamed(good, (1, 0, 2)), expected_angles_rad=[0.18, 0.17])
-
-    assert any(advice.startswith("the angles fit the order middle, left, right") for advice in verdict.advice)

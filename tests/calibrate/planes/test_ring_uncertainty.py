@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from known_views import DISTANCES_M, NORMALS, TRUE_CAMERA
 
-from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m
-from ringpose.types.rig import LaserPlanes, ParameterCovariance
+from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m
+from ringpose.types.rig import LaserPlanes, ParameterCovariance, Rig
 
 NAMES = ("left", "middle", "right")
 RADII_M = np.array([0.567, 0.597])
@@ -15,8 +15,9 @@ DRAWS = 400
 
 
 @pytest.fixture
-def lasers() -> LaserPlanes:
-    return LaserPlanes(names=NAMES, normal=NORMALS, distance_m=DISTANCES_M, projector_m=np.full((3, 3), np.nan))
+def rig() -> Rig:
+    lasers = LaserPlanes(names=NAMES, normal=NORMALS, distance_m=DISTANCES_M, projector_m=np.full((3, 3), np.nan))
+    return Rig(camera=TRUE_CAMERA, lasers=lasers, covariance=planes_covariance())
 
 
 def planes_covariance(sd: np.ndarray = SD) -> ParameterCovariance:
@@ -47,14 +48,14 @@ def seen_center_m(points: np.ndarray, wrong: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("depth_m", [0.5, 1.0])
-def test_the_centre_of_a_ring_has_the_predicted_errors(depth_m, rng, lasers):
+def test_the_centre_of_a_ring_has_the_predicted_errors(depth_m, rng, rig):
     points = break_points_m(depth_m)
     drawn = np.array([seen_center_m(points, (SD * rng.standard_normal(9)).reshape(3, 3)) for _ in range(DRAWS)])
 
-    predicted = ring_center_sd_m(TRUE_CAMERA, lasers, planes_covariance(), depth_m)
+    predicted = ring_center_sd_m(rig, depth_m)
 
     assert predicted == pytest.approx(np.std(drawn, axis=0), rel=0.15)
-    assert np.isnan(ring_center_sd_m(TRUE_CAMERA, lasers, planes_covariance(), 0.1)).all()  # it misses a stripe
+    assert np.isnan(ring_center_sd_m(rig, 0.1)).all()  # it misses a stripe
 
 
 def test_the_share_of_the_camera_is_the_covariance_by_which_the_planes_follow_it(rng):
@@ -67,9 +68,3 @@ def test_the_share_of_the_camera_is_the_covariance_by_which_the_planes_follow_it
 
     assert found[3:, 3:] == pytest.approx(cross @ follow.T, rel=1e-6, abs=1e-18)
     assert not of_camera(planes_covariance()).data.any()
-
-
-def test_the_distance_of_the_outermost_stripes_on_a_wall_is_that_of_their_planes(lasers):
-    points = break_points_m(0.8)
-
-    assert stripes_apart_m(lasers, 0.8) == pytest.approx(np.ptp(points[..., 1]), rel=1e-9)

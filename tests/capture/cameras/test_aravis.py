@@ -12,6 +12,7 @@ from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.errors import DeviceError
 from ringpose.simulate.serve.device import CameraFaults, ServedCamera
 from ringpose.simulate.serve.genicam import Identity
+from ringpose.types.scene import Sensor
 from ringpose.wire.gige_registers import HEARTBEAT_TIMEOUT
 from ringpose.wire.gvsp import StreamedFrame
 
@@ -34,13 +35,12 @@ def test_the_description_has_name_size_and_saturation(serve, camera):
 def test_every_pixel_comes_as_it_was_sent(camera, loopback_address, rng, bits, packet):
     sent = []
 
-    class Drawn:
-        def image(self, began_s, exposure_s, gain_db, bits):
-            sent.append(rng.integers(0, 1 << bits, (37, 53)).astype(np.uint8 if bits == 8 else np.uint16))
-            return sent[-1], {}
+    def drawn(began_s, exposure_s, gain_db, bits):
+        sent.append(rng.integers(0, 1 << bits, (37, 53)).astype(np.uint8 if bits == 8 else np.uint16))
+        return sent[-1], {}
 
     identity = Identity(address=loopback_address, width=53, height=37, bits=bits, exposure_s=0.001)
-    with ServedCamera(identity, Drawn(), CameraFaults(loss=0.02)), (opened := camera(packet=packet)):
+    with ServedCamera(identity, drawn, CameraFaults(loss=0.02)), (opened := camera(packet=packet)):
         frames = [opened.trigger(0) for _ in range(8)]
 
     np.testing.assert_array_equal([frame.image for frame in frames], [sent[frame.frame_id - 1] for frame in frames])
@@ -93,12 +93,12 @@ def test_an_output_line_switches_its_laser(serve, camera):
 
 
 def test_exposure_and_gain_change_the_image(serve, camera):
-    device = serve()
+    serve()
 
     with (opened := camera(format="Mono12", gain="6.0206")):
         short, longer = (opened.trigger(0, exposure_s) for exposure_s in (0.002, 0.008))
 
-    black_dn = 16 * device._scene.sensor.black_level_dn
+    black_dn = 16 * Sensor().black_level_dn
     assert short.image.dtype == np.uint16
     assert opened.uri.parameters["gain"] == "6.0206"
     assert (longer.image.mean() - black_dn) / (short.image.mean() - black_dn) == pytest.approx(4.0, rel=0.05)

@@ -4,9 +4,8 @@ import os
 import sys
 
 import pytest
+from fake_camera import camera_of
 
-from ringpose.capture.cameras.pylon import PylonCamera
-from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 
 
@@ -16,14 +15,7 @@ def emulated():
     if not os.environ.get("CI"):  # there it must not be missing
         pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
 
-    def driver(address: str = "", **parameters: str) -> PylonCamera:
-        return PylonCamera(
-            DeviceUri(
-                text=f"pylon:{address}", option="--camera", scheme="pylon", address=address, parameters=parameters
-            )
-        )
-
-    return driver
+    return lambda address="", **parameters: camera_of(f"pylon:{address}", **parameters)
 
 
 def test_each_trigger_gives_one_frame_of_the_emulated_camera(emulated):
@@ -73,7 +65,6 @@ def test_an_absent_camera_is_an_error(emulated):
 
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pypylon", None)
-    camera = PylonCamera(DeviceUri(text="pylon:", option="--camera", scheme="pylon", address="", parameters={}))
 
     with pytest.raises(DeviceError, match=r"needs pypylon.*pip install ringpose\[pylon\]"):
-        camera.open()
+        camera_of("pylon:").open()

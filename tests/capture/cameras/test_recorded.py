@@ -32,12 +32,6 @@ def image(name: str, value: int = 0, width: int = 3) -> Shot:
     )
 
 
-def test_without_a_sequence_a_shot_is_unchanged():
-    shot = shot_of_masks(0, 1, 2, 4, 7)
-
-    assert Recording(None).taken(shot) is shot
-
-
 def test_frames_are_selected_by_the_masks_of_the_steps():
     shot = shot_of_masks(0, 1, 2, 4, 7, frame_id=np.arange(40, 45), name="kept")
 
@@ -57,11 +51,6 @@ def test_a_repeated_step_takes_the_next_frame_with_its_mask():
     assert chosen.images[:, 0, 0].tolist() == [0, 1, 2]
 
 
-def test_a_missing_mask_is_bad_data_and_lists_the_frames():
-    with pytest.raises(DataError, match=r"shot: no frame with lasers 4; its frames: off,1,2,3,1\+2\+3"):
-        frames_of_steps(shot_of_masks(0, 1, 2, 4, 7), parsed_sequence("off,4"))
-
-
 def test_one_dark_frame_is_not_used_for_two_steps():
     with pytest.raises(DataError, match="only 1 of 2 frames with lasers off"):
         frames_of_steps(shot_of_masks(0, 1), parsed_sequence("off,1,off"))
@@ -70,37 +59,6 @@ def test_one_dark_frame_is_not_used_for_two_steps():
 def test_a_shot_in_the_dark_has_no_frame_with_all_lasers_on():
     with pytest.raises(DataError, match="no frame with lasers all"):
         frames_of_steps(shot_of_masks(0, 0), parsed_sequence("all"))
-
-
-def test_an_invalid_shot_does_not_end_the_recording():
-    recording = Recording(parsed_sequence("all"))
-    with pytest.raises(DataError):
-        recording.taken(shot_of_masks(0))
-
-    after = recording.taken(shot_of_masks(7))
-
-    assert after is not None
-    assert after.lasers.tolist() == [7]
-
-
-def test_consecutive_images_form_shots():
-    recording = Recording(parsed_sequence("off,2,all"))
-
-    shots = [recording.taken(image(f"image_{number}", number)) for number in range(6)]
-    recording.end()
-
-    assert [shot and shot.name for shot in shots] == [None, None, "image_0", None, None, "image_3"]
-    assert shots[5] is not None
-    assert shots[5].lasers.tolist() == [0, 2, ALL_LASERS]
-    assert shots[5].images[:, 0, 0].tolist() == [3, 4, 5]
-
-
-def test_images_too_few_for_a_last_shot_are_bad_data():
-    recording = Recording(parsed_sequence("off,all"))
-    recording.taken(image("lonely"))
-
-    with pytest.raises(DataError, match="lonely: 1 of 2 images"):
-        recording.end()
 
 
 def test_images_of_two_sizes_are_bad_data():

@@ -18,7 +18,7 @@ from ringpose.capture.uri import CAMERAS, device_uri
 from ringpose.errors import DeviceError, UsageError
 from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
-from ringpose.simulate.serve import scene_shots
+from ringpose.simulate.serve import image_camera
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
 from ringpose.types.session import parsed_sequence
 
@@ -30,7 +30,7 @@ def scene(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _quick_views(monkeypatch):
-    monkeypatch.setattr(scene_shots, "render_ring_view", quick_view)
+    monkeypatch.setattr(image_camera, "render_ring_view", quick_view)
 
 
 def server_of(scene, **setup):

@@ -3,16 +3,9 @@
 import cv2
 import numpy as np
 import pytest
+from fake_camera import camera_of
 
-from ringpose.capture.cameras.v4l2 import V4l2Camera
-from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
-
-
-def camera(address: str, **parameters: str) -> V4l2Camera:
-    return V4l2Camera(
-        DeviceUri(text=f"v4l2:{address}", option="--camera", scheme="v4l2", address=address, parameters=parameters)
-    )
 
 
 @pytest.fixture
@@ -24,7 +17,7 @@ def sequence(tmp_path) -> str:
 
 
 def test_frames_that_began_too_early_are_discarded(sequence):
-    with (opened := camera(sequence)):
+    with (opened := camera_of(f"v4l2:{sequence}")):
         frames = [opened.trigger(0) for _ in range(3)]
 
     assert [int(frame.image[0, 0]) for frame in frames] == [20, 50, 80]
@@ -32,7 +25,7 @@ def test_frames_that_began_too_early_are_discarded(sequence):
 
 
 def test_the_number_of_discarded_frames_is_a_parameter(sequence):
-    with (opened := camera(sequence, flush="0")):
+    with (opened := camera_of(f"v4l2:{sequence}", flush="0")):
         frames = [opened.trigger(0) for _ in range(2)]
 
     assert [int(frame.image[0, 0]) for frame in frames] == [0, 10]
@@ -41,18 +34,18 @@ def test_the_number_of_discarded_frames_is_a_parameter(sequence):
 @pytest.mark.parametrize("flush", ["nan", "-1", "1.5"])
 def test_an_invalid_number_of_frames_is_a_usage_error(flush):
     with pytest.raises(UsageError, match=f'flush is "{flush}"'):
-        camera("frames/%03d.png", flush=flush)
+        camera_of("v4l2:frames/%03d.png", flush=flush)
 
 
 def test_the_size_is_the_images(sequence):
-    with (opened := camera(sequence)):
+    with (opened := camera_of(f"v4l2:{sequence}")):
         description = opened.describe()
 
     assert (description.image_width, description.image_height, description.saturation_dn) == (8, 6, 255)
 
 
 def test_a_camera_without_further_frames_is_an_error(sequence):
-    with (opened := camera(sequence, flush="0")):
+    with (opened := camera_of(f"v4l2:{sequence}", flush="0")):
         for _ in range(9):
             opened.trigger(0)
         with pytest.raises(DeviceError, match="no frame came, 3 times in a row"):
@@ -61,16 +54,16 @@ def test_a_camera_without_further_frames_is_an_error(sequence):
 
 def test_an_absent_device_is_an_error():
     with pytest.raises(DeviceError, match=r"cannot be opened; see ringpose capture --list"):
-        camera("/dev/video99").open()
+        camera_of("v4l2:/dev/video99").open()
 
 
 def test_an_unknown_feature_is_rejected(sequence):
-    with (opened := camera(sequence)), pytest.raises(DeviceError, match="has no feature TriggerMode"):
+    with (opened := camera_of(f"v4l2:{sequence}")), pytest.raises(DeviceError, match="has no feature TriggerMode"):
         opened.set("TriggerMode", "On")
 
 
 def test_opencv_adds_no_messages_of_its_own(capfd):
     with pytest.raises(DeviceError):
-        camera("/dev/video99").open()
+        camera_of("v4l2:/dev/video99").open()
 
     assert capfd.readouterr() == ("", "")

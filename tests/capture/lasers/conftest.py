@@ -10,20 +10,9 @@ from typing import Any
 import pytest
 from forked import Forked
 from guarded_lasers import BOARDS, PATIENT, LinkedRelays
-from small_rig import SMALL_RIG
+from small_rig import write_scene
 
 from ringpose.simulate.serve.relays import RelayFaults, ServedRelays
-
-SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [1.6, 1.6, 1.0]}
-stripe_dn: 200
-sequence: off,1,2,3,off
-trajectory:
-- generate: {count: 40, distances_m: [0.5], tilt_rad: 0.05}
-"""
 
 WITHOUT_WATCHDOG = """
 import ringpose.capture.lasers.relays as relays
@@ -69,8 +58,7 @@ def board(tmp_path: Path) -> Callable[..., Any]:
 @pytest.fixture
 def scene_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with a small scene."""
-    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
-    (tmp_path / "scene.yaml").write_text(SCENE)
+    write_scene(tmp_path, "stripe_dn: 200", "sequence: off,1,2,3,off", count=40)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -53,7 +53,7 @@ def test_no_datagram_whatsoever_stops_the_camera(identity, port, rng):
     commands = [0x02, 0x40, 0x80, 0x82, 0x84, 0x86, 0xFFFF]
     addresses = [*range(features.WIDTH, features.USER_OUTPUT_VALUE + 32, 4), *range(0xA00, 0xD20, 4)]
 
-    with ServedCamera(identity, Counted()):
+    with ServedCamera(identity, Counted().image):
         write(port, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
         port.control.setblocking(False)
         for k in range(1500):
@@ -75,7 +75,7 @@ def test_no_datagram_whatsoever_stops_the_camera(identity, port, rng):
 def test_a_frame_of_a_stopped_acquisition_is_not_sent_in_the_next_one(identity, port):
     seen = Counted()
 
-    with ServedCamera(identity, seen):
+    with ServedCamera(identity, seen.image):
         start(port, triggered=True)
         write(port, features.EXPOSURE_TIME, 200_000.0)
         write(port, features.TRIGGER_SOFTWARE, 1)
@@ -93,7 +93,7 @@ def test_a_frame_of_a_stopped_acquisition_is_not_sent_in_the_next_one(identity, 
 
 
 def test_a_camera_with_a_low_frame_rate_stops_at_once(identity, port):
-    with ServedCamera(identity, Counted()) as camera:
+    with ServedCamera(identity, Counted().image) as camera:
         write(port, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
         write(port, features.FRAME_RATE, 0.1)
         write(port, features.EXPOSURE_TIME, 1_000_000.0)
@@ -107,7 +107,7 @@ def test_a_camera_with_a_low_frame_rate_stops_at_once(identity, port):
 
 
 def test_a_dead_camera_uses_little_processor_time(identity, port):
-    with ServedCamera(identity, Counted(), CameraFaults(dies_after=0)):
+    with ServedCamera(identity, Counted().image, CameraFaults(dies_after=0)):
         port.control.send(HEADER.pack(0x42, 1, 0x02, 0, 1))
         time.sleep(0.1)
         before_s = time.process_time()

@@ -24,7 +24,8 @@ from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
 from ringpose.simulate.pipeline import render_ring_view
 from ringpose.simulate.placement import ring_views
-from ringpose.simulate.serve import image_clients, images, scene_shots
+from ringpose.simulate.serve import image_camera, image_clients, images
+from ringpose.simulate.serve.image_camera import RenderedShot
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
 from ringpose.types.target import FreeMotion
 
@@ -38,7 +39,7 @@ def scene(tmp_path_factory):
 
 @pytest.fixture
 def serve(scene, monkeypatch):
-    monkeypatch.setattr(scene_shots, "render_ring_view", quick_view)
+    monkeypatch.setattr(image_camera, "render_ring_view", quick_view)
     servers = []
 
     def started(served=scene, report=None, on_truth=None, **setup):
@@ -143,8 +144,8 @@ def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve):
 
 def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, monkeypatch):
     server = serve(rate_hz=100.0)
-    exposed = scene_shots.SceneShots.shot
-    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
+    exposed, slow_s = RenderedShot.frame, 0.05 * images.WORKERS
+    monkeypatch.setattr(RenderedShot, "frame", lambda *words: (time.sleep(slow_s), exposed(*words))[1])
     with ImageClient(server.port) as client:
         headers = [header for header, _ in client.frames(8)]
 
@@ -154,8 +155,8 @@ def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, m
 
 def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
     rendered = []
-    exposed = scene_shots.SceneShots.shot
-    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
+    exposed = RenderedShot.frame
+    monkeypatch.setattr(RenderedShot, "frame", lambda *words: (rendered.append(1), exposed(*words))[1])
     with ImageClient(serve(rate_hz=100.0).port) as client:
         time.sleep(0.1)
         assert not rendered
@@ -164,60 +165,45 @@ def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
     assert len(rendered) <= 3
 
 
-def three_clients(server, frames, stop):
-    """Frame numbers of three clients, the last of which does not read while `stop` runs, and what it missed."""
-    numbers, missed = [[], [], []], []
+def receive(port, headers, count, pause=None, receive_buffer=None):
+    """Receive the headers of frames up to the number `count` from the first; pause after ten of them."""
+    with ImageClient(port, receive_buffer=receive_buffer, timeout_s=120.0) as client:
+        client.send(type="subscribe")
+        while not headers or headers[-1]["frame_id"] < headers[0]["frame_id"] + count - 1:
+            headers.append(client.frame()[0])
+            if pause is not None and len(headers) == 10:
+                pause()
 
-    def receive(which):
-        small = 4096 if which == 2 else None
-        with ImageClient(server.port, receive_buffer=small) as client:
-            client.socket.settimeout(120.0)
-            client.send(type="subscribe")
-            while not numbers[which] or numbers[which][-1] < numbers[which][0] + frames - 1:
-                header, _ = client.frame()
-                numbers[which].append(header["frame_id"])
-                if which == 2:
-                    missed.append(header["missed"])
-                    if len(numbers[2]) == 10:
-                        stop(numbers)
 
-    threads = [threading.Thread(target=receive, args=(which,)) for which in range(3)]
+@pytest.mark.parametrize(
+    ("rate_hz", "count", "queued", "stops_s", "others"),
+    [(15.0, 75, 30, 0.0, 60), pytest.param(20.0, 1000, 60, 10.0, 400, marks=pytest.mark.slow)],
+)
+def test_a_client_that_stops_reading_is_skipped_and_others_lose_nothing(
+    serve, monkeypatch, rate_hz, count, queued, stops_s, others
+):
+    """One of three clients stops until the others have most frames, in the slow case for at least 10 s."""
+    monkeypatch.setattr(image_clients, "MAX_QUEUED", queued)  # a busy machine may stop the other clients for seconds
+    port, steady, stopping = serve(rate_hz=rate_hz).port, ([], []), []
+    threads = [threading.Thread(target=receive, args=(port, headers, count)) for headers in steady]
     for thread in threads:
         thread.start()
+
+    def pause():
+        time.sleep(stops_s)
+        while min(map(len, steady)) < others:
+            time.sleep(0.01)
+
+    receive(port, stopping, count, pause, receive_buffer=4096)
     for thread in threads:
         thread.join()
-    return numbers, missed
 
-
-def check_three_clients(numbers, missed, frames):
-    for received in numbers[:2]:
-        assert len(received) == frames
-        assert np.all(np.diff(received) == 1)
-    skipped = np.diff(numbers[2], prepend=numbers[2][0]) - 1
+    for headers in steady:
+        assert len(headers) == count
+        assert np.all(np.diff([header["frame_id"] for header in headers]) == 1)
+    missed = [header["missed"] for header in stopping]
     assert sum(missed) > 0
-    np.testing.assert_array_equal(missed[1:], skipped[1:])
-
-
-def test_a_client_that_stops_reading_is_skipped_and_others_lose_nothing(serve, monkeypatch):
-    monkeypatch.setattr(image_clients, "MAX_QUEUED", 30)  # a busy machine may stop the other clients for 2 s
-
-    def until_the_others_have_most(numbers):
-        while min(map(len, numbers[:2])) < 60:
-            time.sleep(0.01)
-
-    check_three_clients(*three_clients(serve(rate_hz=15.0), 75, until_the_others_have_most), 75)
-
-
-@pytest.mark.slow
-def test_a_thousand_frames_reach_two_clients_while_a_third_stops_for_ten_seconds(serve, monkeypatch):
-    monkeypatch.setattr(image_clients, "MAX_QUEUED", 60)  # a busy machine may stop the other clients for 3 s
-
-    def ten_seconds(numbers):
-        time.sleep(10.0)
-        while min(map(len, numbers[:2])) < 400:
-            time.sleep(0.01)
-
-    check_three_clients(*three_clients(serve(rate_hz=20.0), 1000, ten_seconds), 1000)
+    np.testing.assert_array_equal(missed[1:], np.diff([header["frame_id"] for header in stopping]) - 1)
 
 
 def test_settings_change_from_the_frame_that_the_answer_names(serve):
@@ -276,18 +262,18 @@ def test_a_shot_shows_one_view_although_the_time_is_set_meanwhile(serve):
 
 
 DRIFT_M_S = np.array([0.2, 0.0, 0.0])
+DRIFT = FreeMotion(
+    inertia_kg_m2=np.eye(3),
+    center_of_mass_m=np.zeros(3),
+    angular_velocity_rad_s=np.zeros(3),
+    velocity_m_s=DRIFT_M_S,
+)
 
 
 @pytest.fixture
 def drifting(scene):
     """The scene with a target that drifts without turning, for 1 s."""
-    motion = FreeMotion(
-        inertia_kg_m2=np.eye(3),
-        center_of_mass_m=np.zeros(3),
-        angular_velocity_rad_s=np.zeros(3),
-        velocity_m_s=DRIFT_M_S,
-    )
-    return replace(scene, motion=motion, shots=11, period_s=0.1, approaches=scene.approaches[:1])
+    return replace(scene, motion=DRIFT, shots=11, period_s=0.1, approaches=scene.approaches[:1])
 
 
 def rendered_at(scene, truth_frame, mask):
@@ -350,11 +336,6 @@ def test_a_setting_of_a_moving_target_concerns_the_next_shot(serve, drifting):
         assert [header["exposure_s"] for header, _ in client.frames(2)] == [0.005, 0.002]
 
 
-def test_a_shot_that_outlasts_the_motion_is_wrong_usage(drifting):
-    with pytest.raises(UsageError, match="motion"):
-        ImageServer(drifting, ImageSetup(rate_hz=1.0), lambda truth: {})
-
-
 @pytest.mark.parametrize(
     "request_header",
     [
@@ -401,8 +382,7 @@ def test_malformed_input_closes_that_connection_with_one_message(serve, data):
 
 def test_truncated_input_closes_the_connection_with_one_message(serve):
     messages = []
-    server = serve(report=messages.append)
-    with ImageClient(server.port) as client:
+    with ImageClient(serve(report=messages.append).port) as client:
         client.socket.sendall(b"RPI1" + struct.pack(">II", 100, 0) + b"{")
         client.socket.shutdown(socket.SHUT_WR)
         assert client.message()[0]["type"] == "error"
@@ -464,28 +444,21 @@ def fuzz(port, count, seed):
                 pass
 
 
-def check_fuzzed(server, count):
-    with ImageClient(server.port) as client:  # what the first frames import and keep is no leak
+@pytest.mark.parametrize("count", [150, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch, count):
+    monkeypatch.setattr(image_camera, "KEPT_BYTES", 1)  # views that are kept would hide a leak
+    server = serve(rate_hz=100.0)
+    with ImageClient(server.port) as client:  # what the first frames import and keep is not a leak
         client.frames(8)
     fuzz(server.port, count // 10, seed=1)
     before = resident_bytes()
+
     fuzz(server.port, count, seed=2)
-    grown = resident_bytes() - before
-    assert grown < 10e6
+
+    assert resident_bytes() - before < 10e6
     assert server.rejected > count // 2
     with ImageClient(server.port) as client:
         assert len(client.frames(2)) == 2
-
-
-def test_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
-    monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)  # views that are kept would hide a leak
-    check_fuzzed(serve(rate_hz=100.0), 150)
-
-
-@pytest.mark.slow
-def test_ten_thousand_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
-    monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)
-    check_fuzzed(serve(rate_hz=100.0), 10_000)
 
 
 def test_a_client_with_the_secret_is_admitted_and_others_are_not(serve):
@@ -535,11 +508,11 @@ def status_of(url, **headers):
 
 def test_browsers_need_the_token_of_a_server_with_a_secret(serve):
     server = serve(secret=SECRET)
-    address = f"http://127.0.0.1:{server.port}"
+    page = server.uris["stream"].replace("/stream.mjpg", "/")
 
-    assert status_of(f"{address}/") == 403
-    assert status_of(f"{address}/?token=0") == 403
-    assert status_of(server.uris["stream"].replace("/stream.mjpg", "/")) == 200
+    statuses = [status_of(url) for url in (page.partition("?")[0], page.partition("=")[0] + "=0", page)]
+
+    assert statuses == [403, 403, 200]
     assert SECRET.decode() not in server.uris["stream"]
 
 
@@ -567,11 +540,15 @@ def test_a_port_in_use_is_a_device_error(serve):
         serve(port=port)
 
 
-def test_a_rate_that_leaves_no_time_for_the_exposure_is_wrong_usage(serve):
-    with pytest.raises(UsageError, match="--rate"):
-        serve(rate_hz=500.0)
-
-
-def test_a_scene_without_a_trajectory_cannot_be_served(serve, scene):
-    with pytest.raises(DataError, match="trajectory"):
-        serve(replace(scene, approaches=()))
+@pytest.mark.parametrize(
+    ("changes", "rate_hz", "error", "finding"),
+    [
+        ({}, 500.0, UsageError, "--rate.*leave no time"),
+        ({"motion": DRIFT, "shots": 11, "period_s": 0.1}, 1.0, UsageError, "--rate.*motion"),
+        ({"sequence": (0,) * 17}, 50.0, UsageError, "sequence"),
+        ({"approaches": ()}, 50.0, DataError, "trajectory"),
+    ],
+)
+def test_a_scene_that_cannot_be_served_at_a_rate_is_rejected(serve, scene, changes, rate_hz, error, finding):
+    with pytest.raises(error, match=finding):
+        serve(replace(scene, **changes), rate_hz=rate_hz)

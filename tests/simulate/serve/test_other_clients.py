@@ -7,7 +7,7 @@ import pytest
 from other_client import Port
 from served_scene import small_scene
 
-from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+from ringpose.simulate.serve.virtual_device import Setup, virtual_device
 from ringpose.types.options import AdvancePolicy
 
 
@@ -18,7 +18,7 @@ def notes():
 
 @pytest.fixture
 def served(tmp_path, loopback_address, notes):
-    with VirtualDevice(
+    with virtual_device(
         small_scene(tmp_path), Setup(address=loopback_address, move=AdvancePolicy.NEVER), notes.append
     ) as device:
         yield device

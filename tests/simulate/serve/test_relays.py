@@ -28,7 +28,7 @@ def test_a_command_switches_on_the_laser_of_its_relay():
     with ServedRelays(LcusCodec(), relays=(2, 0)) as board:
         port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
         os.write(port, bytes.fromhex("A0 03 01 A4"))
-        lit = soon(lambda: board.mask_at(time.monotonic()) == 0b01)
+        lit = soon(lambda: board.contacts.mask_at(time.monotonic()) == 0b01)
         os.close(port)
 
     assert lit
@@ -51,12 +51,12 @@ def test_a_timed_pulse_ends_by_itself():
     with ServedRelays(ModbusCodec()) as board:
         port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
         os.write(port, bytes.fromhex("01 05 02 00 00 07 8D B0"))
-        came_on = soon(lambda: board.mask_at(time.monotonic()) == 1)
+        came_on = soon(lambda: board.contacts.mask_at(time.monotonic()) == 1)
         now_s = time.monotonic()
         os.close(port)
 
     assert came_on
-    assert [board.mask_at(now_s + later_s) for later_s in (0.5, 0.75)] == [1, 0]
+    assert [board.contacts.mask_at(now_s + later_s) for later_s in (0.5, 0.75)] == [1, 0]
 
 
 def test_an_unplugged_board_hangs_up():
@@ -160,5 +160,5 @@ def test_the_share_of_an_interval_in_which_a_laser_is_on():
     contacts.command(1, False, 10.5)
 
     assert contacts.shares(9.5, 11.5) == pytest.approx((0.0, 0.25))
-    assert contacts.on_since_s(1, 10.2) == 10.0
-    assert contacts.on_since_s(1, 10.7) is None
+    assert contacts.on_since_s(10.2) == (None, 10.0)
+    assert contacts.on_since_s(10.7) == (None, None)

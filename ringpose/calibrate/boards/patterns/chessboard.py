@@ -13,10 +13,11 @@ import numpy as np
 
 from ringpose.calibrate.boards.patterns.image_patch import (
     GreyImage,
+    Offsets,
     Patch,
     brightness_plane,
+    grey_around,
     in_full_image,
-    patch_around,
     reduced,
     reductions,
 )
@@ -97,17 +98,12 @@ def refined_corners(
     image: GreyImage, corners: Float64[Array, "corner xy=2"], half_window_px: float
 ) -> Float64[Array, "corner xy=2"]:
     """Saddle points near the given corners by OpenCV; a corner that leaves its window is unchanged."""
-    half = _whole_window(half_window_px)
+    half = int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
     start: Any = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
     moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _CRITERIA), dtype=np.float64)
     moved = moved.reshape(-1, 2)
     near = np.linalg.norm(moved - corners, axis=1) < half
     return np.where(near[:, None], moved, corners)
-
-
-def _whole_window(half_window_px: float) -> int:
-    """A half-window in whole pixels, clipped to useful sizes."""
-    return int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
 
 
 def irregularity(grid: Grid) -> float:
@@ -121,7 +117,7 @@ def irregularity(grid: Grid) -> float:
 
 def saddle_points(image: GreyImage, grid: Grid, half_window_px: float) -> Grid:
     """Corners refined in windows with normalised squares; one that fails, or moves too far, is unchanged."""
-    half = _whole_window(half_window_px)
+    half = int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
     along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     refined = grid.copy()
     for index in np.ndindex(grid.shape[:2]):
@@ -141,27 +137,21 @@ def _saddle_point(
     image: GreyImage, corner: Float64[Array, "xy=2"], sides: _Sides, half: int
 ) -> Float64[Array, "xy=2"] | None:
     """The corner after one refinement in its normalised window; None at the image's rim and for low contrast."""
-    reach = half + _NORMALISED_MARGIN_PX
-    column, row = np.rint(corner).astype(np.int64).tolist()
-    patch = patch_around(image, column, row, reach)
-    if patch is None:
+    around = grey_around(image, corner, half + _NORMALISED_MARGIN_PX)
+    normalised = None if around is None else _normalised(*around, sides)
+    if around is None or normalised is None:
         return None
-    origin = np.array([column - reach, row - reach], dtype=np.float64)
-    normalised = _normalised(patch.astype(np.float64), corner - origin, sides)
-    if normalised is None:
-        return None
-    start = (corner - origin).astype(np.float32).reshape(1, 1, 2)
+    origin = around[1][0, 0]  # of the patch, relative to the corner
+    start = -origin.astype(np.float32).reshape(1, 1, 2)
     found = cv2.cornerSubPix(normalised.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
-    return np.asarray(found, dtype=np.float64).reshape(2) + origin
+    return corner + origin + np.asarray(found, dtype=np.float64).reshape(2)
 
 
-def _normalised(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> Patch | None:
+def _normalised(patch: Patch, offset: Offsets, sides: _Sides) -> Patch | None:
     """The patch with the two diagonal pairs of squares normalised to 0 and 1; None for low contrast.
 
     The grey level of each pair is a plane, fitted to the pixels away from the edges.
     """
-    row, column = np.indices(patch.shape, dtype=np.float64)
-    offset = np.stack([column - corner[0], row - corner[1]], axis=-1)
     distances = [offset @ np.array([-side[1], side[0]]) / np.linalg.norm(side) for side in sides]
     clear = np.minimum(*np.abs(distances)) > EDGE_PX
     first_pair = distances[0] * distances[1] > 0

@@ -19,9 +19,9 @@ pixels this averages out, but sides nearly parallel to a row or a column are ben
 The deviation from the error function is estimated from all pixels beside a marker's sides.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -94,6 +94,9 @@ _ITERATIONS = 2
 
 _TABLE_PX = np.linspace(-8.0, 8.0, 801)
 
+_GAUSSIAN = np.zeros(0)
+"""Coefficients of a Gaussian edge-spread function."""
+
 
 class SideCorners(NamedTuple):
     """A marker's corners as intersections of its sides."""
@@ -150,11 +153,11 @@ class EdgeProfile:
 
     def share(self, across: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
         """Value at distances in pixels, positive on the bright side."""
-        return _interpolated(across, self.shares)
+        return np.interp(across.ravel(), _TABLE_PX, self.shares).reshape(across.shape)
 
     def slope(self, across: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
         """Derivative at distances in pixels, per pixel."""
-        return _interpolated(across, self.slopes)
+        return np.interp(across.ravel(), _TABLE_PX, self.slopes).reshape(across.shape)
 
 
 class SideSamples(NamedTuple):
@@ -247,7 +250,7 @@ def _fitted_sides(
 ) -> tuple[list[Side | None], float]:
     """The sides fitted to the pixels within reach, and the blur of their edges in pixels."""
     sides: list[Side | None] = list(chords)
-    profile, left_out = gaussian_profile(reach), MAX_LEFT_OUT
+    profile, left_out = edge_profile(reach), MAX_LEFT_OUT
     for iteration in range(_ROUNDS):
         samples = [
             None if side is None else side_samples(image, side, (left_out, reach), light, profile.blur_px)
@@ -260,7 +263,9 @@ def _fitted_sides(
         usable = [own for side, own in zip(sides, samples, strict=True) if side is not None and own is not None]
         if not usable:
             break
-        profile = _measured_profile(usable, reach, gaussian=iteration < _GAUSSIAN_ROUNDS)
+        blur_px = float(np.median([_blur_px(own, reach) for own in usable]))
+        gaussian = iteration < _GAUSSIAN_ROUNDS
+        profile = edge_profile(blur_px) if gaussian else fitted_profile(usable, blur_px, reach)
         shortest = min(side.length for side in sides if side is not None)
         left_out = min(CLEAR_BLURS * profile.blur_px / shortest, MAX_LEFT_OUT)
     return sides, profile.blur_px
@@ -362,16 +367,6 @@ def robust_parabola(t: Float64[Array, "n"], values: Float64[Array, "n"]) -> Floa
     return coefficients / scale ** np.arange(3)
 
 
-def _measured_profile(samples: list[SideSamples], reach: float, gaussian: bool) -> EdgeProfile:
-    """The edge profile common to the sides: Gaussian only, or with the measured deviation from it."""
-    blur_px = float(np.median([_blur_px(own, reach) for own in samples]))
-    if gaussian:
-        return gaussian_profile(blur_px)
-    across = np.concatenate([own.across[own.used] for own in samples])
-    share = np.concatenate([own.share[own.used] for own in samples])
-    return fitted_profile(across, share, blur_px, reach)
-
-
 def _blur_px(samples: SideSamples, reach: float) -> float:
     """Standard deviation of the error function fitted to the edge by least squares, its position free.
 
@@ -384,24 +379,17 @@ def _blur_px(samples: SideSamples, reach: float) -> float:
     area = np.abs(share - np.heaviside(across, 0.5)).sum() * samples.spacing
     start = np.clip(np.sqrt(np.pi / 2) * area / samples.used.any(axis=1).sum(), MIN_BLUR_PX, reach)
 
-    linearised, moved = partial(_blurred_step, across, share), partial(_moved_step, reach)
+    def linearised(state: Float64[Array, "2"]) -> tuple[Float64[Array, "sample"], Float64[Array, "sample 2"]]:
+        shift, blur = state
+        z = (across - shift) / blur
+        density = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * blur)
+        residual = np.clip(ndtr(z) - share, -_MAX_PROFILE_RESIDUAL, _MAX_PROFILE_RESIDUAL)
+        return residual, np.column_stack([-density, -z * density])
+
+    def moved(state: Float64[Array, "2"], step: Float64[Array, "2"]) -> Float64[Array, "2"]:
+        return np.array([state[0] + step[0], np.clip(state[1] + step[1], MIN_BLUR_PX, reach)])
+
     return float(gauss_newton(linearised, moved, np.array([0.0, start]), _BLUR_ITERATIONS)[1])
-
-
-def _blurred_step(
-    across: Float64[Array, "sample"], share: Float64[Array, "sample"], state: Float64[Array, "2"]
-) -> tuple[Float64[Array, "sample"], Float64[Array, "sample 2"]]:
-    """Residuals of the samples from an error function with this position and blur, and their derivatives."""
-    shift, blur = state
-    z = (across - shift) / blur
-    density = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * blur)
-    residual = np.clip(ndtr(z) - share, -_MAX_PROFILE_RESIDUAL, _MAX_PROFILE_RESIDUAL)
-    return residual, np.column_stack([-density, -z * density])
-
-
-def _moved_step(reach: float, state: Float64[Array, "2"], step: Float64[Array, "2"]) -> Float64[Array, "2"]:
-    shift, blur = state + step
-    return np.array([shift, np.clip(blur, MIN_BLUR_PX, reach)])
 
 
 def side_intersection(before: Side, after: Side, corner: Float64[Array, "2"]) -> Float64[Array, "2"]:
@@ -424,21 +412,11 @@ def side_intersection(before: Side, after: Side, corner: Float64[Array, "2"]) ->
     return intersection
 
 
-def gaussian_profile(blur_px: float) -> EdgeProfile:
-    """The error function of a Gaussian blur."""
-    return _tabulated(blur_px, np.zeros(0))
-
-
-def fitted_profile(
-    across: Float64[Array, "n"], share: Float64[Array, "n"], blur_px: float, reach_px: float
-) -> EdgeProfile:
-    """The profile of a dark-to-bright edge, fitted to samples.
-
-    `across`: distance from the edge in pixels, at most `reach_px`; `share`: intensity, 0 on the dark side and 1 on the
-    bright one; `blur_px`: initial value of the blur.
-    """
-    basis = _odd(_spline, across, int(np.ceil(reach_px / KNOT_PX)))
-    deviation = share - ndtr(across / blur_px)
+def fitted_profile(samples: Sequence[SideSamples], blur_px: float, reach: float) -> EdgeProfile:
+    """The profile common to the edges: the error function of this blur, with the deviation that the samples show."""
+    across = np.concatenate([own.across[own.used] for own in samples])
+    basis = _odd(_spline, across, int(np.ceil(reach / KNOT_PX)))
+    deviation = np.concatenate([own.share[own.used] for own in samples]) - ndtr(across / blur_px)
     weights, coefficients = np.ones(len(deviation)), np.zeros(basis.shape[1])
     for _ in range(_ITERATIONS):
         weighted = basis * weights[:, None]
@@ -446,11 +424,11 @@ def fitted_profile(
         coefficients = np.linalg.solve(normal_matrix, weighted.T @ deviation)
         residual = deviation - basis @ coefficients
         weights = huber_weights(residual, max(ROBUST_SIGMAS * robust_std(residual), 1e-12))
-    return _tabulated(blur_px, coefficients)
+    return edge_profile(blur_px, coefficients)
 
 
-def _tabulated(blur_px: float, coefficients: Float64[Array, "knot"]) -> EdgeProfile:
-    """Error function plus spline with these coefficients."""
+def edge_profile(blur_px: float, coefficients: Float64[Array, "knot"] = _GAUSSIAN) -> EdgeProfile:
+    """The error function of a Gaussian blur, plus a spline with these coefficients."""
     density = np.exp(-0.5 * (_TABLE_PX / blur_px) ** 2) / (np.sqrt(2 * np.pi) * blur_px)
     splines, slopes = _tabulated_splines(len(coefficients))
     return EdgeProfile(
@@ -464,10 +442,6 @@ def _tabulated(blur_px: float, coefficients: Float64[Array, "knot"]) -> EdgeProf
 def _tabulated_splines(knots: int) -> tuple[Float64[Array, "sample knot"], Float64[Array, "sample knot"]]:
     """The splines and their derivatives at the tabulated distances."""
     return _odd(_spline, _TABLE_PX, knots), _odd(_spline_slope, _TABLE_PX, knots) / KNOT_PX
-
-
-def _interpolated(across: Float64[Array, "*shape"], table: Float64[Array, "sample"]) -> Float64[Array, "*shape"]:
-    return np.interp(across.ravel(), _TABLE_PX, table).reshape(across.shape)
 
 
 def _odd(

@@ -1,29 +1,17 @@
 """Check of a calibrated rig by a new view of the board: corners against its camera, stripes against its planes."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import (
-    MIN_SIGMA_PX,
-    corner_sigma_px,
-    maximum_likelihood_pose,
-    whiten,
-)
-from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
-from ringpose.calibrate.planes.stripes.errors import (
-    StripeResiduals,
-    center_sigma_px,
-    line_modes,
-    shared_length,
-    stripe_rays,
-    stripe_residuals,
-)
+from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, maximum_likelihood_pose, view_equations
+from ringpose.calibrate.camera.parameters import parameter_names
+from ringpose.calibrate.planes.joint_adjustment import JointData, JointState, joint_data
+from ringpose.calibrate.planes.stripes.errors import line_modes, stripe_residuals
 from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
-from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.rig import Rig, laser_parameters
 
@@ -41,10 +29,6 @@ MIN_BOARD_PX = 0.1
 
 BOARD_FACTOR = 5.0
 """Limit of the corner rms over its value in the calibration: a principal point 10 px off makes 0.3 px."""
-
-
-_BoardEstimate = tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]
-"""A board's pose by its corners, and the covariance that their residuals imply."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,32 +64,44 @@ class RigCheck:
         return self.board_rms_px <= self.board_limit_px and all(laser.holds for laser in self.lasers)
 
 
+class BoardMeasurements(NamedTuple):
+    """One view of a board, as a rig sees it."""
+
+    data: JointData
+    """Corners and stripes of the view, with their standard deviations; the stripes have the labels that the rig gives
+    them where the frames give none."""
+    state: JointState
+    """Camera and light planes of the rig, and the board's pose by its corners."""
+    pose_covariance: Float64[Array, "pose=6 pose=6"]
+
+
+def board_measurements(view: StripeView, rig: Rig) -> BoardMeasurements:
+    """The measurements of a view of the board, by the camera and the light planes of a rig."""
+    pose, unit_covariance = maximum_likelihood_pose(view.board, rig.camera)
+    normal, distance_m = rig.lasers.normal, rig.lasers.distance_m
+    points = [triangulated(px, pose, rig.camera) for px in view.unlabelled_px]
+    view = labelled_by_planes(view, points, list(zip(normal, distance_m.tolist(), strict=True)))
+    data = joint_data([view], rig.camera, corner_sigmas_px([view], [pose], rig.camera))
+    state = JointState(poses=(pose,), normal=normal, distance_m=distance_m, camera=rig.camera)
+    return BoardMeasurements(data, state, data.corner_px[0] ** 2 * unit_covariance)
+
+
 def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = None) -> RigCheck:
     """Agreement of a rig with a view: corners with its camera, each stripe with its light plane.
 
     `median_board_rms_px` is the corner rms of the rig's calibration, if it is known.
     """
-    pose, unit_covariance = maximum_likelihood_pose(view.board, rig.camera)
-    corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
-    board = pose, corner_px**2 * unit_covariance
-    view = labelled_by_rig(view, pose, rig)
+    board, limit_px = board_measurements(view, rig), MAX_BOARD_PX
+    if median_board_rms_px is not None:
+        limit_px = min(max(BOARD_FACTOR * median_board_rms_px, MIN_BOARD_PX), MAX_BOARD_PX)
+    (pose,) = board.state.poses
     return RigCheck(
         name=view.board.name,
         distance_m=float(pose.translation_m[2]),
         board_rms_px=pose.residual_rms_px,
-        board_limit_px=MAX_BOARD_PX
-        if median_board_rms_px is None
-        else min(max(BOARD_FACTOR * median_board_rms_px, MIN_BOARD_PX), MAX_BOARD_PX),
-        lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(rig.lasers.names))),
+        board_limit_px=limit_px,
+        lasers=tuple(_laser_check(laser, board, rig) for laser in range(len(rig.lasers.names))),
     )
-
-
-def labelled_by_rig(view: StripeView, pose: BoardPose, rig: Rig) -> StripeView:
-    """The view with the stripes of frames with all lasers on assigned to the lasers on whose planes they lie."""
-    if not view.unlabelled_px:
-        return view
-    planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
-    return labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
 
 
 def rig_check_lines(check: RigCheck) -> list[str]:
@@ -123,56 +119,44 @@ def rig_check_lines(check: RigCheck) -> list[str]:
     return lines
 
 
-def _laser_check(laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) -> LaserCheck:
+def _laser_check(laser: int, board: BoardMeasurements, rig: Rig) -> LaserCheck:
     """Distance of the laser's stripe from its own plane; if it is too large, also the laser on whose plane it lies."""
-    own = _stripe_check(laser, laser, view, board, rig)
+    own = _stripe_check(laser, laser, board, rig)
     if own.holds or np.isnan(own.offset_m):
         return own
-    others = (_stripe_check(laser, other, view, board, rig) for other in range(len(rig.lasers.names)))
+    others = (_stripe_check(laser, other, board, rig) for other in range(len(rig.lasers.names)))
     return replace(own, lies_on=next((other.name for other in others if other.holds), ""))
 
 
-def _stripe_check(stripe: int, laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) -> LaserCheck:
+def _stripe_check(stripe: int, laser: int, board: BoardMeasurements, rig: Rig) -> LaserCheck:
     """Distance of one laser's stripe from the plane of the same or another laser, and its limit.
 
-    The variance of the offset is the sum of the parts of the rig, of the board's pose, and of the stripe's own line.
+    It is that of the straight line fitted to the stripe, at the ends and the middle of the stripe. Its variance is the
+    sum of the parts of the rig, of the board's pose, and of the line.
     """
-    name, points_px = rig.lasers.names[laser], view.stripes_px[stripe]
+    (view,), (pose,), name = board.data.views, board.state.poses, rig.lasers.names[laser]
+    points_px = view.stripes_px[stripe]
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
-    pose, pose_covariance = board
-    normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    found = stripe_residuals(stripe_rays(points_px, rig.camera), pose, normal, distance_m)
-    weights = _line_weights(points_px) * found.metres_per_pixel
+    plane = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
+    found = stripe_residuals(board.data.rays[0][stripe], pose, *plane)
+    modes = line_modes(points_px)
+    level, slope = modes
+    ends = np.array([slope.min(), 0.0, slope.max()])
+    weights = (level + ends[:, None] * slope) / len(slope) * found.metres_per_pixel
     offset_m = weights @ found.residual_px
-    variance = _variance(weights @ found.wrt_pose, pose_covariance)
+    variance = _variance(weights @ found.wrt_pose, board.pose_covariance)
+    variance += board.data.center_px[0][stripe] ** 2 / len(points_px) * np.sum((weights @ modes.T) ** 2, axis=1)
     if rig.covariance is not None:
+        # A wrong camera displaces the board, too: by the pose that fits the corners with it.
+        corners = view_equations(view.board, pose, rig.camera, 1.0)
+        pose_wrt_camera = np.linalg.lstsq(corners.wrt_pose, -corners.wrt_camera)[0]
+        wrt_rig = np.hstack([found.wrt_camera + found.wrt_pose @ pose_wrt_camera, found.wrt_plane])
         names = parameter_names(rig.camera.distortion_model) + laser_parameters([name])
-        variance += _variance(weights @ _jacobian_by_rig(found, view.board, pose, rig), rig.covariance.of(names))
-    straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
-    line_variance = center_sigma_px(straight[stripe], shared_length(straight)) ** 2 / len(points_px)
-    variance += _variance(weights @ line_modes(points_px).T, line_variance * np.eye(2))
+        variance += _variance(weights @ wrt_rig, rig.covariance.of(names))
     limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M
     worst = int(np.argmax(np.abs(offset_m) / limit_m))
     return LaserCheck(name=name, offset_m=float(offset_m[worst]), limit_m=float(limit_m[worst]))
-
-
-def _line_weights(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "position=3 n"]:
-    """Weights whose product with values along a stripe is their fitted straight line at its two ends and its middle."""
-    level, slope = line_modes(points_px)
-    ends = np.array([slope.min(), 0.0, slope.max()])
-    return (level + ends[:, None] * slope) / len(slope)
-
-
-def _jacobian_by_rig(
-    found: StripeResiduals, view: BoardView, pose: BoardPose, rig: Rig
-) -> Float64[Array, "n parameter"]:
-    """Derivatives by the camera, including the change of the board's pose that it causes, and by the light plane."""
-    pixel_wrt_pose, pixel_wrt_camera = projection_jacobians(view.points_board_m, pose, rig.camera)
-    wrt_pose = whiten(pixel_wrt_pose.reshape(-1, 6), view)
-    wrt_camera = whiten(pixel_wrt_camera.reshape(len(wrt_pose), -1), view)
-    pose_wrt_camera, *_ = np.linalg.lstsq(wrt_pose, -wrt_camera, rcond=None)
-    return np.hstack([found.wrt_camera + found.wrt_pose @ pose_wrt_camera, found.wrt_plane])
 
 
 def _variance(

@@ -9,25 +9,12 @@ from math import degrees, hypot, sqrt
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import (
-    MIN_SIGMA_PX,
-    corner_residuals,
-    corner_sigma_px,
-    maximum_likelihood_pose,
-    whiten,
-)
-from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, SIGMAS, labelled_by_rig
-from ringpose.calibrate.planes.stripes.errors import (
-    center_sigma_px,
-    line_modes,
-    shared_length,
-    stripe_rays,
-    stripe_residuals,
-)
+from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of
+from ringpose.calibrate.planes.joint_adjustment import corner_rows, stripe_rows, stripes_of
+from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, SIGMAS, board_measurements
+from ringpose.calibrate.planes.stripes.errors import line_modes
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
-from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.drift import MovedPlane, RigEvidence
 from ringpose.types.arrays import Array, Float64
@@ -38,58 +25,33 @@ from ringpose.types.rig import PLANE_PARAMETERS, ParameterCovariance, Rig, laser
 MIN_STREAM_SHOTS, MIN_BOARD_SHOTS = 4, 2
 """Number of shots at different poses that a plane can be estimated from."""
 
-_POSE = 6
-
 
 def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
     """What a view of a board shows about camera and light planes, with the board's pose and unevenness eliminated."""
-    pose, _ = maximum_likelihood_pose(view.board, rig.camera)
-    view = labelled_by_rig(view, pose, rig)
-    planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
-    camera = (*parameter_names(rig.camera.distortion_model), FOCAL_RATIO)
-    names = (*camera, *laser_parameters(rig.lasers.names))
-    corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
-    by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, rig.camera)
-    wrt_camera = whiten(by_camera.reshape(by_pose.size // _POSE, -1), view.board)
-    corners = np.zeros((len(wrt_camera), _POSE + len(names) + 1))
-    corners[:, :_POSE] = whiten(by_pose.reshape(-1, _POSE), view.board)
-    corners[:, _POSE : _POSE + len(camera)] = _with_focal_ratio(wrt_camera, rig)
-    corners[:, -1] = corner_residuals(view.board, pose, rig.camera)
-    blocks = [corners / corner_px]
-    straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
-    length = shared_length(straight)
-    for laser, points_px in enumerate(view.stripes_px):
-        if not len(points_px):
-            continue
-        found = stripe_residuals(stripe_rays(points_px, rig.camera), pose, *planes[laser])
-        rows = np.zeros((len(points_px), corners.shape[1]))
-        rows[:, :_POSE] = found.wrt_pose
-        rows[:, _POSE : _POSE + len(camera)] = _with_focal_ratio(found.wrt_camera, rig)
-        first = _POSE + len(camera) + len(PLANE_PARAMETERS) * laser
-        rows[:, first : first + len(PLANE_PARAMETERS)] = found.wrt_plane
-        rows[:, -1] = -found.residual_px
-        sigma_px = max(center_sigma_px(straight[laser], length), MIN_SIGMA_PX)
-        blocks.append(_without_unevenness(rows / sigma_px, line_modes(points_px) / sigma_px, found.metres_per_pixel))
-    triangle = np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))[_POSE:, _POSE:]
-    return PlaneEvidence(parameters=names, rows=triangle, normal=pose.rotation[:, 2], place_m=pose.translation_m)
+    data, state, _ = board_measurements(view, rig)
+    blocks = [corner_rows(data, state, 0)]
+    for laser, stripe in stripes_of(data, state, 0):
+        rows = stripe_rows(data, 0, laser, stripe)
+        # An uneven board shifts and turns the stripe's line: two more unknowns, of this standard deviation each.
+        uneven_px = FLATNESS_M / SIGMAS / float(stripe.metres_per_pixel.mean())
+        modes = uneven_px * line_modes(data.views[0].stripes_px[laser]).T / data.center_px[0][laser]
+        blocks.append(_reduced(np.vstack([np.eye(2, 2 + rows.shape[1]), np.hstack([modes, rows])]), 2))
+    reduced = _reduced(np.concatenate(blocks), 6)  # without the board's pose
+    (pose,), names = state.poses, parameter_names(rig.camera.distortion_model)
+    # The change of both focal lengths together is an error of its own; residuals r of the rows mean A q = -r.
+    focal_px = rig.camera.camera_matrix[[0, 1], [0, 1]]
+    wrt_ratio = reduced[:, [-1 - len(names), -len(names)]] @ focal_px
+    return PlaneEvidence(
+        parameters=(*laser_parameters(rig.lasers.names), *names, FOCAL_RATIO),
+        rows=np.column_stack([reduced[:, :-1], wrt_ratio, -reduced[:, -1]]),
+        normal=pose.rotation[:, 2],
+        place_m=pose.translation_m,
+    )
 
 
-def _with_focal_ratio(wrt_camera: Float64[Array, "row parameter"], rig: Rig) -> Float64[Array, "row parameter+1"]:
-    """Derivatives by the camera's parameters, and by the change of both focal lengths together."""
-    ratio = wrt_camera[:, :2] @ rig.camera.camera_matrix[[0, 1], [0, 1]]
-    return np.column_stack([wrt_camera, ratio])
-
-
-def _without_unevenness(
-    rows: Float64[Array, "n column"], modes: Float64[Array, "mode=2 n"], metres_per_pixel: Float64[Array, "n"]
-) -> Float64[Array, "row column"]:
-    """The rows of a stripe, with a shift and a turn of its line by an uneven board eliminated."""
-    sd_px = FLATNESS_M / SIGMAS / float(metres_per_pixel.mean())
-    count = len(modes)
-    prior = np.eye(count, count + rows.shape[1])
-    return np.asarray(np.linalg.qr(np.concatenate([prior, np.hstack([sd_px * modes.T, rows])]), mode="r"))[
-        count:, count:
-    ]
+def _reduced(rows: Float64[Array, "row column"], unknowns: int) -> Float64[Array, "reduced_row reduced_column"]:
+    """Rows equivalent to the given ones for the columns after the first `unknowns`, whose unknowns are eliminated."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))[unknowns:, unknowns:]
 
 
 def checked_shots(evidence: RigEvidence, *, boards: bool) -> None:
@@ -141,7 +103,10 @@ def updated_rig(rig: Rig, evidence: RigEvidence, moved: list[int]) -> Rig:
 
 
 def evidence_lines(evidence: RigEvidence, moved: list[int] | None, depth_m: float) -> list[str]:
-    """For each laser, by how much the evidence contradicts its plane, those that have moved set aside."""
+    """For each laser the normalised error of its plane by the evidence, if the planes in `moved` may be anywhere.
+
+    `moved` is None if a plane has moved and it is not known which.
+    """
     alone, beside = evidence.chi2_of_planes(), evidence.chi2_of_planes(moved or ())
     limit, lines = sqrt(evidence.limit / len(PLANE_PARAMETERS)), []
     for laser, name in enumerate(evidence.rig.lasers.names):

@@ -24,7 +24,6 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.detection import Stripes
 from ringpose.types.image import Shot
 from ringpose.types.rig import Camera
-from ringpose.types.session import MAX_LASERS
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""
@@ -174,18 +173,6 @@ def stripe_lines(
     return found
 
 
-def stripes_seen(
-    image: UInt[Array, "row column"], dark: UInt[Array, "row column"] | None, surface: BoardSurface
-) -> int:
-    """Number of lines about as bright as the brightest one; for frames whose number of lasers is unknown."""
-    counts = []
-    for shrinking in (SHRINKINGS[0], SHRINKINGS[-1]):
-        lines = _lines_at_scale(image, dark, surface, MAX_LASERS, shrinking)
-        brightest = max((line.light for line in lines), default=0.0)
-        counts.append(sum(line.light > RIVAL_SHARE * brightest for line in lines))
-    return min((count for count in counts if count), default=0)
-
-
 def _lines_at_scale(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
@@ -305,29 +292,26 @@ def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row
     return mask.astype(bool)
 
 
-def board_surface(shot: Shot, board: Board, pose: BoardPose, camera: Camera, surround_m: float = 0.0) -> "BoardSurface":
+def board_surface(shot: Shot, board: Board, pose: BoardPose, camera: Camera, surround_m: float = 0.0) -> BoardSurface:
     """The board's face in a shot; on a chessboard, the grey values determine which squares are used.
 
     Light squares are used: black ink reflects a tenth of the light, and centres on it scatter three times as much.
     Without a frame with lasers off to subtract, dark squares are used: there, stripes stand out from the background.
     """
-    first_is_dark = _first_is_dark(board_image(shot), board, pose, camera)
+    first_is_dark = True
+    if board.kind == "chessboard":
+        image = board_image(shot)
+        row, column = np.mgrid[0 : board.squares_y or 0, 0 : board.squares_x or 0]
+        centers = np.stack([column + 0.5, row + 0.5], axis=-1).reshape(-1, 2) * board.square_size_m
+        points = np.column_stack([centers, np.zeros(len(centers))]) @ pose.rotation.T + pose.translation_m
+        x, y = np.rint(np.nan_to_num(project(points, camera), nan=-1.0)).T
+        inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
+        grey = image[y[inside].astype(np.int64), x[inside].astype(np.int64)]
+        odd = (row + column).ravel()[inside] % 2 == 1  # squares of the other colour than the outer top-left one
+        if odd.any() and not odd.all():
+            first_is_dark = float(np.median(grey[odd])) >= float(np.median(grey[~odd]))
     first_is_used = first_is_dark == (dark_image(shot) is None)
     return BoardSurface(board=board, pose=pose, camera=camera, surround_m=surround_m, first_is_used=first_is_used)
-
-
-def _first_is_dark(image: UInt[Array, "row column"], board: Board, pose: BoardPose, camera: Camera) -> bool:
-    """Whether squares of even row + column (the outer top-left one's colour) are darker than the odd ones."""
-    if board.kind != "chessboard":
-        return True
-    row, column = np.mgrid[0 : board.squares_y or 0, 0 : board.squares_x or 0]
-    centers = np.stack([column + 0.5, row + 0.5], axis=-1).reshape(-1, 2) * board.square_size_m
-    points = np.column_stack([centers, np.zeros(len(centers))]) @ pose.rotation.T + pose.translation_m
-    x, y = np.rint(np.nan_to_num(project(points, camera), nan=-1.0)).T
-    inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
-    grey = image[y[inside].astype(np.int64), x[inside].astype(np.int64)]
-    odd = (row + column).ravel()[inside] % 2 == 1
-    return not (odd.any() and not odd.all()) or float(np.median(grey[odd])) >= float(np.median(grey[~odd]))
 
 
 def triangulated(points_px: Float64[Array, "n xy=2"], pose: BoardPose, camera: Camera) -> Float64[Array, "n xyz=3"]:

@@ -1,26 +1,26 @@
-"""The kernel that says how well ends are known, against the errors of least-squares lines."""
+"""Covariances and flags of ends, against the errors of least-squares lines."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_scene import drawn_rig
 
-from ringpose.kernels.ends import MarkParams, flagged_ends
+from ringpose.detect.break_points import flagged_ends
+from ringpose.kernels.ends import FACET_SIGMAS
+from ringpose.types.rig import LaserPlanes, Rig
 
-RULES = MarkParams(
-    image_width=800.0,
-    border_px=3.0,
-    saturated_share=0.2,
-    kink_level=0.25,
-    unclear_px=0.75,
-    clipped_phase=0.022,
-    facet_sigmas=6.0,
-    fit_dof=5.0,
-    min_columns=0.5,
-    saturated_flag=1.0,
-    kink_flag=2.0,
-    clipped_flag=4.0,
-    blunt_flag=32.0,
-    unclear_flag=64.0,
-)
+
+def rig_of(lasers: int) -> Rig:
+    """A rig with so many lasers and images of 800 columns."""
+    rig = drawn_rig()
+    planes = LaserPlanes(
+        names=tuple(map(str, range(lasers))),
+        normal=np.tile([0.0, 1.0, 0.0], (lasers, 1)),
+        distance_m=np.full(lasers, -0.1),
+        projector_m=np.full((lasers, 3), np.nan),
+    )
+    return replace(rig, camera=replace(rig.camera, image_width=800), lasers=planes)
 
 
 def tracks(rng, count):
@@ -35,7 +35,7 @@ def tracks(rng, count):
 
 
 def found_ends(rng, count):
-    """What the kernel of ends may say of them; some are not there, and some lie at the border."""
+    """Results of `stripe_ends`; some are not there, and some lie at the border."""
     section, beneath = rng.uniform(0.8, 4, (count, 1)), rng.uniform(0, 0.05, (count, 1))
     shape = (count, 2)
     columns = (
@@ -69,7 +69,7 @@ def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
     scatter, length = 0.3, 200.0
     track = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
 
-    found = flagged_ends(track, clean_ends(1), (0,), 1, RULES)
+    found = flagged_ends(track, clean_ends(1), [0], rig_of(1))
 
     used = columns - 8
     x = np.linspace(-length / 2, length / 2, 10_001) * used / columns
@@ -85,21 +85,21 @@ def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
     ends = clean_ends(1)
     ends[..., 9] = 0.04
 
-    found = flagged_ends(track, ends, (0,), 1, RULES)
+    found = flagged_ends(track, ends, [0], rig_of(1))
 
-    shift = 2.0 * 0.2 / np.sqrt(200 / (RULES.facet_sigmas * 2.0))
+    shift = 2.0 * 0.2 / np.sqrt(200 / (FACET_SIGMAS * 2.0))
     at_ends = np.sqrt(1.0 + 3.0 / (192 / 200) ** 2)  # four of 200 centres at either end are not used
     np.testing.assert_allclose(found.straight_sigma_px, at_ends * shift, rtol=1e-6)
 
 
 def test_ends_belong_to_the_lasers_of_their_tracks(rng):
     drawn, ends = tracks(rng, 5), found_ends(rng, 5)
-    lasers = tuple(rng.permutation(8)[:5].tolist())
+    lasers = rng.permutation(8)[:5].tolist()
 
-    found = flagged_ends(drawn, ends, lasers, 8, RULES)
+    found = flagged_ends(drawn, ends, lasers, rig_of(8))
 
     for number, laser in enumerate(lasers):
-        alone = flagged_ends(drawn[[number]], ends[[number]], (0,), 1, RULES)
+        alone = flagged_ends(drawn[[number]], ends[[number]], [0], rig_of(1))
         np.testing.assert_array_equal(found.position_px[laser], alone.position_px[0])
         np.testing.assert_array_equal(found.flags[laser], alone.flags[0])
         np.testing.assert_array_equal(found.straight_px[laser], alone.straight_px[0])
@@ -115,7 +115,7 @@ def test_scatter_of_a_stripe_is_estimated_together_with_that_of_the_others(scatt
     track = np.array([[-1.0, 68.0, 300.0, 500.0, 400.0, 200.0, 0.0, 0.05, 1.0, 0.0, 0.0]] * 3)
     track[2, 7] = scatter_px
 
-    found = flagged_ends(track, clean_ends(3), (0, 1, 2), 3, RULES)
+    found = flagged_ends(track, clean_ends(3), [0, 1, 2], rig_of(3))
 
     middle_px = found.straight_sigma_px[2, 0] / np.hypot(1, np.sqrt(3) * 68 / 60)
     assert lowest_px <= middle_px * np.sqrt(60 - 5 / np.sqrt(3)) * 1.001
@@ -126,7 +126,7 @@ def test_an_end_errs_along_its_line_by_its_own_sigma_and_across_by_the_lines(rng
     drawn, ends = tracks(rng, 1), found_ends(rng, 1)
     ends[0, 1] = [drawn[0, 3], 300.0, 0.5, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
 
-    marks = flagged_ends(drawn, ends, (0,), 1, RULES)
+    marks = flagged_ends(drawn, ends, [0], rig_of(1))
 
     covariance, across = marks.covariance_px2[0, 1], np.array([-0.5, 1.0])
     assert covariance[0, 0] == pytest.approx(0.2**2)
@@ -143,17 +143,11 @@ def test_flags_say_what_an_end_is(rng, column, value, flag):
     ends[0, 0] = [400.0, 300.0, 0.0, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
     ends[0, 0, column] = value
 
-    assert flagged_ends(tracks(rng, 1), ends, (0,), 1, RULES).flags[0, 0] == flag
+    assert flagged_ends(tracks(rng, 1), ends, [0], rig_of(1)).flags[0, 0] == flag
 
 
 def test_lasers_without_a_track_have_no_end(rng):
-    ends = flagged_ends(tracks(rng, 1), found_ends(rng, 1), (1,), 3, RULES)
+    ends = flagged_ends(tracks(rng, 1), found_ends(rng, 1), [1], rig_of(3))
 
     assert all(np.isnan(each[[0, 2]]).all() for each in (*ends[:2], *ends[3:]))
     assert not ends.flags[[0, 2]].any()
-
-
-@pytest.mark.parametrize("lasers", [(3,), (-1,), (), (0, 1)])
-def test_lasers_that_are_not_of_the_rig_or_not_one_a_track_are_a_value_error(rng, lasers):
-    with pytest.raises(ValueError, match="lasers"):
-        flagged_ends(tracks(rng, 1), found_ends(rng, 1), lasers, 3, RULES)

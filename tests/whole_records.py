@@ -1,0 +1,199 @@
+"""Records in which everything is known, and one of the version before."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ringpose.files import records
+from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
+from ringpose.types.detection import BreakPoints, Detection, Rejection, RingEdgePoints, Segments, Stripes
+from ringpose.types.pose import (
+    LaserState,
+    LinearizationPoint,
+    PlaneEvidence,
+    PoseFlag,
+    PoseLine,
+    Priors,
+    RadiusPrior,
+    RingMeasurement,
+    RingPose,
+    RingVelocity,
+)
+from ringpose.types.rig import PlaneCorrection
+
+
+def record_of(values: dict[str, Any]) -> dict[str, Any]:
+    """The record as it is read from its line."""
+    return records.parsed_record(records.line_of(values), "x")
+
+
+def square(rng: np.random.Generator, size: int) -> Any:
+    """A covariance."""
+    root = rng.normal(size=(size, size))
+    return root @ root.T
+
+
+def complete_pose(rng: np.random.Generator) -> RingPose:
+    """A degraded pose of which everything is known."""
+    normal = rng.normal(size=3)
+    return RingPose(
+        center_m=rng.normal(size=3),
+        normal=normal / np.linalg.norm(normal),
+        radius_inner_m=0.567,
+        radius_outer_m=0.597,
+        grasp_m=rng.normal(size=3),
+        method="paper",
+        condition_number=30.0,
+        residual_rms_px=0.1,
+        covariance=square(rng, 7),
+        covariance_center_m2=square(rng, 3),
+        covariance_grasp_m2=square(rng, 3),
+        flags=PoseFlag.CENTER_WEAK | PoseFlag.POINT_REJECTED,
+    )
+
+
+def complete_measurement(rng: np.random.Generator) -> RingMeasurement:
+    """A measurement with two nuisance parameters."""
+    return RingMeasurement(
+        linearized_at=LinearizationPoint(
+            center_m=rng.normal(size=3),
+            normal=np.array([0.0, 0.6, -0.8]),
+            radius_inner_m=0.567,
+            radius_outer_m=math.nan,
+            velocity_m_s=rng.normal(size=3),
+            rate_rad_s=rng.normal(size=3),
+        ),
+        nuisance_parameters=("left.tilt_1", "fx"),
+        square_root=np.triu(rng.normal(size=(9, 15))),
+        degrees_of_freedom=2,
+        chi2=1.5,
+    )
+
+
+def complete_line(rng: np.random.Generator) -> PoseLine:
+    """A line in which everything is known."""
+    return line(
+        complete_pose(rng),
+        pose_stamp_s=1.7e9 + 0.05,
+        velocity=RingVelocity(center_m_s=rng.normal(size=3), rate_rad_s=rng.normal(size=3), covariance=square(rng, 5)),
+        measurement=complete_measurement(rng),
+        priors=Priors(
+            assumptions=Assumptions(
+                motion=MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.04),
+                ring_tolerance_m=1e-4,
+                stability=RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4),
+            ),
+            radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, inner_sd_m=math.nan, outer_sd_m=0.0005, source="given"),
+            rig_covariance=True,
+            moved_planes={
+                "left": PlaneCorrection(change=np.array([2e-3, 0.0, 1e-4]), covariance=np.diag([1e-9, 2e-9, 3e-10]))
+            },
+            regularization=rng.normal(size=(2, 13)),
+        ),
+        plane_evidence=PlaneEvidence(
+            parameters=("left.tilt_1", "focal_ratio"),
+            rows=rng.normal(size=(4, 3)),
+            normal=np.array([0.0, 0.6, -0.8]),
+            place_m=rng.normal(size=3),
+        ),
+        lasers={"left": LaserState.USED, "middle": LaserState.PARTLY, "right": LaserState.OUT_OF_VIEW},
+        rejected=(Rejection(what="point", laser="middle", edge="inner", chi2=40.0), Rejection(what="radius")),
+        rig_health={"left": 0.9, "middle": math.nan, "right": 1.1},
+        shots_dropped=2,
+        stage_s={"detect": 0.01, "pose": 0.004},
+    )
+
+
+def line(pose: RingPose | None, **changes: Any) -> PoseLine:
+    """A line with this pose, in which little else is known."""
+    flags = PoseFlag(0) if pose is None else pose.flags
+    given = {"shot": "a", "stamp_s": 1.7e9, "pose": pose, "flags": flags, "latency_s": 0.02, "rig": "0" * 64}
+    return PoseLine(**(given | changes))
+
+
+VERSION_1 = {
+    "schema": "ringpose/pose/1",
+    "shot": "a",
+    "stamp_s": 1.7e9,
+    "frame": "camera",
+    "status": "degraded",
+    "reason": None,
+    "flags": ["center_weak"],
+    "pose": {
+        "center_m": [0.0, 0.0, 1.0],
+        "normal": [0.0, 0.6, -0.8],
+        "pitch_rad": 0.0,
+        "yaw_rad": 0.0,
+        "radius_inner_m": 0.5,
+        "radius_outer_m": None,
+        "grasp_m": None,
+        "covariance": None,
+        "ring_posterior": None,
+        "method": "ml",
+        "residual_rms_px": 0.1,
+        "condition": 20.0,
+    },
+    "laser_health": {"left": 0.9, "right": None},
+    "dropped": 3,
+    "latency_s": 0.1,
+    "rig": None,
+}
+
+
+def break_points(rng: np.random.Generator) -> BreakPoints:
+    """Break points of three lasers; one was not found."""
+    lasers = 3
+    position = rng.normal(size=(lasers, 2, 2))
+    position[1, 0] = math.nan
+    root = rng.normal(size=(lasers, 2, 2, 2))
+    covariance = root @ root.swapaxes(-1, -2)
+    covariance[1, 0] = math.nan
+    return BreakPoints(
+        position_px=position,
+        covariance_px2=covariance,
+        flags=rng.integers(0, 16, (lasers, 2)),
+        face_start_px=rng.normal(size=(lasers, 2)),
+        face_end_px=rng.normal(size=(lasers, 2)),
+        face_sigma_px=rng.uniform(size=(lasers, 2)),
+        labelled=True,
+        stamp_s=np.array([1.7e9, math.nan, *rng.uniform(1.7e9, 1.8e9, lasers - 2)]),
+    )
+
+
+def full_detection(rng: np.random.Generator, centers: int = 50) -> Detection:
+    """A detection that has everything."""
+    piece = np.sort(rng.integers(0, 4, centers))
+    return Detection(
+        shot="a",
+        stamp_s=1.7e9,
+        break_points=break_points(rng),
+        stripes=Stripes(
+            position_px=rng.normal(size=(centers, 2)),
+            sigma_px=rng.normal(size=centers),
+            peak_dn=rng.normal(size=centers),
+            piece=piece,
+            laser=np.array([0, -1, 2, 1]),
+            stamp_s=rng.uniform(1.7e9, 1.8e9, 4),
+        ),
+        segments=Segments(
+            start_px=rng.normal(size=(7, 2)),
+            end_px=rng.normal(size=(7, 2)),
+            support=rng.integers(1, 99, 7),
+            stamp_s=rng.uniform(1.7e9, 1.8e9, 7),
+        ),
+        ring_edges=ring_edges(rng),
+        lasers_on=np.array([True, False, True]),
+        rejected=(Rejection(what="stripe", laser="middle", chi2=41.5), Rejection(what="assignment")),
+    )
+
+
+def ring_edges(rng: np.random.Generator, count: int = 9) -> RingEdgePoints:
+    """Points on both edges."""
+    return RingEdgePoints(
+        position_px=rng.normal(size=(count, 2)),
+        normal=rng.normal(size=(count, 2)),
+        sigma_px=rng.uniform(size=count),
+        edge=rng.integers(0, 2, count),
+        stamp_s=rng.uniform(1.7e9, 1.8e9, count),
+    )
