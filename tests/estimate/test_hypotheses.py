@@ -335,3 +335,29 @@ def test_ends_are_not_rejected_where_the_other_side_of_the_centre_rejects_others
     found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))
 
     assert not found.rejected
+
+
+def test_a_stripe_of_three_is_not_rejected_where_without_another_one_the_shot_passes_the_test_too():
+    """From a rendered ring with gaps: the middle stripe lies in one, 12 mm below the face, and not the left one."""
+    rig = read_scene(PRESETS / "paper-physical-scene.yaml").rig
+    position_px = np.array(
+        [
+            [[625.2041, 821.5549], [693.9072, 822.3410]],
+            [[651.0562, 428.8819], [720.6694, 429.3764]],
+            [[629.6344, 191.9437], [702.4003, 191.9838]],
+        ]
+    )
+    variance_px2 = np.array([[0.028, 0.0259], [0.0187, 0.0131], [0.0117, 0.012]])[..., None, None]
+    points = BreakPoints(
+        position_px=position_px,
+        covariance_px2=variance_px2 * np.diag([1.0, 0.06]),
+        flags=np.zeros((3, 2), dtype=np.int64),
+        face_start_px=np.array([[625.5844, 822.0986], [649.7588, 428.5911], [627.9899, 189.4819]]),
+        face_end_px=np.array([[694.8118, 822.7635], [720.9128, 429.1835], [701.4821, 189.7490]]),
+        face_sigma_px=np.array([[0.0385, 0.0385], [0.0314, 0.0314], [0.0291, 0.0291]]),
+        labelled=True,
+    )
+
+    found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))
+
+    assert not found.rejected
