@@ -88,22 +88,19 @@ def test_images_of_every_format_give_the_pose_of_their_shot(carried_data, capsys
         assert abs(np.dot(np.subtract(line["pose"]["grasp_m"], truth["center_m"]), truth["normal"])) < 0.001
 
 
-@pytest.mark.parametrize("method", ["ml", "paper", "paper-constrained"])
-def test_no_carried_shot_is_missed(carried_report, method):
-    outcomes = all_shots(carried_report, method)["outcomes"]
+WRONG = pytest.mark.parametrize(
+    ("method", "wrong"), [("ml", set()), ("paper-constrained", set()), ("paper", {"grasp"})]
+)
+"""Quantities that are wrong: only the paper's grasp point, which is the mean of the break points."""
 
+
+@WRONG
+def test_no_carried_shot_is_missed_and_no_quantity_is_wrong(carried_report, method, wrong):
+    line = all_shots(carried_report, method)
+
+    outcomes = line["outcomes"]
     assert (outcomes["missed"], outcomes["lost"], outcomes["partial_none"]) == (0, 0, 0)
-
-
-@pytest.mark.parametrize("method", ["ml", "paper-constrained"])
-def test_no_quantity_of_a_carried_shot_is_wrong(carried_report, method):
-    assert all_shots(carried_report, method)["wrong"]["count"] == 0
-
-
-def test_only_the_papers_grasp_point_is_wrong_which_is_the_mean_of_the_break_points(carried_report):
-    quantities = all_shots(carried_report, "paper")["quantities"]
-
-    assert {name for name, counts in quantities.items() if counts["wrong"]} == {"grasp"}
+    assert {name for name, counts in line["quantities"].items() if counts["wrong"]} == wrong
 
 
 LIMITS = [
@@ -173,21 +170,15 @@ def test_no_rendered_shot_is_lost_and_each_without_a_pose_has_its_reason(shared_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["paper", "paper-constrained"])
-def test_failures_on_all_rendered_shots(shared_report, method):
-    outcomes = all_shots(shared_report, method)["outcomes"]
+@WRONG
+def test_failures_and_wrong_quantities_on_all_rendered_shots(shared_report, method, wrong):
+    line = all_shots(shared_report, method)
 
+    outcomes = line["outcomes"]
     assert sum(outcomes.values()) == 45
     assert (outcomes["lost"], outcomes["no_target"]) == (0, 0)
     assert outcomes["missed"] <= 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "names"), [("ml", set()), ("paper-constrained", set()), ("paper", {"grasp"})])
-def test_wrong_quantities_of_all_rendered_shots(shared_report, method, names):
-    quantities = all_shots(shared_report, method)["quantities"]
-
-    assert {name for name, counts in quantities.items() if counts["wrong"]} == names
+    assert {name for name, counts in line["quantities"].items() if counts["wrong"]} == wrong
 
 
 @pytest.mark.slow

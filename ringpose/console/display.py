@@ -234,7 +234,7 @@ def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float]) ->
 
 
 def track_text(pose: RingPose | None, velocity: RingVelocity | None, status: str, error_m: float = np.nan) -> str:
-    """What the track has, in a line."""
+    """One line on a track: its status, centre, speed and rate, and the error of its centre if it is known."""
     if pose is None:
         return f"track: {status}"
     x, y, z = 1e3 * pose.center_m

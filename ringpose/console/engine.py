@@ -128,9 +128,10 @@ class Stage(Generic[Item]):
 
 
 class Engine:
-    """Works inside its context; `show` is called with each preview and each measurement, and the picture as JPEG.
+    """Threads that make previews and measurements of the newest state; they run within the context.
 
-    `show` is called by two threads, one for previews and one for measurements; `record` with each measurement.
+    `show` is called with each preview and each measurement and its picture as JPEG, by two threads; `record` with each
+    measurement.
     """
 
     def __init__(
@@ -196,7 +197,7 @@ class Engine:
             worker.put(state)
 
     def wait_for_failure(self) -> None:
-        """Return when a thread has failed, which is its `failure`."""
+        """Wait until a thread has failed; its exception is then in `failure`."""
         self._ended.wait()
 
     def fail(self, failure: BaseException) -> None:

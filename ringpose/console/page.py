@@ -61,10 +61,11 @@ EARTH = Earth(direction=np.array([0.9, -0.2, 0.15]))
 
 
 class ConsolePage:
-    """The page, within its context.
+    """Serves the page of the console within its context.
 
     `record` is called with each measurement while recording is switched on, and `save` with the state when its button
-    is pressed; what it returns is shown. `load` makes a trajectory and `load_rig` a rig of content and name of a file.
+    is pressed; the text that it returns is shown. `load` reads a trajectory, `load_rig` a rig, from the content of a
+    file that is uploaded and its name.
     """
 
     def __init__(
@@ -190,7 +191,8 @@ class ConsolePage:
 
     def _add_rig_controls(self) -> None:
         gui, lasers = self._server.gui, self._scene.rig.lasers.names
-        widths = sorted({width for width in (320, 480, 640, 800, 1200, self._width) if width <= self._largest_width})
+        largest = max(self._width, self._scene.rig.camera.image_width)
+        widths = sorted({width for width in (320, 480, 640, 800, 1200, self._width) if width <= largest})
         with gui.add_folder("Camera"):
             self._focal = gui.add_slider("focal length (%)", 50.0, 200.0, 1.0, 100.0)
             self._size = gui.add_dropdown(
@@ -211,10 +213,6 @@ class ConsolePage:
             self._shifts: list[Any] = [
                 gui.add_slider(f"{name} along y (mm)", -100.0, 100.0, 1.0, 0.0) for name in lasers
             ]
-
-    @property
-    def _largest_width(self) -> int:
-        return max(self._width, self._scene.rig.camera.image_width)
 
     def _add_light_controls(self) -> None:
         gui, light = self._server.gui, self._state.light
@@ -480,7 +478,7 @@ class ConsolePage:
 
 
 def drawn_earth_m(scene: Scene, earth: Earth) -> tuple[float, float]:
-    """Distance from the ring, and radius, of a sphere that looks like the Earth from there and contains no part."""
+    """Distance (from the ring) and radius of a drawn Earth: as large as it appears from there, beyond all parts."""
     center_m = np.array([0.0, 0.0, scene.ring.height_m])
     vertices_m = np.concatenate([vertices_m for vertices_m, _ in target_surfaces(scene).values()])
     reach_m = float(np.linalg.norm(vertices_m - center_m, axis=1).max())

@@ -16,7 +16,7 @@ LONGEST_S = 2.0
 
 
 class RecordedPage:
-    """The page, within its context; all browsers show the same shot."""
+    """Serves the page within its context; all browsers show the same shot."""
 
     def __init__(self, shots: Sequence[ReplayShot], rig: Rig, host: str, port: int) -> None:
         self._shots, self._rig, self._times_s = shots, rig, times_s(shots)

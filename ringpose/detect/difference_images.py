@@ -36,22 +36,28 @@ class LaserImage:
 
 
 def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[LaserImage]:
-    """The frames to search for stripes, such that each of `count` lasers that was on is covered once.
+    """The searched frames of a shot, each with a background to subtract.
 
-    A frame with a single laser on takes precedence over frames with several. The background is the suitable frame
-    nearest in time, because the ambient light on a tumbling target changes. `earlier`: a frame without lasers for a
-    shot that has none.
+    The background is the suitable frame nearest in time, because the ambient light on a tumbling target changes.
+    `earlier`: a frame without lasers for a shot that has none.
     """
-    images, covered = [], 0
-    masks: list[int] = shot.lasers.tolist()
+    frames = searched_frames(shot.lasers.tolist(), count)
+    return [_laser_image(shot, number, lasers, also_on, earlier) for number, lasers, also_on in frames]
+
+
+def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[int, ...], int]]:
+    """The frames of a shot that are searched for stripes, such that each of `count` lasers that is on is covered once.
+
+    For each frame its number, the lasers whose stripes are searched in it, and the mask of the others that are on.
+    Frames with fewer lasers on take precedence.
+    """
+    frames, covered = [], 0
     for number in sorted(range(len(masks)), key=lambda each: (masks[each].bit_count(), each)):
         mask = masks[number]
-        new = mask & ~covered & ((1 << count) - 1)
-        if new:
-            lasers = tuple(laser for laser in range(count) if new >> laser & 1)
-            images.append(_laser_image(shot, number, lasers, mask & covered, earlier))
+        if new := mask & ~covered & ((1 << count) - 1):
+            frames.append((number, tuple(laser for laser in range(count) if new >> laser & 1), mask & covered))
             covered |= mask
-    return images
+    return frames
 
 
 def repeated_image(shot: Shot, images: list[LaserImage]) -> LaserImage | None:

@@ -1,5 +1,8 @@
 """The paper's line segment detector, and stripes from its segments (ringpose-method(7), section 2).
 
+The loops are compiled, in kernels/segments: gradient.c (gradient and anchors), chains.c (edge chains and their straight
+pieces) and segments.c (line fits and collinear lines).
+
 Gradient and anchors -> edge chains, continuous and one pixel wide -> straight pieces -> line segments. A stripe is the
 bright region between two parallel segments.
 """
@@ -9,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.detect.difference_images import brightest_image
-from ringpose.kernels import segments as kernels
+from ringpose.kernels import _kernels
 from ringpose.types.arrays import Array, Bool, Float64, Int16, Int32, Int64, UInt, UInt8, UInt16
 from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Segments, Stripes
 from ringpose.types.image import Shot, full_scale_dn
@@ -97,16 +100,19 @@ class Gradient:
 def refined(gradient: Gradient, chains: Chains, parameters: SegmentParameters) -> Segments:
     """Least-squares lines through the sub-pixel positions of straight pieces; collinear ones joined."""
     pieces = straight_pieces(chains, parameters, parameters.shortest_joined_px)
-    lines_px, moments = kernels.fits(gradient.magnitude, chains.pixels, pieces, parameters.window_steps // 2)
-    ends_px, support = kernels.joins(
+    lines_px, moments = fitted_lines(gradient.magnitude, chains.pixels, pieces, parameters.window_steps // 2)
+    ends_px, support = joined_lines(
         lines_px, moments, pieces, parameters.gap_px, parameters.aside_px, parameters.shortest_px
     )
     return Segments(start_px=ends_px[:, 0], end_px=ends_px[:, 1], support=support)
 
 
 def straight_pieces(chains: Chains, parameters: SegmentParameters, shortest_px: int) -> Int32[Array, "piece end=2"]:
-    """First and last pixel of each straight piece of `shortest_px` or more: length condition, direction shares."""
-    return kernels.cuts(
+    """First and last pixel of each straight piece of `shortest_px` or more; neighbours share the corner.
+
+    Pieces are cut by the length condition and the direction shares (ringpose-method(7), section 2).
+    """
+    pieces = _kernels.cuts(
         chains.pixels,
         chains.starts,
         parameters.deviation_px,
@@ -114,14 +120,59 @@ def straight_pieces(chains: Chains, parameters: SegmentParameters, shortest_px: 
         parameters.window_steps,
         shortest_px,
     )
+    return np.frombuffer(pieces, np.int32).reshape(-1, 2)
+
+
+def fitted_lines(
+    magnitude: Int16[Array, "row column"],
+    pixels: Int32[Array, "pixel xy=2"],
+    pieces: Int32[Array, "piece end=2"],
+    trim_px: int,
+) -> tuple[Float64[Array, "piece end=2 xy=2"], Float64[Array, "piece moment=6"]]:
+    """Ends of the least-squares line through the sub-pixel maxima of the magnitude along each piece, and its moments.
+
+    A maximum is the vertex of the parabola through three magnitudes across the piece's longer side, down a column or
+    along a row. `trim_px` pixels at both ends, but never more than a quarter of the piece, are rounded corners and
+    stay out. The line ends at the end pixels of the piece, projected along its longer side; with fewer than two maxima
+    it is the chord. The moments are the sums over the maxima of 1, x, y, x x, x y and y y.
+    """
+    lines, moments = _kernels.fits(magnitude, pixels, pieces, trim_px)
+    return np.frombuffer(lines).reshape(-1, 2, 2), np.frombuffer(moments).reshape(-1, 6)
+
+
+def joined_lines(
+    lines: Float64[Array, "piece end=2 xy=2"],
+    moments: Float64[Array, "piece moment=6"],
+    pieces: Int32[Array, "piece end=2"],
+    gap_px: float,
+    aside_px: float,
+    shortest_px: int,
+) -> tuple[Float64[Array, "line end=2 xy=2"], Int64[Array, "line"]]:
+    """Lines after joining those that continue each other, and the number of supporting pixels of each.
+
+    From the first line to the last, each of at least `shortest_px` pixels takes the nearest line beyond its end, at
+    most `gap_px` ahead and 2 `aside_px` beside or behind, and again from the new end, as long as all ends of both lie
+    within `aside_px` (measured along x or y) of the least-squares line through the maxima of both; then beyond its
+    start. Shorter lines that were not joined to another are dropped.
+    """
+    flat = np.ascontiguousarray(lines).reshape(-1, 4)
+    joined, support = _kernels.joins(flat, moments, pieces, gap_px, aside_px, shortest_px)
+    return np.frombuffer(joined).reshape(-1, 2, 2), np.frombuffer(support, np.int64)
 
 
 def edge_chains(gradient: Gradient, lower_dn: float, shortest: int) -> Chains:
-    """First and last pixel of each piece of `shortest_px` or more, by the length condition and the direction shares."""
-    pixels, starts = kernels.chains(
+    """Edge chains, one pixel wide, along which the gradient is at least `lower_dn` grey values per pixel.
+
+    From each anchor, the strongest first, two walks in opposite directions; a walk goes to the largest magnitude of
+    the three pixels ahead (straight on, if equal; then left) and stops below `lower_dn`, on another chain, or where one
+    of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer than
+    `shortest` pixels are dropped, but no other chain may cross them.
+    The magnitude serves as scratch memory and is restored on return: no other thread may use it in the meantime.
+    """
+    pixels, starts = _kernels.chains(
         gradient.magnitude, gradient.anchors, gradient.orientation, magnitude_steps(lower_dn), shortest
     )
-    return Chains(pixels=pixels, starts=starts)
+    return Chains(pixels=np.frombuffer(pixels, np.int32).reshape(-1, 2), starts=np.frombuffer(starts, np.int32))
 
 
 STEPS_PER_DN = 128
@@ -134,12 +185,22 @@ MAX_STEPS = 32767
 def image_gradient(
     image: UInt8[Array, "row column"] | UInt16[Array, "row column"], upper_dn: float, bits: int = 8
 ) -> Gradient:
-    """Gradient of the smoothed image, and the anchors of at least `upper_dn` grey values per pixel.
+    """Gradient of the smoothed image, and its anchors: local maxima of at least `upper_dn` grey values per pixel.
 
-    Grey values are scaled to 8 bits: the last four of 12 `bits` are a fraction.
+    The image is smoothed with the binomial 1 4 6 4 1 (sigma 1 px); then Sobel. The magnitude is max + 3/8 min of the
+    two absolute components (7 % from the Euclidean one). It is 0 on the outermost three pixels, whose gradient needs
+    pixels outside the image: extrapolation would bend the edges there. Anchors are maxima along the row in every eighth
+    row, if the edge is nearer to upright, else down the column in every eighth column.
+    Images of 16-bit elements have values of `bits` bits, 9 to 16, which are scaled to 8 bits: the last four of 12 are a
+    fraction.
     """
-    magnitude, anchors, orientation = kernels.gradient(image, magnitude_steps(upper_dn), bits)
-    return Gradient(magnitude=magnitude, anchors=anchors, orientation=orientation)
+    magnitude = np.empty(image.shape, np.int16)
+    anchors, orientation = _kernels.gradient(np.ascontiguousarray(image), bits, magnitude_steps(upper_dn), magnitude)
+    return Gradient(
+        magnitude=magnitude,
+        anchors=np.frombuffer(anchors, np.int32),
+        orientation=np.frombuffer(orientation, np.uint8),
+    )
 
 
 def magnitude_steps(gradient_dn: float) -> int:

@@ -46,15 +46,8 @@ FILTER_SIGMA_PX = 2.5
 to 40 px; neighbouring stripes are resolved from a distance of about 2.5 of these sigmas. For the measurement, the
 filter is selected for each piece."""
 
-BEGIN_SIGMAS, CONTINUE_SIGMAS = 6.0, 4.0
-"""Hysteresis thresholds in sigmas of the local noise of the response: `MIN_COLUMNS` of a piece must exceed the first;
-the others must exceed the second."""
-
 MIN_PEAK_DN = 3.0
 """Minimum height above the surroundings, for a saturation value of 255."""
-
-GAP_COLUMNS = 2
-"""Maximum number of missing columns inside a piece."""
 
 MIN_COLUMNS = 8
 """Minimum length of a piece: noise may link over a few columns by chance."""
@@ -75,13 +68,9 @@ def find_stripes(
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
     min_peak_dn = MIN_PEAK_DN * full_dn / 255
     params = StripeParams(
-        begin_sigmas=BEGIN_SIGMAS,
-        continue_sigmas=CONTINUE_SIGMAS,
         min_response=min_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
         coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
         full_dn=full_dn,
-        gap=GAP_COLUMNS,
-        shortest=MIN_COLUMNS,
     )
     found = stripe_centers(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)
     pieces = int(found.piece[-1]) + 1 if len(found.piece) else 0
@@ -97,20 +86,19 @@ def find_stripes(
 class StripeParams(NamedTuple):
     """Detection thresholds."""
 
-    begin_sigmas: float
-    """Response over its noise (clutter included) that at least `shortest` columns of a piece must have."""
-    continue_sigmas: float
-    """Response over its noise that every column must have."""
     min_response: float
     """Smallest response of the ridge filter."""
     coarse_per_response: float
     """Sum over a window of 8 x 16 pixels, less its surroundings, for a ridge with a response of 1."""
     full_dn: float
     """Grey value of a saturated pixel; speckle weights are not used on pieces with many of them."""
-    gap: int
+    begin_sigmas: float = 6.0
+    """Response over its noise (clutter included) that at least `shortest` columns of a piece must have."""
+    continue_sigmas: float = 4.0
+    """Response over its noise that every column must have."""
+    gap: int = 2
     """Largest number of missing columns inside a piece."""
-    shortest: int
-    """Smallest number of columns of a piece."""
+    shortest: int = MIN_COLUMNS
 
 
 class Centers(NamedTuple):

@@ -268,7 +268,17 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
     first, second = sorted((best, other), key=_side_score)
     clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
     side_known = clear and not (edges_named and first.edges_exchanged)
-    return replace(first, side_known=side_known, other_side=None if clear else second.estimate)
+    if clear:
+        return replace(first, side_known=side_known)
+    same = _left_out(first) == _left_out(second)
+    competing = first.competing if same else (*first.competing, second.estimate)
+    return replace(first, side_known=side_known, other_side=second.estimate, competing=competing)
+
+
+def _left_out(explanation: Explanation) -> frozenset[tuple[str, str | None, bool]]:
+    """What an explanation rejects, with the edges as they were given: either side may leave out other ends."""
+    other = "inner" if explanation.edges_exchanged else "outer"
+    return frozenset((each.what, each.laser, each.edge in (other, None)) for each in explanation.rejected)
 
 
 def _is_unique(best: Explanation) -> bool:
@@ -394,7 +404,7 @@ def _select(
 ) -> tuple[Solved, list[Solved]]:
     """The best of the explanations, and its comparable rivals."""
     ranked = sorted([*([] if everything is None else [everything]), *tried], key=lambda each: each.score)
-    near = [each for each in ranked if each.score < ranked[0].score + CLEARLY]
+    near = [each for each in ranked if each.score < ranked[0].score + _margin(ranked[0], each)]
     best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
     if _contradicts_itself(best.estimate):
@@ -407,6 +417,17 @@ def _select(
         rivals = [each for each in near if each is not best and each.score < best.score]
         return Solved(inconsistent, best.estimate), rivals
     return best, rivals
+
+
+def _margin(best: Solved, other: Solved) -> float:
+    """The margin in chi-squared by which the best hypothesis must beat another one.
+
+    Two stripes nearly always agree with some ring. Which one of three is rejected is then decided by a single degree of
+    freedom, and each of them is as likely beforehand.
+    """
+    both_reject = PoseFlag.STRIPE_REJECTED in best.hypothesis.flag & other.hypothesis.flag
+    two_left = len(best.hypothesis.measured.stripes) <= STRIPES_OF_A_PLANE
+    return ALARM_SIGMAS**2 if both_reject and two_left else CLEARLY
 
 
 def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solved]) -> Explanation:

@@ -69,6 +69,12 @@ static int open_array(PyObject *object, const Parameter *parameter, const char *
     return 0;
 }
 
+static int is_tuple(PyObject *object, const Parameter *parameter) {
+    if (PyTuple_Check(object)) return 1;
+    PyErr_Format(PyExc_TypeError, "%s: must be a tuple", parameter->name);
+    return 0;
+}
+
 static int read_tuple(PyObject *object, const Parameter *parameter, double *number) {
     const int count = parameter->extent[0];
     if (!PyTuple_Check(object) || PyTuple_Size(object) != count) {
@@ -99,7 +105,7 @@ static int read_real(PyObject *object, double *number) {
 int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Arguments *arguments) {
     Py_ssize_t named[3] = {-1, -1, -1};
     arguments->count = 0;
-    if (PyTuple_Size(tuple) != (Py_ssize_t)count) {
+    if (!PyTuple_Check(tuple) || PyTuple_Size(tuple) != (Py_ssize_t)count) {
         PyErr_Format(PyExc_TypeError, "takes %zu arguments", count);
         return 0;
     }
@@ -113,6 +119,7 @@ int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Ar
         case 'T': fits = read_tuple(object, &parameter[i], number); break;
         case 'L': fits = read_integer(object, &parameter[i], number); break;
         case 'R': fits = read_real(object, number); break;
+        case 'O': fits = is_tuple(object, &parameter[i]); break;
         default:
             if (object != Py_None || !memchr(parameter[i].name, '?', 2))
                 fits = open_array(object, &parameter[i], name, named, &arguments->view[i]);

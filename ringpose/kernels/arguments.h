@@ -15,7 +15,7 @@ enum { ANY = -1, N = -2, M = -3, K = -4 };
 /* What an argument must be. A name that begins with '>' is that of an array which the kernel fills, one with '?' may be
    None. Types: 'd' float64, 'f' float32, 'q' int64, 'i' int32, 'h' int16, 'B' uint8, '?' bool, 'I' an image (uint8 or
    uint16): contiguous arrays of that many axes; 'T' a tuple of extent[0] numbers, 'R' a number, 'L' an integer from
-   extent[0] to extent[1]. */
+   extent[0] to extent[1], 'O' a tuple of anything, which the kernel opens by itself. */
 typedef struct {
     const char *name;
     char type;
@@ -54,7 +54,6 @@ PyObject *call_joins(PyObject *module, PyObject *tuple);
 PyObject *call_stripes(PyObject *module, PyObject *tuple);
 PyObject *call_tracks(PyObject *module, PyObject *tuple);
 PyObject *call_faces(PyObject *module, PyObject *tuple);
-PyObject *call_end_columns(PyObject *module, PyObject *tuple);
 PyObject *call_ends(PyObject *module, PyObject *tuple);
 PyObject *call_edge_places(PyObject *module, PyObject *tuple);
 PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);

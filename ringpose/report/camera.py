@@ -17,20 +17,16 @@ from ringpose.types.calibration import CameraAssessment, CameraCalibration, Mode
 from ringpose.types.rig import CAMERA_PARAMETERS, Camera
 
 
-def camera_report(
-    calibration: CameraCalibration,
-    assessment: CameraAssessment,
-    verdict: Verdict,
-    without_board: Sequence[tuple[str, str]] = (),
-) -> str:
+def camera_report(assessment: CameraAssessment, verdict: Verdict, without_board: Sequence[tuple[str, str]] = ()) -> str:
     """A self-contained HTML page; `without_board` are the names of images that show no board, and the reasons."""
-    camera, comparison = calibration.camera, assessment.comparison
+    calibration, comparison = assessment.calibration, assessment.comparison
+    camera = calibration.camera
     deviations = zip(calibration.standard_deviations.items(), parameters_of(camera).tolist(), strict=True)
     parameters = [
         [name + " (px)" * (name in CAMERA_PARAMETERS[:4]), f"{value:.6g}", f"{sd:.2g}" if sd else "held"]
         for (name, sd), value in deviations
     ]
-    sigmas_m = zip(assessment.distances_m, projection_sigma_m(calibration, assessment), strict=True)
+    sigmas_m = zip(assessment.distances_m, projection_sigma_m(assessment), strict=True)
     held_out = {view.name: f"{view.rms_px:.3f}" for view in assessment.left_out}
     views = [
         [
@@ -61,13 +57,11 @@ def camera_report(
                 headings=("distance", "median over the image"),
                 rows=[[f"{distance_m:g} m", f"{1e3 * sigma_m:.4f} mm"] for distance_m, sigma_m in sigmas_m],
             ),
-            pictures=[uncertainty_map(calibration, assessment)],
+            pictures=[uncertainty_map(assessment)],
         ),
-        Section(title="Coverage", pictures=[coverage_picture(calibration, assessment)]),
+        Section(title="Coverage", pictures=[coverage_picture(assessment)]),
         Section(title="Residuals", pictures=[residual_field(calibration)]),
-        Section(
-            title="Views", table=Table(headings=headings, rows=views), pictures=[view_picture(calibration, assessment)]
-        ),
+        Section(title="Views", table=Table(headings=headings, rows=views), pictures=[view_picture(assessment)]),
     ]
     if comparison is not None:
         models = [
@@ -119,8 +113,9 @@ def residual_field(calibration: CameraCalibration) -> Picture:
     )
 
 
-def coverage_picture(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
+def coverage_picture(assessment: CameraAssessment) -> Picture:
     """Corners over the image with the number in each cell, and tilt against distance of the boards."""
+    calibration = assessment.calibration
     covered = assessment.coverage
     figure = canvas(10, 4.6)
     image, places = figure.subplots(1, 2, width_ratios=(2.2, 1))
@@ -151,8 +146,9 @@ def coverage_picture(calibration: CameraCalibration, assessment: CameraAssessmen
     )
 
 
-def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
+def uncertainty_map(assessment: CameraAssessment) -> Picture:
     """Maps of the projection's standard deviation, and of its displacement between the two halves of the views."""
+    calibration = assessment.calibration
     figure = canvas(10, 4.2)
     left, right = figure.subplots(1, 2)
     _map(figure, left, assessment.sigma_px, calibration.camera)
@@ -171,8 +167,9 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
     )
 
 
-def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
+def view_picture(assessment: CameraAssessment) -> Picture:
     """Rms of each view, in the calibration and held out, and the displacement of the projection without it."""
+    calibration = assessment.calibration
     figure = canvas(10, 3.6)
     rms, shift = figure.subplots(1, 2)
     views = calibration.views

@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.detect.difference_images import searched_frames
+from ringpose.detect.edge_search import STEP_DN, STEP_SIGMAS
+from ringpose.detect.ring_edges import BLUR_SIGMA_PX, MINIMUM_POINTS, POINT_SIGMA_PX
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
 from ringpose.simulate.break_points import inside_image
@@ -44,7 +47,7 @@ _GRAZING = 1e-6
 
 
 class LaserFrames(NamedTuple):
-    """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
+    """The frame of a shot in which the detector searches for the stripe of each laser."""
 
     number: Int64[Array, "laser"]
     """Index of that frame in the shot; -1 for a laser that is off in all frames."""
@@ -61,13 +64,10 @@ class LaserFrames(NamedTuple):
 def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
     """The frame of each laser in a sequence of laser masks: of those with it on, the one with the fewest lasers."""
     number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
-    subtracted, covered = np.zeros(lasers, dtype=bool), 0
-    for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
-        new = sequence[frame] & ~covered & ((1 << lasers) - 1)
-        which = [laser for laser in range(lasers) if new >> laser & 1]
-        number[which], together[which] = frame, len(which)
-        subtracted[which] = sequence[frame] & covered in sequence
-        covered |= sequence[frame]
+    subtracted = np.zeros(lasers, dtype=bool)
+    for frame, shown, also_on in searched_frames(sequence, lasers):
+        which = list(shown)
+        number[which], together[which], subtracted[which] = frame, len(which), also_on in sequence
     return LaserFrames(number, together, subtracted)
 
 
@@ -203,21 +203,6 @@ EDGE_MARGIN_PX = 8.0
 BESIDE_STRIPE_PX = 12.0
 """Distance from a break point within which a frame with lasers does not show an edge."""
 
-MIN_STEP_DN = 2.0
-"""Minimum height of a step of brightness, as in the detector."""
-
-MIN_STEP_SIGMAS = 5.0
-"""Minimum height of a step in its standard deviations over 4 px of an edge, as in the detector."""
-
-MAX_EDGE_SIGMA_PX = 0.5
-"""Maximum standard deviation of a place."""
-
-MIN_PLACES = 12
-"""Minimum number of places."""
-
-BLUR_SIGMA_PX = 0.03
-"""Standard deviation of a step's position due to the assumed shape of its blur."""
-
 LIGHT_OFFSETS_PX = (-3, 1, 2, 4)
 """Distances beyond an edge at which the light is sampled: on the face, then each for the pixels up to the next."""
 
@@ -250,7 +235,7 @@ def visible_edges(
         stripe_px = project(point_m, camera).reshape(-1, 1, 2)
         near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
         shown &= near_px > BESIDE_STRIPE_PX
-    if np.count_nonzero(shown) < MIN_PLACES:
+    if np.count_nonzero(shown) < MINIMUM_POINTS:
         return NO_EDGES._replace(frame=number)
     along_m, edge, place_m = along_m[shown], edge[shown], place_m[shown]
     off_face = np.array(EDGE_SIGN)[edge, None] * outward[shown]
@@ -270,9 +255,9 @@ def visible_edges(
         displaced_px = (beyond_e - beyond_e[:, :1]) @ of_offset / height_e
     scatter_px = np.sqrt(_means_of_neighbours(np.fmin(displaced_px**2, 1.0), edge))
     sigma_px = np.sqrt(sensor_px**2 + scatter_px**2 + BLUR_SIGMA_PX**2)
-    seen = (height_e * sensor.overall_system_gain_dn_per_e > MIN_STEP_DN) & (sigma_px < MAX_EDGE_SIGMA_PX)
-    seen &= height_e > MIN_STEP_SIGMAS * pixel_e / 2.0
-    if np.count_nonzero(seen) < MIN_PLACES:
+    seen = (height_e * sensor.overall_system_gain_dn_per_e > STEP_DN) & (sigma_px < POINT_SIGMA_PX)
+    seen &= height_e > STEP_SIGMAS * pixel_e / 2.0
+    if np.count_nonzero(seen) < MINIMUM_POINTS:
         return NO_EDGES._replace(frame=number)
     return VisibleEdges(number, along_m[seen], edge[seen], sigma_px[seen])
 

@@ -13,6 +13,8 @@ from math import erfc, hypot, pi, sqrt
 
 import numpy as np
 
+from ringpose.detect.edge_search import CHANGE
+from ringpose.kernels.ends import INSIDE_COLUMNS, OUTSIDE_COLUMNS
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Scene
@@ -22,9 +24,6 @@ PIXEL_VARIANCE = 1.0 / 12.0
 
 REACH_SIGMAS = 5.0
 """Half height, in sigmas of a stripe, of the rows from which its centre is estimated."""
-
-INSIDE_COLUMNS, OUTSIDE_COLUMNS = 24, 12
-"""Columns inside and beyond an end from which its position is estimated."""
 
 MIN_PEAK, MIN_PEAK_SIGMAS = 3.0 / 255.0, 4.0
 """Minimum peak of a stripe that is detected, as a share of the saturation value and in standard deviations of a pixel.
@@ -39,18 +38,8 @@ CENTER_PHASE = 0.25
 PHASES = np.array([-0.375, -0.125, 0.125, 0.375])
 """Positions in its pixel over which an end's variance is averaged."""
 
-CUT_CENTRES, COLUMNS_PER_CUT = 4, 12
-"""Centres at either end of a stripe that the detector's line does not use: at most the first number, and one for so
-many columns."""
-
-OUTLIER_SIGMAS = 3.0
-"""Distance from a line, in standard deviations, from which a centre is not used."""
-
 EDGE_COLUMNS = (7, 5)
 """Pixels inside and beyond a visible edge from which its position is estimated."""
-
-LIGHT_BEYOND = 0.7
-"""Expected change of the light beyond an edge, per pixel of distance, in standard deviations of the noise."""
 
 PIXEL_GRAIN = 0.5 / sqrt(pi)
 """Correlation length at which the speckle of each pixel is independent."""
@@ -238,7 +227,7 @@ def edge_step_influence(blur_px: float) -> tuple[Float64[Array, "offset"], float
     inside = _normal_cdf(-x / width)
     bell = np.exp(-0.5 * (x / width) ** 2) / sqrt(2 * pi) / width
     shapes = np.stack([inside, 1.0 - inside, bell])
-    weight = 1.0 / (1.0 + (LIGHT_BEYOND * np.maximum(x, 0.0)) ** 2)
+    weight = 1.0 / (1.0 + (CHANGE * np.maximum(x, 0.0)) ** 2)
     influence = _weighted_fit((shapes * weight) @ shapes.T, shapes, weight, 2)
     return influence[x > 0], sqrt(float(influence @ influence))
 

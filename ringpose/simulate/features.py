@@ -15,6 +15,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import EDGE_SIGN, edge_points
+from ringpose.kernels.lines import COLUMNS_PER_CUT, MAX_CUT
 from ringpose.simulate.appearance import (
     EDGE_MARGIN_PX,
     Appearance,
@@ -23,7 +24,6 @@ from ringpose.simulate.appearance import (
     laser_frames,
 )
 from ringpose.simulate.break_points import form_deviations, in_gap, inside_image
-from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
 from ringpose.simulate.pipeline import ring_truth
 from ringpose.simulate.placement import READOUT_S, ring_views
 from ringpose.simulate.stripe_ends import (
@@ -88,7 +88,7 @@ class DrawnShot:
 def drawn_features(
     scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
 ) -> Iterator[DrawnShot]:
-    """The first `count` views of a scene, or all, as one run: rig and form of the ring are drawn once."""
+    """Draw a detection for the first `count` views of a scene, or all; rig and form of the ring are drawn once."""
     common = common_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
     shown: RingView | None = None
     for number, view in enumerate(ring_views(scene)[:count]):
@@ -224,7 +224,7 @@ def _drawn_points(
     lasers, left = np.arange(len(seen)), stripes.edge_at_start
     chord_px = stripes.end_px - stripes.start_px
     columns = chord_px[:, 0]
-    used = columns - 2.0 * np.minimum(np.floor(columns / COLUMNS_PER_CUT), CUT_CENTRES)
+    used = columns - 2.0 * np.minimum(np.floor(columns / COLUMNS_PER_CUT), MAX_CUT)
     line_sigma_px = np.array(
         [
             np.nan if center is None else center.line_sigma_px(number)

@@ -26,7 +26,7 @@ MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """`point_camera = rotation @ point_target + translation_m`."""
+    """Pose of the target in the camera frame: `point_camera = rotation @ point_target + translation_m`."""
 
     rotation: Float64[Array, "3 3"]
     translation_m: Float64[Array, "xyz=3"]

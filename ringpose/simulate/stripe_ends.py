@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.detect.stripes import BORDER_PX
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_SHARE, rig_errors
 from ringpose.geometry.rays import project
@@ -107,7 +108,7 @@ class ShotMotion(NamedTuple):
         return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
 
     def motion(self, time_s: float) -> Rates:
-        """Velocity of the ring's centre, and rates, at a time."""
+        """Velocity of the ring's centre, and angular velocity, at a time since the beginning of the shot."""
         if self.view.path is None:
             return self.drawn
         face_m = np.array([0.0, 0.0, self.scene.ring.height_m])
@@ -125,9 +126,6 @@ class StripeEnds(NamedTuple):
     edge_at_start: Int64[Array, "laser"]
     """Edge that the left end belongs to."""
 
-
-BORDER_PX = 3.0
-"""Distance from the image's left or right border within which an end is not measured, as in the detector."""
 
 MIN_COLUMNS = 10
 """Minimum length of a stripe that is detected."""

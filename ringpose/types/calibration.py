@@ -169,18 +169,22 @@ class PlanesCalibration:
 class CameraView:
     """One view of the board in a camera calibration."""
 
-    name: str
+    board: BoardView
+    """The view as it was found in the image."""
     pose: BoardPose
-    ids: Int64[Array, "corner"]
-    """Number of each corner on the board."""
     points_px: Float64[Array, "corner xy=2"]
-    """The measured corners."""
+    """The measured corners, without the systematic errors that distortion causes."""
     residual_px: Float64[Array, "corner xy=2"]
     """Measured minus projected corners, rejected ones included."""
     left_out: Bool[Array, "corner"]
     """Corners rejected as outliers."""
     rejected: str = ""
     """Reason why the whole view was rejected; empty if it was used."""
+
+    @property
+    def name(self) -> str:
+        """The name of the view's image."""
+        return self.board.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -266,8 +270,10 @@ class ModelComparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraAssessment:
-    """The quantities by which a camera calibration is assessed."""
+    """A camera calibration with the quantities by which it is assessed."""
 
+    calibration: CameraCalibration
+    """With the covariance inflated if the views disagree more than noise explains."""
     coverage: Coverage
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with

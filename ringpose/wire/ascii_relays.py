@@ -30,7 +30,7 @@ class AsciiCodec:
         return bool(self.read)
 
     def request(self, command: Command) -> bytes:
-        """One line."""
+        """The bytes of a command: one line of text."""
         if isinstance(command, Read):
             return (self.read + self.end).encode()
         if not isinstance(command, Switch):
@@ -39,7 +39,7 @@ class AsciiCodec:
         return (template.replace("{n}", str(command.relay + self.first)) + self.end).encode()
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """A complete line, if an answer is expected."""
+        """Whether the answer is complete: it ends with a line, if one is expected."""
         return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
 
     def on_mask(self, command: Command, received: bytes) -> int:
@@ -53,14 +53,14 @@ class AsciiCodec:
         return 0
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Complete lines that match a template."""
+        """The commands in complete lines that match a template, and the bytes of an incomplete line."""
         end = self.end.encode()
         *lines, rest = received.split(end)
         found = [self._command(line.decode("ascii", "replace")) for line in lines]
         return [command for command in found if command is not None], rest
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
-        """The mask, or the acknowledgement."""
+        """The answer of a board: the mask of its relays as a line, or the acknowledgement."""
         if isinstance(command, Read):
             return f"{on_mask}\r\n".encode()
         return f"{self.acknowledged_by}\r\n".encode() if self.acknowledged_by else b""

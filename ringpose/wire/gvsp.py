@@ -64,11 +64,11 @@ class StreamedFrame:
 
     @property
     def packets(self) -> int:
-        """Number of its datagrams."""
+        """Number of datagrams of the frame, leader and trailer included."""
         return 2 + -(-len(self.data) // self.piece_size)
 
     def datagram(self, number: int) -> bytes:
-        """The packet with this number."""
+        """The packet of this number, from 0 (the leader) to the last one (the trailer)."""
         if number == 0:
             return _HEADER.pack(0, self.block, Kind.LEADER << 24) + self._leader_payload()
         if number == self.packets - 1:

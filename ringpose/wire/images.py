@@ -171,7 +171,7 @@ def lengths_in(prefix: bytes, max_payload: int) -> tuple[int, int]:
 
 
 def header_in(encoded: bytes) -> "Header":
-    """The header of a message."""
+    """Parse the header of a message; anything but a JSON object raises `MalformedMessage`."""
     try:
         values = json.loads(encoded, parse_constant=_reject_constant)
     except (ValueError, RecursionError):
@@ -196,7 +196,7 @@ def stream_token(secret: bytes) -> str:
 
 
 class Header:
-    """The values of a header, checked one by one; a wrong one raises `MalformedMessage`."""
+    """The keys and values of a message's header. Methods check a value; a wrong one raises `MalformedMessage`."""
 
     def __init__(self, values: Mapping[str, Any], name: str = "") -> None:
         self.values = values
@@ -212,42 +212,42 @@ class Header:
         return self.values.get(key) is not None
 
     def integer(self, key: str, minimum: int = 0, maximum: int = MAX_NUMBER) -> int:
-        """A whole number within these bounds."""
+        """The whole number of a key, within these bounds."""
         value = self.values.get(key)
         if type(value) is not int or not minimum <= value <= maximum:
             raise self.problem(key, f"must be a whole number from {minimum} to {maximum}")
         return value
 
     def number(self, key: str, minimum: float = -1e12, maximum: float = 1e12) -> float:
-        """A finite number within these bounds."""
+        """The finite number of a key, within these bounds."""
         value = self.values.get(key)
         if type(value) not in (int, float) or not minimum <= value <= maximum:  # type: ignore[operator]
             raise self.problem(key, f"must be a number from {minimum:g} to {maximum:g}")
         return float(value)  # type: ignore[arg-type]
 
     def boolean(self, key: str) -> bool:
-        """True or false; false if it is missing."""
+        """The boolean of a key; false if the key is missing."""
         value = self.values.get(key, False)
         if not isinstance(value, bool):
             raise self.problem(key, "must be true or false")
         return value
 
     def text(self, key: str, longest: int = 200) -> str:
-        """A text that can be printed on one line."""
+        """The text of a key, which can be printed on one line."""
         value = self.values.get(key)
         if not isinstance(value, str) or len(value) > longest or not value.isprintable():
             raise self.problem(key, f"must be a printable text of at most {longest} characters")
         return value
 
     def items(self, key: str, longest: int) -> "Header":
-        """The items of a list, by their numbers from 0 as keys."""
+        """The list of a key, as a header with the numbers "0", "1", ... of its items as keys."""
         value = self.values.get(key)
         if not isinstance(value, list) or len(value) > longest:
             raise self.problem(key, f"must be a list of at most {longest} items")
         return Header({str(number): item for number, item in enumerate(value)}, f"{self._name}: {key}")
 
     def vector(self, key: str) -> tuple[float, float, float]:
-        """Three finite numbers."""
+        """The list of three finite numbers of a key."""
         parts = self.items(key, 3)
         return parts.number("0"), parts.number("1"), parts.number("2")
 

@@ -21,7 +21,7 @@ class LcusCodec:
     switches_rows: bool = True
 
     def request(self, command: Command) -> bytes:
-        """Four bytes for each relay, in one write."""
+        """The bytes of a command: four for each relay, to be sent in one write."""
         if isinstance(command, Read):
             return bytes([READ])
         if isinstance(command, Pulse):
@@ -31,13 +31,13 @@ class LcusCodec:
         return b"".join(_frame(relay + self.first, on >> relay & 1) for relay in numbers)
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Lines for all relays that are read; some boards answer with one raw byte for each relay instead."""
+        """Whether the answer has a line for each relay that is read, or, as of some boards, one raw byte for each."""
         if not isinstance(command, Read):
             return True
         return self._raw(command, received) or set(range(command.count)) <= set(self._states(received))
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The relays that are on."""
+        """The mask of the relays that an answer reports on."""
         if not isinstance(command, Read):
             return 0
         if self._raw(command, received):
@@ -68,7 +68,7 @@ class LcusCodec:
         return found, received[position:]
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
-        """Lines as written by boards with a CH340; a switch has no answer."""
+        """The answer of a board with a CH340: a line for each relay if they are read; a switch has no answer."""
         if not isinstance(command, Read):
             return b""
         return b"".join(

@@ -31,7 +31,7 @@ class ModbusCodec:
     switches_rows: bool = True
 
     def request(self, command: Command) -> bytes:
-        """One frame."""
+        """The bytes of a command: one Modbus frame."""
         if isinstance(command, Read):
             return self._frame(READ_COILS, _words(self.first, command.count))
         if isinstance(command, SwitchRow):
@@ -44,7 +44,7 @@ class ModbusCodec:
         return self._frame(WRITE_COIL, _words(self.first + command.relay, self.on_value if command.on else 0))
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Checked by the length of the function's response; an exception response has five bytes."""
+        """Whether the response has the length that its function code requires; an exception response has five bytes."""
         if len(received) < 5:
             return False
         if received[1] & _EXCEPTION:
@@ -52,7 +52,7 @@ class ModbusCodec:
         return len(received) >= (5 + (command.count + 7) // 8 if isinstance(command, Read) else 8)
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The coils that are on; the response to a write repeats the start of the request."""
+        """The mask of the coils that a response reports on; 0 for a write, which is repeated."""
         if len(received) < 5 or crc(received[:-2]) != received[-2:]:
             raise WireError(f"answered {received.hex(' ')}, which is not a valid frame")
         request = self.request(command)
@@ -82,7 +82,7 @@ class ModbusCodec:
         return found, received[position:]
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
-        """The echo of a write, or the states of the coils that are read."""
+        """The response of a board: the echo of a write, or the states of the coils that are read."""
         if isinstance(command, Read):
             values = (on_mask & ((1 << command.count) - 1)).to_bytes((command.count + 7) // 8, "little")
             return self._frame(READ_COILS, bytes([len(values)]) + values)

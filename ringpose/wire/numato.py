@@ -22,7 +22,7 @@ class NumatoCodec:
     switches_rows: bool = False
 
     def request(self, command: Command) -> bytes:
-        """One line."""
+        """The bytes of a command: one line of text."""
         if isinstance(command, Read):
             return b"relay readall\r"
         if not isinstance(command, Switch):
@@ -30,11 +30,11 @@ class NumatoCodec:
         return f"relay {'on' if command.on else 'off'} {_DIGITS[command.relay]}\r".encode()
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Checks for the prompt after the echo."""
+        """Whether the answer is complete: the prompt has come after the echo."""
         return received.rstrip().endswith(b">") and self._echo(command) in received
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The relays that are on, sent as a hexadecimal number."""
+        """The mask of the relays that are on, which the board sends as a hexadecimal number."""
         if not isinstance(command, Read):
             if self._echo(command) not in received:
                 raise WireError(f'answered {received!r} to "{self._echo(command).decode()}"')
@@ -45,7 +45,7 @@ class NumatoCodec:
         return int(states[1], 16) & ((1 << command.count) - 1)
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Complete lines that are a command; after any other line, a board only repeats its prompt."""
+        """The commands in complete lines, and the bytes of an incomplete one; other lines are skipped."""
         *lines, rest = received.replace(b"\n", b"").split(b"\r")
         found: list[Command] = []
         for line in lines:
@@ -56,7 +56,7 @@ class NumatoCodec:
         return found, rest
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
-        """The echo, the states if they are read, and the prompt."""
+        """The answer of a board: the echo, the states of the relays if they are read, and the prompt."""
         states = f"{on_mask:0{max(1, relays // 4)}x}\n\r".encode() if isinstance(command, Read) else b""
         return self._echo(command) + b"\n\r" + states + b">"
 

@@ -228,9 +228,13 @@ def test_brief_records_leave_out_attempts_and_evidence(capsys, poses):
     assert "log_evidence" not in records[0]
 
 
-def started(*arguments: str) -> subprocess.Popen:
-    program = [str(Path(sys.executable).parent / "ringpose"), "track", "-", *arguments]
-    return subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def fed(lines: list[str], *arguments: str) -> subprocess.Popen:
+    """The command as a process that gets these lines."""
+    program, pipe = [str(Path(sys.executable).parent / "ringpose"), "track", "-", *arguments], subprocess.PIPE
+    process = subprocess.Popen(program, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    process.stdin.write("".join(lines))
+    process.stdin.flush()
+    return process
 
 
 def restamped(lines: list[str], start_s: float) -> list[str]:
@@ -246,11 +250,9 @@ def restamped(lines: list[str], start_s: float) -> list[str]:
 
 @pytest.mark.slow
 def test_at_a_fixed_rate_lines_go_on_while_no_records_arrive(lines):
-    with started("--rate", "20", "--predict-for", "1.5", "--lost-after", "2.5") as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("".join(restamped(lines, time.time() - 1.1)))
-        process.stdin.flush()
+    with fed(
+        restamped(lines, time.time() - 1.1), "--rate", "20", "--predict-for", "1.5", "--lost-after", "2.5"
+    ) as process:
         records = [json.loads(process.stdout.readline()) for _ in range(65)]
         process.stdin.close()
         process.wait(timeout=300)
@@ -266,11 +268,7 @@ def test_at_a_fixed_rate_lines_go_on_while_no_records_arrive(lines):
 
 @pytest.mark.slow
 def test_a_slow_reader_gets_the_newest_line(lines):
-    with started("--rate", "50", "--newest") as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("".join(restamped(lines, time.time())))
-        process.stdin.flush()
+    with fed(restamped(lines, time.time()), "--rate", "50", "--newest") as process:
         descriptor = process.stdout.fileno()
         first = os.read(descriptor, 1 << 20)
         time.sleep(2.0)
@@ -288,11 +286,7 @@ def test_a_slow_reader_gets_the_newest_line(lines):
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["--newest"]], ids=["every line", "newest"])
 def test_a_reader_that_has_gone_ends_the_command(lines, options):
-    with started("--rate", "50", *options) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("".join(lines))
-        process.stdin.flush()
+    with fed(lines, "--rate", "50", *options) as process:
         process.stdout.readline()
         process.stdout.close()
 
@@ -301,11 +295,7 @@ def test_a_reader_that_has_gone_ends_the_command(lines, options):
 
 @pytest.mark.slow
 def test_a_signal_ends_the_command_while_a_line_waits_for_its_reader(lines):
-    with started("--rate", "50", "--newest") as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("".join(lines))
-        process.stdin.flush()
+    with fed(lines, "--rate", "50", "--newest") as process:
         process.stdout.readline()
         time.sleep(0.3)
         process.send_signal(signal.SIGTERM)

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from ringpose.detect.pipeline import detect
-from ringpose.simulate.pipeline import simulate
+from ringpose.files.scenes.scene import read_scene
+from ringpose.files.studies.specification import PRESETS
+from ringpose.simulate.pipeline import simulate, simulated_shot
+from ringpose.simulate.placement import ring_views
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.rig import Camera, LaserPlanes, Rig
-from ringpose.types.scene import Light, RingView, Scene, Sensor
+from ringpose.types.scene import Approach, Light, RingView, Scene, Sensor
+from ringpose.types.session import parsed_sequence
 from ringpose.types.target import Body, RingShape
 
 PITCH_RAD = np.radians([10.0, 0.0, -10.0])
@@ -140,3 +144,18 @@ def test_without_a_ring_there_are_no_break_points(target):
     shot, _ = shot_of(NARROW, 0.5, SWITCHED, target=target)
 
     assert isinstance(detect(shot, NARROW).break_points, NoBreakPoints)
+
+
+def test_a_dark_frame_of_all_lasers_shows_the_ends_as_precisely_as_one_frame_for_each():
+    """Where no ambient light is, residuals of speckle are not those of a lit surface behind the stripes."""
+    sigma_px = {}
+    for sequence in ("off,1,2,3", "all"):
+        scene = read_scene(PRESETS / "paper-physical-scene.yaml")
+        view = Approach(count=3, distances_m=(0.3,), lights=("dim",), seed=1, name="d", tilt_rad=0.1)
+        steps = tuple(step.mask(3) for step in parsed_sequence(sequence))
+        scene = replace(scene, sequence=steps, views=(), approaches=(view,))
+        views = ring_views(scene)
+        found = [detect(simulated_shot(scene, views, number)[0], scene.rig).break_points for number in range(3)]
+        sigma_px[sequence] = np.mean([np.sqrt(np.nanmean(each.covariance_px2[..., 0, 0])) for each in found])
+
+    assert sigma_px["all"] == pytest.approx(sigma_px["off,1,2,3"], rel=0.2)

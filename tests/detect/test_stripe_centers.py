@@ -19,13 +19,18 @@ def drawn(center, *, peak=150.0, sigma=1.6, noise=0.0, rng=None, shape=(120, 400
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
+def errors_px(stripes, truth):
+    """Rows of the centres less the true ones of their columns."""
+    return stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+
+
 @pytest.mark.parametrize("sigma", [1.1, 1.6, 2.5])
 def test_centres_have_no_bias_over_the_pixel(sigma):
     truth = 60 + np.linspace(-1, 1, 400)
 
     stripes = find_stripes(drawn(truth, sigma=sigma))
 
-    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    error_px = errors_px(stripes, truth)
     assert len(error_px) == 400
     assert np.abs(error_px).max() < 0.03
     assert abs(error_px.mean()) < 0.003
@@ -115,7 +120,7 @@ def test_centres_of_speckled_stripes_err_hardly_more_than_the_least_possible(sig
 
     stripes = find_stripes(speckled(gaussian(sigma), truth, rng))
 
-    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    error_px = errors_px(stripes, truth)
     assert len(error_px) > 2980
     assert np.sqrt(np.mean(error_px**2)) < 1.1 * least_speckled_px(sigma)
     assert np.mean((error_px / stripes.sigma_px) ** 2) == pytest.approx(1, abs=0.2)
@@ -132,13 +137,19 @@ def with_halo(off):
     return gaussian(1.5)(off) + 0.01 * gaussian(4.5)(off - 3.0)
 
 
-@pytest.mark.parametrize("section", [skewed, with_halo])
-def test_skewed_sections_and_halos_hardly_draw_the_centres_of_speckled_stripes(section, rng):
+@pytest.mark.parametrize(
+    ("section", "times"),
+    [(skewed, 1.0), (with_halo, 1.0), (skewed, 3.0), (skewed, 3.6)],
+    ids=["skewed", "halo", "saturated", "more saturated"],
+)
+def test_skewed_sections_halos_and_saturation_hardly_draw_the_centres_of_speckled_stripes(section, times, rng):
+    """Saturated ones are drawn by 0.09 and 0.12 px by their flanks."""
     truth = 40 + np.linspace(-2, 2, 3000)
 
-    stripes = find_stripes(speckled(section, truth, rng))
+    stripes = find_stripes(speckled(lambda off: times * section(off), truth, rng))
 
-    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    error_px = errors_px(stripes, truth)
+    assert len(error_px) > 2980
     assert abs(error_px.mean()) < 0.05
 
 
@@ -152,22 +163,10 @@ def test_another_stripe_beside_a_speckled_one_hardly_draws_its_centres(sigma, ap
         speckled(lambda off: gaussian(sigma)(off) + gaussian(sigma)(off - apart * sigma), truth, rng)
     )
 
-    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    error_px = errors_px(stripes, truth)
     own = abs(error_px) < 3
     assert own.sum() > 2900
     assert abs(error_px[own].mean()) < 0.06
-
-
-@pytest.mark.parametrize("times", [3.0, 3.6])
-def test_skewed_sections_that_saturate_hardly_draw_the_centres_of_speckled_stripes(times, rng):
-    """By their flanks they are drawn by 0.09 and 0.12 px."""
-    truth = 40 + np.linspace(-2, 2, 3000)
-
-    stripes = find_stripes(speckled(lambda off: times * skewed(off), truth, rng))
-
-    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
-    assert len(error_px) > 2980
-    assert abs(error_px.mean()) < 0.05
 
 
 def test_light_that_grows_beneath_a_speckled_stripe_does_not_draw_its_centres(rng):
@@ -175,7 +174,7 @@ def test_light_that_grows_beneath_a_speckled_stripe_does_not_draw_its_centres(rn
 
     stripes = find_stripes(speckled(gaussian(1.5), truth, rng, beneath=20 + 0.5 * np.arange(80)[:, None]))
 
-    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    error_px = errors_px(stripes, truth)
     assert abs(error_px.mean()) < 0.01
 
 

@@ -7,9 +7,12 @@ import pytest
 from ring_scenes import with_stripes
 
 from ringpose.detect.break_points import without_outliers
+from ringpose.files.scenes.scene import read_scene
+from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.pipeline import estimate_pose, pose_result
-from ringpose.types.assumptions import Assumptions, motion_prior
+from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
+from ringpose.types.detection import BreakPoints
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
@@ -308,3 +311,53 @@ def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(scen
     found = without_outliers(points, scene.rig, Assumptions(motion=motion_prior()))
 
     assert [(each.what, each.laser) for each in found.rejected] == [("stripe", "right")]
+
+
+def test_ends_are_not_rejected_where_the_other_side_of_the_centre_rejects_others():
+    """From a rendered shot in the sun: the right stripe goes on by 26 px; the ends of the other side are exchanged."""
+    rig = read_scene(PRESETS / "paper-physical-scene.yaml").rig
+    start_px = np.array([[803.01, 844.10], [926.14, 465.72], [921.63, 213.40]])
+    end_px = np.array([[865.13, 844.35], [979.30, 465.33], [977.00, 213.17]])
+    left_px = np.array([[804.00, 843.66], [np.nan, np.nan], [921.39, 215.37]])
+    right_px = np.array([[863.41, 843.86], [979.72, 465.55], [1002.76, 215.34]])
+    position_px = np.stack([left_px, right_px], axis=1)
+    seen = np.where(np.isfinite(position_px[..., :1, None]), 1.0, np.nan)
+    points = BreakPoints(
+        position_px=position_px,
+        covariance_px2=seen * np.diag([0.1, 0.003]),
+        flags=np.zeros((3, 2), dtype=np.int64),
+        face_start_px=start_px,
+        face_end_px=end_px,
+        face_sigma_px=np.full((3, 2), 0.055),
+        labelled=True,
+    )
+
+    found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))
+
+    assert not found.rejected
+
+
+def test_a_stripe_of_three_is_not_rejected_where_without_another_one_the_shot_passes_the_test_too():
+    """From a rendered ring with gaps: the middle stripe lies in one, 12 mm below the face, and not the left one."""
+    rig = read_scene(PRESETS / "paper-physical-scene.yaml").rig
+    position_px = np.array(
+        [
+            [[625.2041, 821.5549], [693.9072, 822.3410]],
+            [[651.0562, 428.8819], [720.6694, 429.3764]],
+            [[629.6344, 191.9437], [702.4003, 191.9838]],
+        ]
+    )
+    variance_px2 = np.array([[0.028, 0.0259], [0.0187, 0.0131], [0.0117, 0.012]])[..., None, None]
+    points = BreakPoints(
+        position_px=position_px,
+        covariance_px2=variance_px2 * np.diag([1.0, 0.06]),
+        flags=np.zeros((3, 2), dtype=np.int64),
+        face_start_px=np.array([[625.5844, 822.0986], [649.7588, 428.5911], [627.9899, 189.4819]]),
+        face_end_px=np.array([[694.8118, 822.7635], [720.9128, 429.1835], [701.4821, 189.7490]]),
+        face_sigma_px=np.array([[0.0385, 0.0385], [0.0314, 0.0314], [0.0291, 0.0291]]),
+        labelled=True,
+    )
+
+    found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))
+
+    assert not found.rejected

@@ -12,21 +12,15 @@ from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 
 
-def test_one_stripe_has_the_covariance_of_its_grasp_point_alone(scene_of, face_points):
+def test_one_stripe_has_the_covariance_of_its_grasp_point_and_of_known_radii_alone(scene_of, face_points):
     scene = scene_of("B", distance_m=0.25)
+    points = with_stripes(face_points(scene, 0.3, 0.01), 1)
 
-    pose = estimate_pose(with_stripes(face_points(scene, 0.3, 0.01), 1), scene.rig)
+    pose, known = (estimate_pose(points, scene.rig, known=known) for known in (None, KNOWN))
 
     assert (pose.covariance, pose.covariance_center_m2) == (None, None)
     assert np.sqrt(np.trace(pose.covariance_grasp_m2)) < 1e-3
-
-
-def test_one_stripe_and_the_radii_have_the_covariance_of_the_radii(scene_of, face_points):
-    scene = scene_of("B", distance_m=0.25)
-
-    pose = estimate_pose(with_stripes(face_points(scene, 0.3, 0.01), 1), scene.rig, known=KNOWN)
-
-    assert np.isfinite(np.diag(pose.covariance)).tolist() == [False] * 5 + [True] * 2
+    assert np.isfinite(np.diag(known.covariance)).tolist() == [False] * 5 + [True] * 2
 
 
 @pytest.mark.parametrize(("behind_m", "weak"), [(0.0, False), (0.05, True)])

@@ -38,7 +38,7 @@ CALLS = {
         np.zeros((1, 4), np.int32),
         np.ones((2, 2, 5), np.float32),
         numbers(2, 4),
-        (6.0, 4.0, 0.2, 5.0, 255.0, 2.0, 8.0),
+        (0.2, 5.0, 255.0, 6.0, 4.0, 2.0, 8.0),
     ),
     "tracks": (
         numbers(3, 2),
@@ -49,7 +49,7 @@ CALLS = {
         (800.0, 3.0, 0.6, 0.5, 1.25, 2.5, 10.0, 40.0),
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
-    "end_columns": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),
+    "ends": (((IMAGE, IMAGE, numbers(2, 5)),), LENS, (1.0,) * 16),
     "edge_places": (ARCS, np.zeros((7, 7)), LENS, (100.0, 90.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4, 10.0)),
     "edge_profiles": (
         IMAGE,
@@ -74,7 +74,12 @@ CALLS = {
 """Arguments that each kernel takes."""
 
 ARRAYS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, np.ndarray)]
-TUPLES = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, tuple)]
+TUPLES = [
+    (name, i)
+    for name, call in CALLS.items()
+    for i, each in enumerate(call)
+    if isinstance(each, tuple) and (name, i) != ("ends", 0)
+]
 FILLED = [("gradient", 3), ("chains", 0), *(("edge_profiles", i) for i in (4, 5))]
 
 
@@ -126,7 +131,7 @@ def test_extents_that_do_not_fit_the_other_arrays_are_a_value_error(name, i):
         except ValueError:
             refused += 1
 
-    free = {("cuts", 0), ("cuts", 1), ("fits", 1), ("fits", 2), ("end_columns", 2), ("stripes", 2), ("stripes", 3)}
+    free = {("cuts", 0), ("cuts", 1), ("fits", 1), ("fits", 2), ("stripes", 2), ("stripes", 3)}
     free |= {("faces", 0), ("faces", 2), ("tracks", 3), ("fits", 0), ("chains", 0), ("edge_profiles", 0)}
     assert refused == array.ndim or (name, i) in free
 
@@ -156,17 +161,27 @@ FIGURES, STRIPE_PARAMS = CALLS["stripes"][4], CALLS["stripes"][5]
 OUT_OF_RANGE = {
     "image without pixels": [
         (name, 0, np.zeros(shape, np.uint8), r"2\^31|extent")
-        for name in ("stripes", "end_columns", "edge_profiles", "gradient")
+        for name in ("stripes", "edge_profiles", "gradient")
         for shape in ((0, 9), (8, 0))
     ],
-    "dark frame of another depth": [(name, 1, IMAGE.astype(np.uint16), "dark") for name in ("stripes", "end_columns")],
+    "dark frame of another depth": [
+        ("stripes", 1, IMAGE.astype(np.uint16), "dark"),
+        ("ends", 0, ((IMAGE, IMAGE.astype(np.uint16), numbers(2, 5)),), "dark"),
+    ],
+    "image of ends": [
+        ("ends", 0, [], "images: must be a tuple"),
+        ("ends", 0, (IMAGE,), "takes 3 arguments"),
+        ("ends", 0, ((IMAGE, IMAGE[:4], numbers(2, 5)),), "dark: has extent"),
+        ("ends", 0, ((np.zeros((0, 9), np.uint8), None, numbers(2, 5)),), r"2\^31"),
+        ("ends", 0, ((IMAGE, None, numbers(2, 4)),), "lines: has extent"),
+    ],
     "filter": [
         ("stripes", 4, changed(FIGURES, (1, figure), value), "filters")
         for figure, value in ((0, 0.0), (0, np.nan), (1, 0.0), (1, 41.0), (1, np.nan), (1, 5.0), (2, -1.0))
     ],
     "stripe parameter": [
         ("stripes", 5, changed(STRIPE_PARAMS, number, value), "params")
-        for number, value in ((0, -1.0), (1, np.nan), (2, 0.0), (3, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0))
+        for number, value in ((3, -1.0), (4, np.nan), (0, 0.0), (1, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0))
     ],
     "anchor threshold": [("gradient", 2, upper, "upper") for upper in (0, -1, 32768, 10**9)],
     "bits": [("gradient", 1, bits, "bits") for bits in (7, 17, 10**9)],
@@ -235,29 +250,6 @@ def test_fitting_takes_the_largest_coordinates_as_chords():
     lines, _ = _kernels.fits(MAGNITUDE, FAR_CORNERS, PIECES, 0)
 
     assert np.frombuffer(lines).tolist() == [-(2.0**31), 2.0**31 - 1, 2.0**31 - 1, -(2.0**31)]
-
-
-FOUND, COUNT, INNER_COLUMNS = 0, 8, 9
-"""Places of these numbers of 32 bits in what `end_columns` returns for an end."""
-
-
-def test_bytes_that_are_not_columns_of_ends_are_a_value_error():
-    columns, params = _kernels.end_columns(*CALLS["end_columns"]), (1.0,) * 16
-    assert len(_kernels.ends(columns, params)) == 4 * 10 * 8
-
-    for some in (columns[:-1], columns + b"0", b"0"):
-        with pytest.raises(ValueError, match="columns"):
-            _kernels.ends(some, params)
-    assert _kernels.ends(b"", params) == b""
-
-
-@pytest.mark.parametrize(("count", "inner"), [(65, 20), (-1, 20), (1, 1), (30, 31), (30, -5), (2**31 - 1, 20)])
-def test_numbers_of_columns_outside_their_arrays_are_a_value_error(count, inner):
-    columns = np.frombuffer(_kernels.end_columns(*CALLS["end_columns"]), np.int32).copy()
-    columns[[FOUND, COUNT, INNER_COLUMNS]] = 1, count, inner
-
-    with pytest.raises(ValueError, match="columns"):
-        _kernels.ends(columns.tobytes(), (1.0,) * 16)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e300])

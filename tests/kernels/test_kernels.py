@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from ringpose.kernels import segments as kernels
+from ringpose.detect.line_segments import edge_chains, image_gradient
 
 
 def test_missing_kernels_are_an_import_error_that_says_what_to_do(monkeypatch):
@@ -23,9 +23,9 @@ def test_threads_with_their_own_images_do_not_disturb_each_other(rng):
     found = {}
 
     def find(number):
-        found[number] = kernels.chains(*kernels.gradient(images[number], 300), 150, 5)[0].tobytes()
+        found[number] = edge_chains(image_gradient(images[number], 2.5), 1.2, 5).pixels.tobytes()
 
-    alone = [kernels.chains(*kernels.gradient(image, 300), 150, 5)[0].tobytes() for image in images]
+    alone = [edge_chains(image_gradient(image, 2.5), 1.2, 5).pixels.tobytes() for image in images]
     threads = [threading.Thread(target=find, args=(number,)) for number in range(4)]
     for thread in threads:
         thread.start()
@@ -36,7 +36,7 @@ def test_threads_with_their_own_images_do_not_disturb_each_other(rng):
 
 
 def test_results_of_the_walk_cannot_be_written_to(rng):
-    pixels, starts = kernels.chains(*kernels.gradient(rng.integers(0, 256, (30, 30), np.uint8), 300), 150, 5)
+    chains = edge_chains(image_gradient(rng.integers(0, 256, (30, 30), np.uint8), 2.5), 1.2, 5)
 
-    assert not pixels.flags.writeable
-    assert not starts.flags.writeable
+    assert not chains.pixels.flags.writeable
+    assert not chains.starts.flags.writeable

@@ -7,7 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ringpose.kernels import segments as kernels
+from ringpose.detect.line_segments import (
+    STEPS_PER_DN,
+    Chains,
+    Gradient,
+    SegmentParameters,
+    edge_chains,
+    fitted_lines,
+    image_gradient,
+    joined_lines,
+    straight_pieces,
+)
 
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 ROUNDING = 8
@@ -26,14 +36,15 @@ def opencv_magnitude(image, bits):
 def test_magnitude_is_that_of_opencvs_gradient(bits, dtype, shape, rng):
     image = rng.integers(0, 1 << bits, shape).astype(dtype)
 
-    magnitude, _, _ = kernels.gradient(image, 128, bits)
+    magnitude = image_gradient(image, 1.0, bits).magnitude
 
     np.testing.assert_allclose(magnitude[3:-3, 3:-3], opencv_magnitude(image, bits)[3:-3, 3:-3], atol=ROUNDING)
 
 
 @given(arrays(np.uint8, st.tuples(st.integers(1, 24), st.integers(1, 40)), elements=st.integers(0, 255)))
 def test_anchors_are_strong_maxima_on_every_eighth_row_or_column(image):
-    magnitude, anchors, orientation = kernels.gradient(image, 500)
+    gradient = image_gradient(image, 500 / STEPS_PER_DN)
+    magnitude, anchors, orientation = gradient.magnitude, gradient.anchors, gradient.orientation
 
     assert (np.diff(anchors) > 0).all()
     for (row, column), way in zip(np.argwhere(np.ones_like(image))[anchors].tolist(), orientation, strict=True):
@@ -54,7 +65,10 @@ def test_chains_of_any_magnitude_are_connected_and_strong_and_share_no_pixel(mag
     inner = np.arange(magnitude.size).reshape(magnitude.shape)[3:-3, 3:-3].ravel().tolist()
     anchors = np.array(data.draw(st.lists(st.sampled_from(inner), max_size=30)), np.int32)
 
-    pixels, starts = kernels.chains(magnitude, anchors, np.resize(np.arange(4, dtype=np.uint8), len(anchors)), lower, 2)
+    orientation = np.resize(np.arange(4, dtype=np.uint8), len(anchors))
+    gradient = Gradient(magnitude=magnitude, anchors=anchors, orientation=orientation)
+    chains = edge_chains(gradient, lower / STEPS_PER_DN, 2)
+    pixels, starts = chains.pixels, chains.starts
 
     x, y = pixels.T
     assert (magnitude[y, x] >= lower).all()
@@ -70,7 +84,8 @@ def test_pieces_of_any_walk_are_no_longer_than_their_chords_by_more_than_the_dev
     walk = np.cumsum(np.round(np.stack([np.cos(angle), np.sin(angle)], axis=1)), axis=0, dtype=np.float64)
     pixels = walk.astype(np.int32)
 
-    pieces = kernels.cuts(pixels, np.array([0, len(pixels)], np.int32), 0.5, 0.7, 6, 4)
+    parameters = SegmentParameters(deviation_px=0.5, share_change=0.7, window_steps=6)
+    pieces = straight_pieces(Chains(pixels=pixels, starts=np.array([0, len(pixels)], np.int32)), parameters, 4)
 
     assert (np.diff(pieces.ravel()) >= 0).all()
     for first, last in pieces:
@@ -86,7 +101,9 @@ def test_a_roof_is_cut_at_its_ridge_as_soon_as_it_is_longer_than_its_chord_by_th
     """40 steps up and one down along diagonals: hypot(41, 41) - hypot(41, 39) = 1.40."""
     walk = [(k, min(k, 80 - k)) for k in range(42)]
 
-    pieces = kernels.cuts(np.array(walk, np.int32), np.array([0, 42], np.int32), deviation_px, 9.0, 50, 4)
+    parameters = SegmentParameters(deviation_px=deviation_px, share_change=9.0, window_steps=50)
+    chains = Chains(pixels=np.array(walk, np.int32), starts=np.array([0, 42], np.int32))
+    pieces = straight_pieces(chains, parameters, 4)
 
     assert pieces[0].tolist() == [0, last]
 
@@ -108,7 +125,7 @@ def ridge(slope, offset, upright):
 def test_the_line_of_a_piece_runs_along_the_crest(slope, offset, upright):
     magnitude, pixels = ridge(slope, offset, upright)
 
-    lines, moments = kernels.fits(magnitude, pixels, np.array([[0, 69]], np.int32), 3)
+    lines, moments = fitted_lines(magnitude, pixels, np.array([[0, 69]], np.int32), 3)
 
     ends = lines[0, :, ::-1] if upright else lines[0]
     np.testing.assert_allclose(ends, [[5, offset + 5 * slope], [74, offset + 74 * slope]], atol=2e-3)
@@ -134,7 +151,7 @@ def fragments(*spans, slope=0.4, offset=3.0, scatter=0.3):
 def test_fragments_of_a_line_become_the_least_squares_line_through_all_their_points():
     points, tables = fragments((0, 30), (34, 50), (55, 90))
 
-    lines, support = kernels.joins(*tables, 8.0, 1.5, 10)
+    lines, support = joined_lines(*tables, 8.0, 1.5, 10)
 
     fit = np.polyfit(*np.concatenate(points, axis=1), 1)
     assert support.tolist() == [30 + 16 + 35]
@@ -147,7 +164,7 @@ def test_fragments_of_a_line_become_the_least_squares_line_through_all_their_poi
 def test_what_is_not_on_one_line_stays_apart(second):
     (_, first), (_, other) = fragments((0, 30)), fragments(second.pop("spans", (33, 70)), **second)
 
-    _, support = kernels.joins(*map(np.concatenate, zip(first, other, strict=True)), 8.0, 1.5, 10)
+    _, support = joined_lines(*map(np.concatenate, zip(first, other, strict=True)), 8.0, 1.5, 10)
 
     assert len(support) == 2
 
@@ -155,7 +172,7 @@ def test_what_is_not_on_one_line_stays_apart(second):
 def test_short_lines_that_no_other_took_are_dropped():
     _, tables = fragments((0, 30), (60, 68))
 
-    assert kernels.joins(*tables, 8.0, 1.5, 10)[1].tolist() == [30]
+    assert joined_lines(*tables, 8.0, 1.5, 10)[1].tolist() == [30]
 
 
 @given(
@@ -168,6 +185,6 @@ def test_no_line_is_joined_to_two_others(ends, gap_px, aside_px):
     moments = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1).sum(axis=2)
     pieces = np.stack([np.zeros(len(ends)), 2.0 ** np.arange(len(ends)) - 1], axis=1).astype(np.int32)
 
-    _, support = kernels.joins(ends, moments, pieces, gap_px, aside_px, 1)
+    _, support = joined_lines(ends, moments, pieces, gap_px, aside_px, 1)
 
     assert support.sum() == 2 ** len(ends) - 1

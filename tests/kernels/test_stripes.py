@@ -8,15 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from ringpose.detect.stripes import StripeParams, stripe_centers, stripe_filters
 
 FILTERS = stripe_filters(2.5)
-RULES = StripeParams(
-    begin_sigmas=6.0,
-    continue_sigmas=4.0,
-    min_response=0.18,
-    coarse_per_response=540.0,
-    full_dn=255.0,
-    gap=2,
-    shortest=8,
-)
+RULES = StripeParams(min_response=0.18, coarse_per_response=540.0, full_dn=255.0)
 WEAK_RULES = RULES._replace(begin_sigmas=1.5, continue_sigmas=1.0, min_response=0.01, coarse_per_response=0.0)
 """Under these noise is full of pieces."""
 

@@ -44,15 +44,12 @@ def test_axes_are_a_rotation_with_the_normal_as_z(pitch_rad, yaw_rad, roll_rad):
     np.testing.assert_allclose(rotation[:, 2], normal, atol=1e-12)
 
 
-def test_there_and_back_is_identity(rng):
+def test_there_and_back_is_identity_and_the_eye_is_the_centre_of_the_camera(rng):
     points = rng.standard_normal((3, 20))
 
     back = PLACEMENT.points_target(PLACEMENT.points_camera(points.T).T)
 
     np.testing.assert_allclose(back, points, atol=1e-12)
-
-
-def test_the_eye_is_the_centre_of_the_camera():
     np.testing.assert_allclose(PLACEMENT.points_camera(PLACEMENT.eye_m), np.zeros(3), atol=1e-15)
 
 

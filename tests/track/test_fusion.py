@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from moving_rings import START_S, Pushed, Shots, drawn_motion, record, stream
+from tracked_rings import track_of
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
@@ -120,8 +121,7 @@ def test_records_of_a_second_clock_do_not_disturb_the_first(records):
 
 @pytest.mark.parametrize(("offset_s", "status"), [(-100.0, FusionStatus.TOO_OLD), (5000.0, FusionStatus.TOO_NEW)])
 def test_a_track_ages_while_all_newer_records_have_impossible_stamps(records, offset_s, status):
-    tracker = Tracker(None)
-    statuses(tracker, records[:6])
+    tracker = track_of(records[:6])
     found = []
     for number in range(16):
         stamp_s = records[5].pose_stamp_s + offset_s + 0.2 * number
@@ -147,8 +147,7 @@ def test_a_first_record_from_the_future_is_reported_at_its_own_time(records):
     ids=["of two clocks", "old", "new"],
 )
 def test_two_stray_stamps_do_not_end_a_track(records, offsets_s, validity):
-    tracker = Tracker(None)
-    statuses(tracker, records[:6])
+    tracker = track_of(records[:6])
 
     for offset_s in offsets_s:
         line = tracker.line_of(tracker.add(at(records[5], records[5].pose_stamp_s + offset_s), NOW_S))
@@ -183,8 +182,7 @@ def test_a_displaced_record_is_rejected_by_the_gate_and_leaves_no_trace(records)
 
 
 def test_improbable_models_do_not_change_the_test_of_an_innovation(records):
-    tracker = Tracker(None)
-    statuses(tracker, records[:6])
+    tracker = track_of(records[:6])
     bank = tracker.track.likeliest
     count = len(bank.weights)
     weights = np.where(np.arange(count) == 0, 0.6, 0.4 / (count - 1))
@@ -226,8 +224,7 @@ def test_a_shot_after_a_push_flags_the_track_and_the_next_one_follows_it(rng, pu
 def test_a_ring_that_no_push_can_have_moved_to_where_it_is_seen_is_rejected(rng):
     motion = drawn_motion(rng)
     jumped = replace(motion, ring=replace(motion.ring, center_m=motion.ring.center_m + 0.1 * motion.ring.normal))
-    tracker = Tracker(None)
-    statuses(tracker, stream(motion, 2.0, Shots(), rng))
+    tracker = track_of(stream(motion, 2.0, Shots(), rng))
 
     found = statuses(tracker, [record(jumped, 2.0 + number / 6.0, Shots(), rng) for number in range(6)])
 
@@ -244,8 +241,8 @@ def test_a_ring_that_no_push_can_have_moved_to_where_it_is_seen_is_rejected(rng)
     ids=["inside the gate", "elsewhere, and agreeing", "elsewhere, and disagreeing"],
 )
 def test_after_a_gap_records_continue_the_track_or_two_that_agree_start_it_anew(rng, distances_m, expected):
-    motion, shots, tracker = drawn_motion(rng), Shots(), Tracker(None)
-    statuses(tracker, stream(motion, 1.0, shots, rng))
+    motion, shots = drawn_motion(rng), Shots()
+    tracker = track_of(stream(motion, 1.0, shots, rng))
     seen = {distance_m: drawn_motion(rng, distance_m=distance_m) for distance_m in distances_m if distance_m}
 
     found = statuses(
@@ -274,8 +271,7 @@ def with_root(line, factor: float):
     ids=["no measurement", "lasers may be exchanged", "no information", "implausible information", "far away", "old"],
 )
 def test_a_record_that_cannot_be_used_changes_nothing(records, changed, status):
-    tracker = Tracker(None)
-    statuses(tracker, records[:-1])
+    tracker = track_of(records[:-1])
     before = final_state(tracker)
 
     assert statuses(tracker, [changed(records[-1])]) == [status]
@@ -292,8 +288,7 @@ def test_a_record_that_does_not_determine_the_plane_continues_a_track_but_starts
 
 def test_a_weak_record_that_was_linearised_far_from_the_track_does_not_count(records):
     """Its rows pass the gate, but they were derived for a ring that is tilted by 30 degrees."""
-    tracker = Tracker(None)
-    statuses(tracker, records[:6])
+    tracker = track_of(records[:6])
     found = records[6].measurement
     point = found.linearized_at
     tilted = replace(point, normal=cv2.Rodrigues(np.deg2rad(30.0) * tilt_basis(point.normal)[0])[0] @ point.normal)
@@ -307,8 +302,7 @@ def test_a_weak_record_that_was_linearised_far_from_the_track_does_not_count(rec
 
 def test_an_inconsistent_record_counts_less(records):
     def covariance_with(last):
-        tracker = Tracker(None)
-        statuses(tracker, [*records[:3], last])
+        tracker = track_of([*records[:3], last])
         return np.trace(tracker.track.likeliest.own[0, :4, :4])
 
     doubted = replace(records[3].measurement, chi2=90.0, degrees_of_freedom=10)
@@ -360,8 +354,7 @@ def test_the_validity_of_a_track_follows_its_age(records):
 
 
 def test_the_covariance_of_a_prediction_grows_with_its_age(records):
-    tracker = Tracker(None)
-    statuses(tracker, records)
+    tracker = track_of(records)
 
     traces = [np.trace(tracker.line_at(tracker.track.stamp_s + age_s).grasp.covariance) for age_s in (0.0, 0.5, 1.0, 2)]
 
@@ -373,8 +366,7 @@ def test_errors_of_the_rig_do_not_average_out(rng):
     motion = drawn_motion(rng)
 
     def normal_sd(stated):
-        tracker = Tracker(None)
-        statuses(tracker, stream(motion, 1.5, Shots(stability=stated), np.random.default_rng(1)))
+        tracker = track_of(stream(motion, 1.5, Shots(stability=stated), np.random.default_rng(1)))
         return np.degrees(np.sqrt(np.trace(tracker.line_at(0.0).pose.covariance[:2, :2])))
 
     assert normal_sd(stability) > 0.25  # of a single shot of a still target 0.29 degrees (MATH.md, section 11)

@@ -118,43 +118,36 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=8,
 )
-KEYS = st.sampled_from(
-    ["frames", "whole_shots", "mask", "exposure_s", "center_m", "normal", "poses", "time_s", "light"]
-)
-TYPES = st.sampled_from(["subscribe", "unsubscribe", "lasers", "exposure", "pose", "trajectory", "time"])
+REQUESTS = ["subscribe", "unsubscribe", "lasers", "exposure", "pose", "trajectory", "time"]
+REQUEST_KEYS = ["frames", "whole_shots", "mask", "exposure_s", "center_m", "normal", "poses", "time_s", "light"]
+GREETED, FRAME = wire.greeting_header(GREETING), wire.frame_header(frame_of(np.zeros((2, 3), np.uint8)))
+READERS = {
+    **{kind: (wire.request_in, wire.Request, {"type": kind}, REQUEST_KEYS, ()) for kind in REQUESTS},
+    "greeting": (
+        wire.greeting_in,
+        wire.Greeting,
+        wire.greeting_header(GREETING),
+        [*wire.greeting_header(GREETING)],
+        (),
+    ),
+    "frame": (wire.frame_in, wire.ServedFrame, FRAME, [*FRAME], (bytes(6),)),
+}
+"""For each kind of message: its reader, what it returns, a header, the keys that are changed, and the payload."""
 
 
-def read_or_rejected(reader, values, *payload):
-    """What the reader makes of a header; None if it is rejected in a message of one line."""
+@pytest.mark.parametrize("kind", READERS)
+@given(data=st.data())
+def test_any_header_is_read_or_rejected_in_one_line(kind, data):
+    reader, made, header, keys, payload = READERS[kind]
+    changes = data.draw(st.dictionaries(st.sampled_from(keys), JSON, max_size=4))
+
     try:
-        return reader(wire.header_in(json.dumps(values).encode()), *payload)
+        read, lines = reader(wire.header_in(json.dumps(header | changes).encode()), *payload), 0
     except MalformedMessage as problem:
-        return None if len(str(problem).splitlines()) == 1 else problem
+        read, lines = None, len(str(problem).splitlines())
 
-
-@given(TYPES, st.dictionaries(KEYS, JSON, max_size=4))
-def test_any_header_is_a_request_or_rejected(kind, values):
-    request = read_or_rejected(wire.request_in, {**values, "type": kind})
-
-    assert request is None or isinstance(request, wire.Request)
-
-
-@given(st.dictionaries(st.sampled_from(list(wire.greeting_header(GREETING))), JSON, max_size=3))
-def test_any_greeting_is_read_or_rejected(values):
-    greeting = read_or_rejected(wire.greeting_in, wire.greeting_header(GREETING) | values)
-
-    assert greeting is None or isinstance(greeting, wire.Greeting)
-
-
-@given(
-    st.dictionaries(st.sampled_from(list(wire.frame_header(frame_of(np.zeros((2, 3), np.uint8))))), JSON, max_size=3)
-)
-def test_any_frame_is_read_or_rejected(values):
-    sent = wire.frame_header(frame_of(np.zeros((2, 3), np.uint8))) | values
-
-    frame = read_or_rejected(wire.frame_in, sent, bytes(6))
-
-    assert frame is None or frame.image.size * frame.image.dtype.itemsize == 6
+    assert lines == 1 if read is None else isinstance(read, made)
+    assert read is None or kind != "frame" or read.image.nbytes == 6
 
 
 @pytest.mark.parametrize("name", ["", "../a", "a/b", ".a", "a\nb", "a b", "C:a"])

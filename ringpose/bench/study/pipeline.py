@@ -77,7 +77,7 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
 
     As by `calibrate-camera` and `calibrate-planes`; the scene has boards. DataError if too few of them are found.
     """
-    from ringpose.calibrate.camera.assessment import camera_assessment, widened
+    from ringpose.calibrate.camera.assessment import camera_assessment
     from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.calibrate.camera.pipeline import calibrate_camera
     from ringpose.calibrate.planes.quality import calibrated_rig as rig_of_planes
@@ -88,8 +88,8 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
     camera, names = scene.rig.camera, scene.rig.lasers.names
     model, views = CameraModel(), [view for _, view in _board_views(scene, scene.camera_boards, jobs)]
     found = calibrate_camera(views, camera.image_width, camera.image_height, model, camera.camera_name)
-    calibration, _ = widened(found, camera_assessment(found, views, model))
-    stripes = StripeShots(scene.plane_boards.board, calibration.camera, ",".join(names), None)
+    calibrated_camera = camera_assessment(found, model).calibration.camera
+    stripes = StripeShots(scene.plane_boards.board, calibrated_camera, ",".join(names), None)
     for shot, view in _board_views(scene, scene.plane_boards, jobs):
         stripes.add(shot, view)
     rig = rig_of_planes(stripes.assessment(PlanesMethod.JOINT).calibration)

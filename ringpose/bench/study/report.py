@@ -202,7 +202,7 @@ def _errors(summary: StudySummary) -> Picture:
                 axis.hlines(values, at - 0.35, at + 0.35, colors="black", linestyles=style[1:], linewidth=1.2)
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
-        _by_main_factor(axis, summary, _positions(keys, 0, 1) if _numeric(keys) else range(len(keys)))
+        _by_main_factor(axis, summary, _positions(keys, 0, 1) if _numeric(keys) else np.arange(len(keys)))
     bound_lines = [Line2D([], [], color="black", dashes=dashes) for dashes in ((4, 2), (1, 1))]
     named = dict(zip(("bound, radii unknown", "bound, radii known")[: len(bounds)], bound_lines, strict=False))
     _legend(figure, summary.methods, summary.methods, named)
@@ -213,13 +213,13 @@ def _errors(summary: StudySummary) -> Picture:
     return Picture(png=png_of(figure), caption=caption)
 
 
-def _by_main_factor(axis: Axes, summary: StudySummary, at: Iterable[float]) -> None:
+def _by_main_factor(axis: Axes, summary: StudySummary, at: np.ndarray) -> None:
     """A logarithmic axis of values beside the factor of the first table, whose values are at these places."""
     keys, _ = wide_columns(summary, summary.methods[0])
     axis.set_yscale("log")
     _plain_ticks(axis)
     axis.set_xlabel(drawn(factor_name(summary.table)))
-    axis.set_xticks(list(at), [value_text(summary.table, key[0]) if key else "all" for key in keys])
+    axis.set_xticks(at, [value_text(summary.table, key[0]) if key else "all" for key in keys])
 
 
 def _legend(figure: Figure, methods: Sequence[str], shown: Sequence[str], others: Mapping[str, Line2D]) -> None:
@@ -299,7 +299,7 @@ def _nees(summary: StudySummary) -> Picture:
             f"NEES of the {name.removesuffix('_nees').replace('center', 'centre')}, by degree of freedom", fontsize=10
         )
         axis.grid(alpha=0.3, axis="y", which="both")
-        _by_main_factor(axis, summary, range(len(wide_columns(summary, summary.methods[0])[0])))
+        _by_main_factor(axis, summary, np.arange(len(wide_columns(summary, summary.methods[0])[0])))
     _legend(figure, summary.methods, [each for each in summary.methods if summary.all(each).count("center_nees")], {})
     caption = (
         "Mean NEES of all poses, also flagged ones; grey: 99 % band of a correct covariance. Above: too small a "

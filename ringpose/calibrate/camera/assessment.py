@@ -58,55 +58,40 @@ _REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), (
 
 def camera_assessment(
     calibration: CameraCalibration,
-    boards: Sequence[BoardView],
     model: CameraModel,
     distances_m: Sequence[float] = DISTANCES_M,
     compare: bool = False,
 ) -> CameraAssessment:
-    """Coverage, uncertainty over the image and cross-validation; with `compare`, also the other distortion model's fit.
+    """Coverage, uncertainty over the image, cross-validation, and with `compare` the other distortion model's fit.
 
-    `boards` are those of all views, in their order.
+    The covariance is inflated if the views disagree more than noise explains. A board that is bent, moves or reflects
+    causes errors that the corners of a view have in common. Residuals do not show them, and the covariance treats the
+    corners as independent. Views are independent.
     """
-    used = used_views(calibration, boards)
+    used = used_views(calibration)
     whole = camera_solution(used, calibration.camera, model)
     left_out, jackknife_px = leave_one_out(used, whole, model)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
-    known = known_lens(calibration.camera, corners_px)
-    sigma_px = np.where(known, projection_sigma_px(calibration.camera, calibration.covariance.data), np.nan)
+    known, covariance = known_lens(calibration.camera, corners_px), calibration.covariance
+    sigma_px = np.where(known, projection_sigma_px(calibration.camera, covariance.data), np.nan)
     disagreement = float(np.median(jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
+    widening = disagreement if disagreement > 1 + CHANCE / np.sqrt(len(used) - 1) else 1.0
+    wider = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
     return CameraAssessment(
-        coverage=coverage(calibration, boards),
-        sigma_px=sigma_px,
+        calibration=replace(calibration, camera=wider),
+        coverage=coverage(calibration),
+        sigma_px=widening * sigma_px,
         left_out=left_out,
         split_half_px=split_half_px(used, whole, model),
         disagreement=disagreement,
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, whole, model) if compare else None,
         board=(
-            other_camera_finding(calibration, boards),
-            *marker_size_findings(boards),
-            bow_finding(used, whole, model, _widening(disagreement, len(used))),
+            other_camera_finding(calibration),
+            *marker_size_findings([view.board for view in calibration.views]),
+            bow_finding(used, whole, model, widening),
         ),
     )
-
-
-def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tuple[CameraCalibration, CameraAssessment]:
-    """The calibration and its assessment, with the covariance inflated if the views disagree more than noise explains.
-
-    A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
-    show them, and the covariance treats the corners as independent. Views are independent.
-    """
-    covariance = calibration.covariance
-    widening = _widening(assessment.disagreement, len(calibration.used))
-    if widening == 1:
-        return calibration, assessment
-    camera = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
-    return replace(calibration, camera=camera), replace(assessment, sigma_px=widening * assessment.sigma_px)
-
-
-def _widening(disagreement: float, views: int) -> float:
-    """Factor by which the standard deviations are inflated; 1 if the disagreement is not significant."""
-    return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
 
 
 def bow_finding(
@@ -154,17 +139,12 @@ def _surface_heights(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array,
     return np.stack([x**2, x * y, y**2], axis=1)
 
 
-def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Coverage:
-    """Used corners by cell of the image, tilts and distances of the used boards.
-
-    `boards` are those of all views, in their order.
-    """
-    camera = calibration.camera
-    pairs = zip(calibration.views, boards, strict=True)
-    used = [(view, board) for view, board in pairs if not view.rejected]
-    points_px = np.concatenate([view.points_px[~view.left_out] for view, _ in used])
-    middles = [view.pose.rotation @ board.points_board_m.mean(axis=0) + view.pose.translation_m for view, board in used]
-    normals = np.array([view.pose.rotation[:2, 2] for view, _ in used])
+def coverage(calibration: CameraCalibration) -> Coverage:
+    """Used corners by cell of the image, tilts and distances of the used boards."""
+    camera, used = calibration.camera, calibration.used
+    points_px = np.concatenate([view.points_px[~view.left_out] for view in used])
+    middles = [view.pose.rotation @ view.board.points_board_m.mean(axis=0) + view.pose.translation_m for view in used]
+    normals = np.array([view.pose.rotation[:2, 2] for view in used])
     variance = np.linalg.eigvalsh(np.cov(normals.T)) if len(used) > 1 else np.zeros(2)
     across, along = np.sqrt(np.maximum(variance, 0.0)).tolist()
     rows = max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
@@ -174,7 +154,7 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
     return Coverage(
         corners=_counts(points_px, camera, rows, CELL_COLUMNS),
         bare_regions=tuple(_REGIONS[row][column] for row, column in bare),
-        tilt_rad=tuple(board_tilt_rad(view.pose) for view, _ in used),
+        tilt_rad=tuple(board_tilt_rad(view.pose) for view in used),
         tilt_spread_rad=(along, across),
         distance_m=tuple(float(np.linalg.norm(middle)) for middle in middles),
     )

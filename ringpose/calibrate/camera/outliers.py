@@ -74,14 +74,14 @@ def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Arra
     return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)
 
 
-def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Check:
-    """Check of the share of views that one other camera explains; `boards` are those of all views, in their order.
+def other_camera_finding(calibration: CameraCalibration) -> Check:
+    """Check of the share of views that one other camera explains.
 
     The other camera is estimated from rejected views only; used views that fit it better are counted as well.
     """
     camera = calibration.camera
-    used = used_views(calibration, boards)
-    rejected = [board for view, board in zip(calibration.views, boards, strict=True) if view.rejected]
+    used = used_views(calibration)
+    rejected = [view.board for view in calibration.views if view.rejected]
     usual_px = float(np.median([_rms_px(board, camera) for board in used]))
     members, other = _other_camera(rejected, camera, MAX_EXPLAINED_FACTOR * usual_px)
     names = {board.name for board in members}
@@ -94,7 +94,7 @@ def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardV
         f"views {listed} look like another camera's, or another zoom's: "
         f"focal length {focal_difference(other, camera)}; calibrate each by itself"
     )
-    return check(CAMERA_LIMITS, "other_camera_share", len(names) / len(boards), advice)
+    return check(CAMERA_LIMITS, "other_camera_share", len(names) / len(calibration.views), advice)
 
 
 def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float) -> tuple[list[BoardView], Camera]:

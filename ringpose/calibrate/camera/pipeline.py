@@ -103,14 +103,13 @@ def _without_bad_corners(
 
 def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camera, rejected: str) -> CameraView:
     """A view's residuals with its pose fitted to the corners that are not left out."""
-    view = without_distortion_bias(view, camera)
-    pose = board_pose(corners_of(view, ~left_out), camera)
+    unbiased = without_distortion_bias(view, camera)
+    pose = board_pose(corners_of(unbiased, ~left_out), camera)
     return CameraView(
-        name=view.name,
+        board=view,
         pose=pose,
-        ids=view.ids,
-        points_px=view.points_px,
-        residual_px=residuals(view, pose, camera),
+        points_px=unbiased.points_px,
+        residual_px=residuals(unbiased, pose, camera),
         left_out=left_out,
         rejected=rejected,
     )

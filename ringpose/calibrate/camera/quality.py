@@ -26,12 +26,10 @@ from ringpose.types.rig import CAMERA_PARAMETERS
 
 
 def camera_quality(
-    calibration: CameraCalibration,
-    assessment: CameraAssessment,
-    verdict: Verdict,
-    without_board: Sequence[tuple[str, str]] = (),
+    assessment: CameraAssessment, verdict: Verdict, without_board: Sequence[tuple[str, str]] = ()
 ) -> Mapping[str, Any]:
     """The keys `standard_deviations` and `quality` of camera.yaml."""
+    calibration = assessment.calibration
     covered, comparison = assessment.coverage, assessment.comparison
     quality: dict[str, Any] = {
         "verdict": verdict_values(verdict),
@@ -52,7 +50,7 @@ def camera_quality(
             "sigma_worst_px": float(np.max(assessment.known_sigma_px)),
             "unknown_share": assessment.unknown_share,
             "distances_m": list(assessment.distances_m),
-            "sigma_m": projection_sigma_m(calibration, assessment),
+            "sigma_m": projection_sigma_m(assessment),
         },
         "cross_validation": {
             "split_half_px": float(np.median(assessment.split_half_px)),
@@ -79,7 +77,7 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
         "worst_px": float(lengths.max()),
         "corners_left_out": [
             {"corner": int(number), "residual_px": residual}
-            for number, residual in zip(view.ids[view.left_out], view.residual_px[view.left_out], strict=True)
+            for number, residual in zip(view.board.ids[view.left_out], view.residual_px[view.left_out], strict=True)
         ],
         "distance_m": float(view.pose.translation_m[2]),
         "tilt_rad": board_tilt_rad(view.pose),
@@ -87,19 +85,20 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
     return quality | ({"rejected": view.rejected} if view.rejected else {})
 
 
-def projection_sigma_m(calibration: CameraCalibration, assessment: CameraAssessment) -> list[float]:
+def projection_sigma_m(assessment: CameraAssessment) -> list[float]:
     """Projection uncertainty in metres across the line of sight, median over the image, at each of the distances."""
-    matrix = calibration.camera.camera_matrix
+    matrix = assessment.calibration.camera.camera_matrix
     angle = float(np.median(assessment.known_sigma_px)) / float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
     return [angle * distance_m for distance_m in assessment.distances_m]
 
 
-def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment, verdict: Verdict) -> list[str]:
+def camera_summary(assessment: CameraAssessment, verdict: Verdict) -> list[str]:
     """The result of a calibration as lines of text."""
+    calibration = assessment.calibration
     lines = [f"{view.name}: left out: {view.rejected}" for view in calibration.views if view.rejected]
     for view in calibration.used:
         if view.left_out.any():
-            numbers = ", ".join(str(number) for number in view.ids[view.left_out])
+            numbers = ", ".join(str(number) for number in view.board.ids[view.left_out])
             far_px = np.linalg.norm(view.residual_px[view.left_out], axis=1).max()
             found = f"more than {CORNER_SIGMAS:g} sigmas off, up to {far_px:.2f} px"
             lines.append(f"{view.name}: corners left out: {numbers}: {found}")
@@ -115,7 +114,7 @@ def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment,
     lines.append(f"{camera.distortion_model}: {distortion}")
     sigma_px, share = assessment.known_sigma_px, assessment.unknown_share
     unknown = f", not known in {100 * share:.0f} % of the image" if share else ""
-    sigmas_m = zip(projection_sigma_m(calibration, assessment), assessment.distances_m, strict=True)
+    sigmas_m = zip(projection_sigma_m(assessment), assessment.distances_m, strict=True)
     millimetres = ", ".join(f"{1e3 * sigma_m:.3f} mm at {distance_m:g} m" for sigma_m, distance_m in sigmas_m)
     pixels = f"{np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst)"
     lines.append(f"projection ± {pixels}{unknown}: {millimetres}")
@@ -140,14 +139,14 @@ def _comparison_lines(comparison: ModelComparison) -> list[str]:
     return [*lines, difference]
 
 
-def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment, images: int) -> Verdict:
+def camera_verdict(assessment: CameraAssessment, images: int) -> Verdict:
     """Grade (good, can be improved, redo) and checks of the calibration; `images` is the number of input images."""
     return Verdict(
         findings=(
-            *_view_findings(calibration, images),
+            *_view_findings(assessment.calibration, images),
             *assessment.board,
             *_coverage_findings(assessment.coverage),
-            *_uncertainty_findings(calibration, assessment),
+            *_uncertainty_findings(assessment),
             *_validation_findings(assessment),
         )
     )
@@ -188,8 +187,9 @@ def _coverage_findings(covered: Coverage) -> list[Check]:
     ]
 
 
-def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Check]:
+def _uncertainty_findings(assessment: CameraAssessment) -> list[Check]:
     """Checks of the focal length's and the projection's standard deviations."""
+    calibration = assessment.calibration
     sigma_px, deviations = assessment.sigma_px, calibration.standard_deviations
     x, y = map_points_px(calibration.camera)[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     focal_share = deviations["fx"] / float(calibration.camera.camera_matrix[0, 0])

@@ -63,10 +63,9 @@ MapValues = Float64[Array, "map_row map_column"]
 """One value for each point of the map (`map_points_px`), at which cameras are compared."""
 
 
-def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
-    """The used views with the used corners of a calibration; `boards` are those of all views, in their order."""
-    pairs = zip(calibration.views, boards, strict=True)
-    return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
+def used_views(calibration: CameraCalibration) -> list[BoardView]:
+    """The used views with the used corners of a calibration."""
+    return [corners_of(view.board, ~view.left_out) for view in calibration.used]
 
 
 def leave_one_out(

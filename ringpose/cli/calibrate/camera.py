@@ -62,7 +62,7 @@ def calibrate_camera(
         printed(print_board, board, "charuco", force=force, quiet=quiet)
         return
 
-    from ringpose.calibrate.camera.assessment import camera_assessment, widened
+    from ringpose.calibrate.camera.assessment import camera_assessment
     from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.calibrate.camera.pipeline import calibrate_camera as calibrated
     from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
@@ -85,14 +85,13 @@ def calibrate_camera(
     images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
     with batch.guarded():
         found = calibrated(images.views, images.width, images.height, model, camera_name)
-        calibration, assessment = widened(found, camera_assessment(found, images.views, model, distances_m, compare))
-        verdict = camera_verdict(calibration, assessment, len(images.views) + len(images.without_board))
-        quality = camera_quality(calibration, assessment, verdict, images.without_board)
-        write_camera(output, calibration.camera, extra=quality, force=force, inputs=[board, *images.paths])
+        assessment = camera_assessment(found, model, distances_m, compare)
+        verdict = camera_verdict(assessment, len(images.views) + len(images.without_board))
+        quality = camera_quality(assessment, verdict, images.without_board)
+        write_camera(output, assessment.calibration.camera, extra=quality, force=force, inputs=[board, *images.paths])
         if report is not None:
             from ringpose.report.camera import camera_report
 
-            page = camera_report(calibration, assessment, verdict, images.without_board)
-            write_page(report, page, force=force)
-        batch.record_status(report_verdict(verdict, camera_summary(calibration, assessment, verdict), quiet=quiet))
+            write_page(report, camera_report(assessment, verdict, images.without_board), force=force)
+        batch.record_status(report_verdict(verdict, camera_summary(assessment, verdict), quiet=quiet))
     batch.finish()

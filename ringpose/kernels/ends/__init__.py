@@ -80,14 +80,12 @@ def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Fl
     share of saturated columns at the end, the edge's width, the sigma of the cross-section, whether the edge is blunt,
     and the relative variance of the amplitudes due to the background; NaN where no edge fits.
     """
-    columns = b"".join(
-        _kernels.end_columns(
+    arrays = tuple(
+        (
             np.ascontiguousarray(image.lit),
             None if image.dark is None else np.ascontiguousarray(image.dark),
             np.ascontiguousarray(image.lines),
-            lens,
-            params,
         )
         for image in images
     )
-    return np.frombuffer(_kernels.ends(columns, params), dtype=np.float64).reshape(-1, 2, 10)
+    return np.frombuffer(_kernels.ends(arrays, lens, params)).reshape(-1, 2, 10)

@@ -119,20 +119,6 @@ static int draft_ends(const Images *images, const StripeLine *line, const Lens *
     return read >= 0;
 }
 
-/* Whether bytes are drafts of ends, of `end_columns`, as far as reading them stays inside their arrays. */
-static int check_drafts(const Draft *draft, size_t bytes) {
-    size_t ends = bytes / sizeof *draft;
-    int valid = bytes % sizeof *draft == 0;
-    for (size_t k = 0; valid && k < ends; k++) {
-        const Columns *columns = &draft[k].columns;
-        if (!draft[k].found) continue;
-        valid = columns->count >= 2 && columns->count <= MAX_COLUMNS && columns->inner >= 2 &&
-                columns->inner <= columns->count;
-    }
-    if (!valid) PyErr_SetString(PyExc_ValueError, "columns: must be the bytes that end_columns returns");
-    return valid;
-}
-
 /* Fits an edge at every end. Each edge of a ring is machined alike all around: its ends are blunt together or not. */
 static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, StripeEnd *end) {
     Columns **columns = malloc((ends + 1) * sizeof *columns);
@@ -165,51 +151,46 @@ static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, Strip
     return done;
 }
 
-PyObject *call_end_columns(PyObject *module, PyObject *tuple) {
-    (void)module;
-    static const Parameter parameter[] = {{"lit", 'I', {N, M}},
-                                          {"?dark", 'I', {N, M}},
-                                          {"lines", 'd', {ANY, NUMBERS(StripeLine)}},
-                                          {"lens", 'T', {NUMBERS(Lens)}},
-                                          {"params", 'T', {NUMBERS(EndParams)}}};
+/* Appends the ends of the lines of one image, (lit, dark, lines), to the drafts; 0 and a Python exception if that fails. */
+static int draft_image(PyObject *image, const Lens *lens, const EndParams *params, List *drafts) {
+    static const Parameter parameter[] = {
+        {"lit", 'I', {N, M}}, {"?dark", 'I', {N, M}}, {"lines", 'd', {ANY, NUMBERS(StripeLine)}}};
     Arguments a;
-    if (!OPEN(tuple, parameter, &a)) return NULL;
+    if (!OPEN(image, parameter, &a)) return 0;
     const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL;
-    if (dark && dark->itemsize != lit->itemsize) {
-        PyErr_SetString(PyExc_TypeError, "dark: must be of the same type as lit");
-        return close_arguments(&a, NULL);
-    }
-    Images images = {lit->buf, dark ? dark->buf : NULL, lit->shape[0], lit->shape[1], lit->itemsize == 2};
-    List drafts = {NULL, 0, 0, sizeof(Draft)};
+    const Images images = {lit->buf, dark ? dark->buf : NULL, lit->shape[0], lit->shape[1], lit->itemsize == 2};
     const StripeLine *line = a.view[2].buf;
-    int done = reserve(&drafts, 2 * (size_t)a.view[2].shape[0]);
+    const Py_ssize_t lines = a.view[2].shape[0];
+    int valid = require(!dark || dark->itemsize == lit->itemsize, "dark: must be of the same type as lit");
+    int done = valid && reserve(drafts, 2 * (size_t)lines);
     Py_BEGIN_ALLOW_THREADS
-    for (Py_ssize_t i = 0; done && i < a.view[2].shape[0]; i++, drafts.used += 2)
-        done = draft_ends(&images, &line[i], (const Lens *)a.number[3], (const EndParams *)a.number[4],
-                          (Draft *)drafts.data + 2 * i);
+    for (Py_ssize_t i = 0; done && i < lines; i++, drafts->used += 2)
+        done = draft_ends(&images, &line[i], lens, params, (Draft *)drafts->data + drafts->used);
     Py_END_ALLOW_THREADS
-    return close_arguments(&a, list_bytes(done, &drafts));
+    if (valid && !done) PyErr_NoMemory();
+    close_arguments(&a, NULL);
+    return done;
 }
 
 PyObject *call_ends(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"columns", 'B', {ANY}}, {"params", 'T', {NUMBERS(EndParams)}}};
+    static const Parameter parameter[] = {
+        {"images", 'O', {0}}, {"lens", 'T', {NUMBERS(Lens)}}, {"params", 'T', {NUMBERS(EndParams)}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    const size_t bytes = (size_t)a.view[0].shape[0], ends = bytes / sizeof(Draft);
-    List found = {NULL, 0, 0, sizeof(StripeEnd)};
-    Draft *draft = malloc(bytes + 1); /* the buffer is not writable, nor aligned */
-    int done = draft && reserve(&found, ends + 1);
-    if (done) memcpy(draft, a.view[0].buf, bytes);
-    if (done && !check_drafts(draft, bytes)) {
-        free(draft);
-        free(found.data);
-        return close_arguments(&a, NULL);
-    }
+    PyObject *images = PyTuple_GetItem(tuple, 0);
+    const EndParams *params = (const EndParams *)a.number[2];
+    List drafts = {NULL, 0, 0, sizeof(Draft)}, found = {NULL, 0, 0, sizeof(StripeEnd)};
+    int valid = 1;
+    for (Py_ssize_t i = 0; valid && i < PyTuple_Size(images); i++)
+        valid = draft_image(PyTuple_GetItem(images, i), (const Lens *)a.number[1], params, &drafts);
+    int done = valid && reserve(&found, drafts.used + 1);
     Py_BEGIN_ALLOW_THREADS
-    done = done && stripe_ends(draft, ends, (const EndParams *)a.number[1], found.data);
+    done = done && stripe_ends(drafts.data, drafts.used, params, found.data);
     Py_END_ALLOW_THREADS
-    free(draft);
-    found.used = ends;
-    return close_arguments(&a, list_bytes(done, &found));
+    found.used = drafts.used;
+    release(&drafts);
+    if (valid) return close_arguments(&a, list_bytes(done, &found));
+    release(&found);
+    return close_arguments(&a, NULL);
 }

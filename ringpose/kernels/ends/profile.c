@@ -500,6 +500,7 @@ static void fill_profile(const Images *images, Profile *profile, const EndParams
     if (!images->dark && brightest < MAX_AMBIENT * expected) {
         parts.contrast = MIN_SIDE_CONTRAST * expected;
         expected = fill_peaks(images, profile, reach, &parts);
+        for (ptrdiff_t i = 0; i < profile->count; i++) profile->ambient[i] = 0; /* nothing lit that has a texture */
     }
     if (expected + brightest > params->saturation) {
         expected = unclipped_peak(images, profile, reach, &parts, expected, params);

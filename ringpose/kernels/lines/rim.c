@@ -212,7 +212,7 @@ static int rank(const Candidate *candidate, Candidate *own, int count, int maxim
     return count < maximum ? count + 1 : maximum;
 }
 
-/* The best tracks for each laser, sorted by laser; `all` holds rules->candidates.most of each. Returns how many. */
+/* The best tracks for each laser, sorted by laser; `all` has room for the largest number of each. Returns how many. */
 static int find_candidates(const Track *track, size_t count, size_t unions, const Scene *scene, Candidate *all) {
     int found = 0;
     for (int laser = 0; laser < scene->lasers; laser++) {

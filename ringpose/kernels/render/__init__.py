@@ -99,7 +99,7 @@ def code_edges(code: Int32[Array, "row column"]) -> UInt8[Array, "row column"]:
 
 
 class Hits(NamedTuple):
-    """First intersections of rays."""
+    """The first intersection of each ray with a target."""
 
     parameter: Float64[Array, "ray"]
     """Without crinkles of foil; inf without an intersection."""

@@ -612,28 +612,16 @@ static void end_block(const Scene *scene, const Block *block, int samples, int s
     for (int i = 0; i < count && stripe; i++) stripe[block->pixel[i]] = block->stripe[i];
 }
 
-/* The next pixels of an image, or of those chosen, as a block: a tile of an image of several rows. */
+/* The next pixels of an image, or of those chosen, as a block. */
 static int next_pixels(const PixelRays *rays, const int64_t *chosen, size_t count, size_t *next, Block *block) {
-    enum { ROWS = 4, COLUMNS = BLOCK / ROWS };
-    const size_t width = (size_t)rays->width, height = count / width, across = (width + COLUMNS - 1) / COLUMNS;
+    const uint32_t width = (uint32_t)rays->width;
     int entries = 0;
-    if (chosen || height < ROWS || height * width < count) {
-        for (; *next < count && entries < BLOCK; ++*next, ++entries) {
-            const uint32_t at = chosen ? (uint32_t)chosen[*next] : (uint32_t)*next;
-            block->pixel[entries] = at;
-            block->row[entries] = (int32_t)(at / (uint32_t)width);
-            block->column[entries] = (int32_t)(at % (uint32_t)width);
-        }
-        return entries;
+    for (; *next < count && entries < BLOCK; ++*next, ++entries) {
+        const uint32_t at = chosen ? (uint32_t)chosen[*next] : (uint32_t)*next;
+        block->pixel[entries] = at;
+        block->row[entries] = (int32_t)(at / width);
+        block->column[entries] = (int32_t)(at % width);
     }
-    const size_t top = *next / across * ROWS, left = *next % across * COLUMNS;
-    for (size_t row = top; row < top + ROWS && row < height; row++)
-        for (size_t column = left; column < left + COLUMNS && column < width; column++, entries++) {
-            block->pixel[entries] = (int64_t)(row * width + column);
-            block->row[entries] = (int32_t)row;
-            block->column[entries] = (int32_t)column;
-        }
-    ++*next;
     return entries;
 }
 

@@ -48,52 +48,33 @@ double bundle_enters(const Part *part, const Bundle *bundle) {
     return greater(enter - radius, 0);
 }
 
-/* Rays in the frame of a part, which may hit it; `ray` is the number of each in the rays of the target. */
+/* Rays in the frame of a part; `ray` is the number of each in the rays of the target. */
 typedef struct {
     int count;
     int32_t ray[BLOCK];
     double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK], least[BLOCK], best[BLOCK], face[BLOCK];
 } Near;
 
-/* Which rays meet the bounding sphere of a part before the best intersection. */
-VECTOR_LOOP static void find_near(const Part *part, int number, const Rays *restrict rays, int32_t *restrict near) {
-    const int count = rays->count;
-    const double x = part->center.x, y = part->center.y, z = part->center.z, radius2 = part->radius * part->radius;
-    for (int i = 0; i < count; i++) {
-        const double tx = x - rays->ox[i], ty = y - rays->oy[i], tz = z - rays->oz[i];
-        const double dx = rays->dx[i], dy = rays->dy[i], dz = rays->dz[i];
-        const double square = dx * dx + dy * dy + dz * dz, along = tx * dx + ty * dy + tz * dz;
-        const double distance2 = tx * tx + ty * ty + tz * tz, beyond = along - lesser(rays->best[i], 1e30) * square;
-        const int passes = (distance2 * square - along * along <= radius2 * square) & (rays->own[i] != number);
-        const int before = (along > 0) & ((beyond < 0) | (beyond * beyond < radius2 * square));
-        near[i] = passes & (before | (distance2 <= radius2));
-    }
-}
-
-static inline void copy_ray(const Part *part, const Rays *restrict rays, int ray, Near *restrict near, int i) {
-    const double *m = part->rotation;
-    const double ox = rays->ox[ray] - part->origin.x, oy = rays->oy[ray] - part->origin.y;
-    const double oz = rays->oz[ray] - part->origin.z, dx = rays->dx[ray], dy = rays->dy[ray], dz = rays->dz[ray];
-    const double ax = m[0] * dx + m[1] * dy + m[2] * dz, ay = m[3] * dx + m[4] * dy + m[5] * dz;
-    const double az = m[6] * dx + m[7] * dy + m[8] * dz;
-    near->ox[i] = m[0] * ox + m[1] * oy + m[2] * oz;
-    near->oy[i] = m[3] * ox + m[4] * oy + m[5] * oz;
-    near->oz[i] = m[6] * ox + m[7] * oy + m[8] * oz;
-    near->dx[i] = ax == 0 ? TINY : ax;
-    near->dy[i] = ay == 0 ? TINY : ay;
-    near->dz[i] = az == 0 ? TINY : az;
-    near->least[i] = rays->least[ray];
-    near->best[i] = rays->best[ray];
-    near->face[i] = EMPTY;
-}
-
-VECTOR_LOOP static void copy_near(const Part *restrict part, const Rays *restrict rays, Near *restrict near) {
+VECTOR_LOOP static void copy_rays(const Part *restrict part, const Rays *restrict rays, Near *restrict near) {
     const Part moved = *part;
-    const int count = near->count;
-    if (count == rays->count)
-        for (int i = 0; i < count; i++) copy_ray(&moved, rays, i, near, i);
-    else
-        for (int i = 0; i < count; i++) copy_ray(&moved, rays, near->ray[i], near, i);
+    const double *m = moved.rotation;
+    const int count = near->count = rays->count;
+    for (int i = 0; i < count; i++) {
+        const double ox = rays->ox[i] - moved.origin.x, oy = rays->oy[i] - moved.origin.y;
+        const double oz = rays->oz[i] - moved.origin.z, dx = rays->dx[i], dy = rays->dy[i], dz = rays->dz[i];
+        const double ax = m[0] * dx + m[1] * dy + m[2] * dz, ay = m[3] * dx + m[4] * dy + m[5] * dz;
+        const double az = m[6] * dx + m[7] * dy + m[8] * dz;
+        near->ray[i] = i;
+        near->ox[i] = m[0] * ox + m[1] * oy + m[2] * oz;
+        near->oy[i] = m[3] * ox + m[4] * oy + m[5] * oz;
+        near->oz[i] = m[6] * ox + m[7] * oy + m[8] * oz;
+        near->dx[i] = ax == 0 ? TINY : ax;
+        near->dy[i] = ay == 0 ? TINY : ay;
+        near->dz[i] = az == 0 ? TINY : az;
+        near->least[i] = rays->least[i];
+        near->best[i] = rays->best[i];
+        near->face[i] = EMPTY;
+    }
 }
 
 /* Faces of a box: 0 z+, 1 x-, 2 x+, 3 y-, 4 y+, 5 z-. */
@@ -315,26 +296,18 @@ void choose(Choice *choice, int part, double enter) {
 
 void intersect(const Target *target, const Choice *choice, Rays *rays) {
     Near near;
-    int32_t is_near[BLOCK];
     for (int i = 0; i < rays->count; i++) rays->part[i] = EMPTY;
     for (int k = 0; k < choice->count; k++) {
         const Part *part = target->part + choice->part[k];
         if (choice->enter[k] > 0 && choice->enter[k] > farthest(rays) * choice->length) break;
-        find_near(part, choice->part[k], rays, is_near);
-        near.count = 0;
-        for (int i = 0; i < rays->count; i++) {
-            near.ray[near.count] = i;
-            near.count += is_near[i];
-        }
-        if (near.count == 0) continue;
-        copy_near(part, rays, &near);
+        copy_rays(part, rays, &near);
         if (part->kind == BOX)
             hit_box(part, &near);
         else
             hit_revolution(target, part, &near);
         for (int i = 0; i < near.count; i++) {
-            if (near.face[i] == EMPTY) continue;
             const int ray = near.ray[i];
+            if (near.face[i] == EMPTY || rays->own[ray] == choice->part[k]) continue;
             rays->best[ray] = near.best[i];
             rays->face[ray] = near.face[i];
             rays->part[ray] = choice->part[k];
@@ -486,9 +459,9 @@ static void complete_revolution(const Target *target, const Part *part, int piec
 
 /* Copies the rays of the hits from `first` on. */
 VECTOR_LOOP static void copy_hits(const Rays *restrict rays, int first, Hits *restrict hits) {
-    const int count = hits->count, all = first == 0 && count == rays->count;
+    const int count = hits->count;
     for (int i = first; i < count; i++) {
-        const int k = all ? i : hits->ray[i];
+        const int k = hits->ray[i];
         hits->ox[i] = rays->ox[k], hits->oy[i] = rays->oy[k], hits->oz[i] = rays->oz[k];
         hits->dx[i] = rays->dx[k], hits->dy[i] = rays->dy[k], hits->dz[i] = rays->dz[k];
         hits->best[i] = rays->best[k];

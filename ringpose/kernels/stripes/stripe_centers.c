@@ -265,7 +265,7 @@ static double weighted_sum(const double *restrict weight, const double *restrict
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* How far off the centre is that the rows from a pixel on show, at most LONGEST_STEP; that if they show no stripe. */
+/* How far off the centre is that the rows from a pixel on show, at most MAX_STEP; that if they show no stripe. */
 static double step_from(const Weights *weights, size_t phase, const float *pixel) {
     double row[ROWS];
     size_t rows = 2 * weights->reach + 1;
@@ -297,7 +297,7 @@ typedef struct {
     const Measure *how;
     size_t reach;
     ptrdiff_t top;        /* first row of the pixels */
-    double most_speckled; /* variance that noise makes of a centre whose stripe has MOST_SPECKLE */
+    double most_speckled; /* variance by noise of a centre of a stripe with MAX_SPECKLE */
     Weights weights[LEVELS];
 } Weigher;
 

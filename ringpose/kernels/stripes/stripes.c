@@ -115,7 +115,7 @@ PyObject *call_stripes(PyObject *module, PyObject *tuple) {
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL, *sides = &a.view[2];
     const double *rule = a.number[5];
-    StripeParams params = {(float)rule[0], (float)rule[1], (float)rule[2], (float)rule[3], (float)rule[4], 0, 0};
+    StripeParams params = {(float)rule[3], (float)rule[4], (float)rule[0], (float)rule[1], (float)rule[2], 0, 0};
     if (!require(!dark || dark->itemsize == lit->itemsize, "dark: must have the type and the shape of the image") ||
         !filters_fit(&a.view[3], &a.view[4]) || !params_fit(&params, rule[5], rule[6]))
         return close_arguments(&a, NULL);

@@ -103,7 +103,7 @@ class ImageCamera:
 
     @property
     def greeting(self) -> wire.Greeting:
-        """What a client is greeted with."""
+        """The message that greets a client."""
         camera = self._scene.rig.camera
         return wire.Greeting(
             clock=self._clock,
@@ -184,8 +184,15 @@ class ImageCamera:
         masks = self._sequence if self._mask is None else (self._mask,) * len(self._sequence)
         begins_s = np.arange(len(masks)) / self._rate_hz
         scene = replace(scene, sequence=masks)
-        truth = replace(moving_truth(scene, view, exposure_s, begins_s, stamp_s + begins_s), shot=self._shot_name)
-        self._moving = MovingShot(scene, view, exposure_s, stamp_s, begins_s, self._truth_record(truth))
+        truth = moving_truth(scene, view, exposure_s, begins_s, stamp_s + begins_s)
+        self._moving = MovingShot(
+            scene=scene,
+            view=view,
+            exposure_s=exposure_s,
+            stamp_s=stamp_s,
+            begins_s=begins_s,
+            truth=self._truth_record(replace(truth, shot=self._shot_name)),
+        )
 
     def set(self, request: Setting) -> str | None:
         """Apply a setting. Returns None, or the message to the client if it is not possible."""
@@ -283,7 +290,7 @@ class RenderedShots:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingShot:
     """A shot of a moving target, of which each frame is rendered at its own time."""
 

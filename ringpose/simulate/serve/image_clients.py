@@ -25,7 +25,7 @@ JPEG_QUALITY = 85
 
 
 class Client:
-    """A connection of the frame protocol."""
+    """A connection to a client of the frame protocol, with its subscription and a queue of frames."""
 
     def __init__(self, writer: asyncio.StreamWriter, changed: asyncio.Event) -> None:
         self.writer = writer
@@ -133,7 +133,7 @@ async def drained(writer: asyncio.StreamWriter) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrowserRequest:
-    """A GET request."""
+    """The parts of an HTTP GET request that matter."""
 
     path: str
     token: str

@@ -28,18 +28,8 @@ def view_target(scene: Scene, view: RingView) -> TargetTables:
 
 
 def part_around(scene: Scene, view: RingView, point_m: Float64[Array, "xyz=3"]) -> str | None:
-    """Name of the part of a view that contains a point of the target frame."""
-    described = _described(scene, view)
-    offset_m = _tables(*described).parts[:, 26:29] - point_m
-    near = (offset_m * offset_m).sum(axis=1) < _tables(*described).parts[:, 29] ** 2
-    return next(
-        (
-            part.name
-            for part, is_near in zip(_parts(*described), near.tolist(), strict=True)
-            if is_near and _contains(part, point_m)
-        ),
-        None,
-    )
+    """Name of the part of a view that contains a point of the target frame; None if there is none."""
+    return next((part.name for part in _parts(*_described(scene, view)) if _contains(part, point_m)), None)
 
 
 def _described(scene: Scene, view: RingView) -> tuple[Body | None, tuple[Part, ...], RingShape | None]:

@@ -153,7 +153,7 @@ def test_limits_on_wrong_shots_with_the_status_ok_are_stated_by_case(study):
 
 
 def test_the_violated_assumptions_have_a_limit_each():
-    study = read_study(study_path("violations")).study
+    study = read_study(study_path("violations"))
 
     assert set(study.limits["max_ok_wrong_share"]) == set(study.cases)
 

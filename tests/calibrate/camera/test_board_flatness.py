@@ -60,7 +60,7 @@ def test_a_board_that_bends_differently_in_each_view_is_not_reported_as_bowed(vi
     found = calibrate_camera(bending, 1600, 1200)
 
     by_noise = bow_finding(bending, solved(bending), PLUMB_BOB)
-    finding = camera_assessment(found, bending, PLUMB_BOB).board[-1]
+    finding = camera_assessment(found, PLUMB_BOB).board[-1]
 
     assert by_noise.grade is not Grade.GOOD
     assert finding.grade is Grade.GOOD

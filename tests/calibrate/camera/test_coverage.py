@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from known_views import TRUE_CAMERA
+from known_views import TRUE_CAMERA, rotation
 
 from ringpose.calibrate.camera.assessment import coverage
 from ringpose.types.board import BoardPose, BoardView
@@ -14,29 +14,25 @@ def covered():
     """Makes the coverage of views with given pixels, tilt about x, and distance."""
 
     def made(*views: tuple[np.ndarray, float, float], bad: int = -1):
-        boards, judged = [], []
+        judged = []
         for index, (points_px, tilt_rad, distance_m) in enumerate(views):
-            points = np.zeros((len(points_px), 3))
-            cosine, sine = np.cos(tilt_rad), np.sin(tilt_rad)
-            turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
-            pose = BoardPose(
-                name=f"v{index}", rotation=turn, translation_m=np.array([0.0, 0.0, distance_m]), residual_rms_px=0.1
+            count, turn = len(points_px), rotation([tilt_rad or 1e-12, 0.0, 0.0])
+            place = np.array([0.0, 0.0, distance_m])
+            board = BoardView(
+                name=f"v{index}", ids=np.arange(count), points_board_m=np.zeros((count, 3)), points_px=points_px
             )
-            ids = np.arange(len(points_px))
-            boards.append(BoardView(name=f"v{index}", ids=ids, points_board_m=points, points_px=points_px))
             judged.append(
                 CameraView(
-                    name=f"v{index}",
-                    pose=pose,
-                    ids=ids,
+                    board=board,
+                    pose=BoardPose(name=board.name, rotation=turn, translation_m=place, residual_rms_px=0.1),
                     points_px=points_px,
                     residual_px=np.zeros_like(points_px),
-                    left_out=np.zeros(len(points_px), dtype=bool),
+                    left_out=np.zeros(count, dtype=bool),
                     rejected="bad" if index == bad else "",
                 )
             )
         calibration = CameraCalibration(camera=TRUE_CAMERA, rms_px=0.1, sigma_px=0.1, views=tuple(judged))
-        return coverage(calibration, boards)
+        return coverage(calibration)
 
     return made
 

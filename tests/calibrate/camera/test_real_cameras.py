@@ -10,7 +10,7 @@ import scipy.io
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
-from ringpose.calibrate.camera.assessment import camera_assessment, widened
+from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_verdict
@@ -23,13 +23,12 @@ ETNA = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)
 UBA = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167, square_y_m=0.021125)
 
 
-def calibrated(paths: Sequence[Path], board: Board, model: CameraModel) -> tuple[CameraCalibration, CameraAssessment]:
+def calibrated(paths: Sequence[Path], board: Board, model: CameraModel) -> CameraAssessment:
     images = {path.stem: cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(paths)}
     found = [find_board(image, board, name) for name, image in images.items()]
     views = [view for view in found if not isinstance(view, NoBoard)]
     height, width = next(iter(images.values())).shape
-    calibration = calibrate_camera(views, width, height, model)
-    return widened(calibration, camera_assessment(calibration, views, model))
+    return camera_assessment(calibrate_camera(views, width, height, model), model)
 
 
 def deviations_from(calibration: CameraCalibration, reference: Sequence[float]) -> np.ndarray:
@@ -47,7 +46,7 @@ def deviations_from(calibration: CameraCalibration, reference: Sequence[float]) 
 def test_own_corners_fit_opencvs_samples_better_than_the_reference(names, reference, tolerance_px, shared_data):
     paths = list((shared_data / "real" / "opencv_samples_stereo").glob(names))
 
-    calibration, _ = calibrated(paths, SAMPLES, CameraModel())
+    calibration = calibrated(paths, SAMPLES, CameraModel()).calibration
 
     assert len(calibration.used) == 13
     assert calibration.rms_px < 0.2  # reference: 0.235; of the left ones 0.234 with one view less
@@ -66,18 +65,18 @@ def test_own_corners_fit_opencvs_samples_better_than_the_reference(names, refere
 def test_etnas_cameras_are_within_a_sigma_of_the_reference(folder, reference, rms_px, shared_data):
     paths = list((shared_data / "real" / "etna_laser_robot" / folder).glob("*.png"))
 
-    calibration, assessment = calibrated(paths, ETNA, K2)
+    assessment = calibrated(paths, ETNA, K2)
 
-    assert deviations_from(calibration, reference).max() < 1
-    assert calibration.rms_px < rms_px + 0.01
-    assert camera_verdict(calibration, assessment, len(paths)).grade is not Grade.GOOD
+    assert deviations_from(assessment.calibration, reference).max() < 1
+    assert assessment.calibration.rms_px < rms_px + 0.01
+    assert camera_verdict(assessment, len(paths)).grade is not Grade.GOOD
 
 
 @pytest.mark.slow
 def test_ubas_camera_is_within_three_sigmas_of_the_published_one(shared_data):
     folder = shared_data / "real" / "uba_laser_plane"
 
-    calibration, _ = calibrated(list((folder / "color").glob("*.png")), UBA, K2)
+    calibration = calibrated(list((folder / "color").glob("*.png")), UBA, K2).calibration
 
     published = [819.580391, 820.87185144, 589.72908798, 355.78486577, 0.0981042148, -0.182481427]
     assert len(calibration.used) == 14
@@ -111,11 +110,11 @@ def test_three_views_of_circles_give_a_plausible_camera(shared_data):
     folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
     board = Board(kind="asymmetric_circles", squares_x=7, squares_y=13, spacing_m=0.02)
 
-    calibration, assessment = calibrated(
+    assessment = calibrated(
         [folder / f"acircles{number}.png" for number in (1, 2, 3)],
         board,
         CameraModel(fix_k3=True, zero_tangential=True),
     )
 
-    assert calibration.rms_px < 0.3
-    assert camera_verdict(calibration, assessment, 3).grade is Grade.REDO
+    assert assessment.calibration.rms_px < 0.3
+    assert camera_verdict(assessment, 3).grade is Grade.REDO

@@ -66,11 +66,11 @@ def test_a_rational_lens_has_the_reported_errors_where_it_is_known(middle_views)
 def test_the_share_of_the_image_in_which_the_lens_is_unknown_is_reported(middle_views):
     boards = middle_views(5)
     found = calibrate_camera(boards, 800, 600, MODEL)
-    assessed = camera_assessment(found, boards, MODEL)
-    verdict = camera_verdict(found, assessed, 5)
+    assessed = camera_assessment(found, MODEL)
+    verdict = camera_verdict(assessed, 5)
 
-    projection = camera_quality(found, assessed, verdict)["quality"]["projection"]
-    lines = "\n".join(camera_summary(found, assessed, verdict))
+    projection = camera_quality(assessed, verdict)["quality"]["projection"]
+    lines = "\n".join(camera_summary(assessed, verdict))
 
     assert projection["unknown_share"] > 0.05
     assert np.isfinite(projection["sigma_worst_px"])
@@ -90,6 +90,6 @@ def test_a_rational_model_is_valid_up_to_the_largest_radius_of_a_corner():
 def test_polynomials_alone_are_known_everywhere(middle_views):
     boards = middle_views(5)
 
-    assessed = camera_assessment(calibrate_camera(boards, 800, 600), boards, CameraModel())
+    assessed = camera_assessment(calibrate_camera(boards, 800, 600), CameraModel())
 
     assert assessed.unknown_share == 0

@@ -80,7 +80,7 @@ def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
 def test_views_of_another_camera_are_named_together(views, indices, grade):
     boards = mixed(views(15), of_longer_lens, *indices)
 
-    finding = other_camera_finding(calibrate_camera(boards, 1600, 1200), boards)
+    finding = other_camera_finding(calibrate_camera(boards, 1600, 1200))
 
     assert finding.grade is grade
     assert finding.value == pytest.approx(len(indices) / 15)
@@ -93,7 +93,7 @@ def test_a_view_of_the_other_camera_that_was_used_is_named_with_those_left_out(v
     found = calibrate_camera(boards, 1600, 1200)
     kept = replace(found, views=tuple(replace(one, rejected="") if one.name == "v8" else one for one in found.views))
 
-    assert other_camera_finding(kept, boards).advice.startswith("views v0, v4, v8 look")
+    assert other_camera_finding(kept).advice.startswith("views v0, v4, v8 look")
 
 
 @pytest.mark.parametrize(
@@ -105,5 +105,5 @@ def test_views_of_one_camera_and_one_view_alone_are_not_taken_for_another_camera
     boards = mixed(views(12), change, *indices)
     found = calibrate_camera(boards, 1600, 1200)
 
-    assert other_camera_finding(found, boards).grade is Grade.GOOD
+    assert other_camera_finding(found).grade is Grade.GOOD
     assert change is not turned or len(found.used) == 10
