@@ -102,7 +102,10 @@ def _typical_error(name: str) -> Quantity:
 
 
 def _nees(name: str) -> Quantity:
-    """The loss is |ln NEES|: 2 is as bad as 1/2. Values below one millionth, as of exact poses, count as that."""
+    """NEES of the errors `name`, compared by the loss |ln NEES|: 2 is as bad as 1/2.
+
+    NEES below 1e-6, as of exact poses, counts as 1e-6.
+    """
     return Quantity(
         score=lambda shot: shot.errors.get(name),
         figure=_itself,

@@ -43,7 +43,7 @@ class WrongQuantities:
     """Wrong quantities that cannot be explained by chance (`Score.gross`)."""
 
     def count(self, judgement: Judgement) -> int:
-        """Number of quantities with a judgement."""
+        """Number of quantities that have the given judgement."""
         return sum(counts[judgement] for counts in self.counts.values())
 
     @property

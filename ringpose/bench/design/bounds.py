@@ -58,8 +58,8 @@ def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
 
     None if the features do not determine every parameter of the ring.
 
-    `rig` is the one by which it was measured: its covariance is the prior of the nuisance parameters; those that it
-    does not name count as exact. The prior of the radii is that of the pose.
+    `rig` is the rig by which the ring was measured: its covariance is the prior of the nuisance parameters; parameters
+    that the covariance does not name count as exact. The prior of the radii is that of the pose.
     """
     measurement, priors = line.measurement, line.priors
     if measurement is None or priors is None or priors.regularization is not None:

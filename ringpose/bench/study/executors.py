@@ -133,7 +133,7 @@ class _Chunks:
         return [self._indices.popleft() for _ in range(size) if self._indices]
 
     def took(self, shots: int, duration_s: float) -> None:
-        """Adapt the size of chunks to the time that one took."""
+        """Adapt the size of chunks to the time that a chunk took."""
         self._shot_s = 0.5 * (self._shot_s + duration_s / shots)
 
     def killed(self, chunk: list[int]) -> list[int]:

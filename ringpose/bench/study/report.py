@@ -270,7 +270,7 @@ def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> P
 
 
 def _plain_ticks(axis: Axes) -> None:
-    """Numbers such as 0.5 and 2 on a logarithmic axis of little range, instead of powers of ten."""
+    """Ticks such as 0.5 and 2 on a logarithmic axis of small range, instead of powers of ten."""
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     low, high = axis.get_ylim()
     digits = "23456789" if high < 4 * low else "25"
@@ -309,7 +309,10 @@ def _nees(summary: StudySummary) -> Picture:
 
 
 def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> list[Picture]:
-    """Actual against reported standard deviation of the centre, in bins of the reported one; none of too few shots."""
+    """Actual against reported standard deviation of the centre, in bins of the reported one.
+
+    Nothing is drawn for too few shots.
+    """
     figure = canvas(6.5, 5)
     axis = figure.subplots()
     limits: list[float] = []

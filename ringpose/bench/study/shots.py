@@ -258,7 +258,7 @@ def measured_line(
 def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
     """Cramér-Rao bounds of the scene's last view without and with known radii; None where the ring is not determined.
 
-    They are those of the break points and edges that an image of this scene shows, without motion.
+    They are the bounds for the break points and edges that an image of this scene shows, without motion.
     """
     if scene.views[-1].path is not None or len(scene.views) > 1:
         scene = replace(scene, views=(replace(scene.views[-1], path=None),))

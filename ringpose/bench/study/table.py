@@ -194,7 +194,7 @@ def factor_text(factor: Factor) -> str:
 def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[str]]:
     """The table in the paper's form: a column for each distance or light, a row for each component of the error.
 
-    The first row is the heading of the columns alone, without one for the labels.
+    The first row is the heading of the columns of values; the column of the row labels has no heading.
     """
     keys, found = wide_columns(summary, method)
     rows = [[value_text(study.table, key[0]) if key else "all" for key in keys]]
@@ -259,7 +259,7 @@ def _statistics_cells(each: Statistics) -> list[str]:
 
 
 def failure_rows(summary: StudySummary) -> list[list[str]]:
-    """Method, number of shots and reason of those without a pose, the most frequent first."""
+    """For each method, the reasons why shots have no pose, with the number of shots, the most frequent first."""
     return [
         [method, str(count), reason]
         for method in summary.methods
