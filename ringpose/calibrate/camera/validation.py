@@ -232,8 +232,8 @@ def _middle_points(camera: Camera) -> Bool[Array, "n"]:
 def known_lens(camera: Camera, corners_px: Float64[Array, "corner xy=2"]) -> Bool[Array, "map_row map_column"]:
     """True at the map's points where the camera's covariance is a valid measure of the projection error.
 
-    Of the rational model only up to the largest distance of a corner from the principal point, as a quotient of
-    polynomials can have a pole beyond; of the polynomial models everywhere.
+    For the polynomial models it is valid everywhere. For the rational model it is valid only up to the largest distance
+    of a corner from the principal point: a quotient of polynomials can have a pole beyond.
     """
     map_px = map_points_px(camera)
     if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:

@@ -57,7 +57,7 @@ def planes_covariance(
 ) -> ParameterCovariance:
     """Covariance of the camera's parameters (if `given` has a covariance) and of each plane's tilts and distance.
 
-    `information` is that of `joint_information`.
+    `information` is the result of `joint_information`.
     """
     planes = laser_parameters(names)
     count = len(planes)
@@ -201,7 +201,7 @@ def _break_points_m(
 
 
 def of_camera(covariance: ParameterCovariance) -> ParameterCovariance:
-    """The part of a joint covariance that the camera causes: its own, and that of the planes correlated with it."""
+    """The part of a joint covariance that the camera causes: its own, and that of planes correlated with it."""
     plane = np.array(["." in name for name in covariance.parameters])
     camera = covariance.data[np.ix_(~plane, ~plane)]
     regression = covariance.data[:, ~plane] @ np.linalg.pinv(camera, hermitian=True)

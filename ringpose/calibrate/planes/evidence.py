@@ -184,7 +184,7 @@ def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) 
 
 
 def _planes_of(evidence: StripeEvidence) -> list[FittedPlane | None]:
-    """Each laser's plane by all views; None if they do not determine it."""
+    """Each laser's plane fitted to all views; None if they do not determine it."""
     points = [np.concatenate(evidence.points(laser)) for laser in range(len(evidence.names))]
     planes = [light_plane(own, PlanesMethod.TOTAL_LEAST_SQUARES) if len(own) > 2 else None for own in points]
     return [plane if plane is not None and plane.condition <= MAX_CONDITION else None for plane in planes]

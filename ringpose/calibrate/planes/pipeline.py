@@ -185,7 +185,7 @@ def _weighted_fit(
 ) -> tuple[JointData, JointState]:
     """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
-    The board poses it starts from follow outlying corners; those of the robust adjustment do not.
+    Outlying corners displace the board poses at the start of the adjustment, but not those of its robust result.
     """
     corner_px = corner_sigmas_px(evidence.views, evidence.poses, evidence.camera)
     data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)

@@ -310,7 +310,7 @@ def side_samples(
 def _pixels(
     image: GreyImage, side: Side, left_out: float, reach: float
 ) -> tuple[Float64[Array, "line"], Float64[Array, "line pixel"], Float64[Array, "line pixel"]]:
-    """By line of pixels across a side: its position along the side, its pixels' distances from it, and their grey.
+    """By line of pixels across a side: position along the side, distances of its pixels from the side, and grey values.
 
     Lines are image columns where the side is nearer to horizontal, else rows. Distances are infinite outside the image.
     """
@@ -459,6 +459,6 @@ def _spline(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
 
 
 def _spline_slope(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
-    """Its derivative."""
+    """Derivative of the cubic B-spline `_spline`."""
     outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
     return -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0

@@ -131,8 +131,8 @@ def _laser_check(laser: int, board: BoardMeasurements, rig: Rig) -> LaserCheck:
 def _stripe_check(stripe: int, laser: int, board: BoardMeasurements, rig: Rig) -> LaserCheck:
     """Distance of one laser's stripe from the plane of the same or another laser, and its limit.
 
-    It is that of the straight line fitted to the stripe, at the ends and the middle of the stripe. Its variance is the
-    sum of the parts of the rig, of the board's pose, and of the line.
+    The distance is taken at the ends and the middle of the straight line fitted to the stripe; the worst is returned.
+    Its variance is the sum of the contributions of the rig, of the board's pose, and of the line.
     """
     (view,), (pose,), name = board.data.views, board.state.poses, rig.lasers.names[laser]
     points_px = view.stripes_px[stripe]
