@@ -108,7 +108,7 @@ def switched_steps(count: int) -> tuple[Step, ...]:
 
 
 class TrackedSequence:
-    """Chooses the lasers of each shot by what a track has last reported: all while it assigns their stripes.
+    """Chooses the lasers of each shot: all at once while the track reports that it can assign their stripes.
 
     A frame with all lasers on has a single time, so that the target does not move within it.
     """
@@ -118,7 +118,7 @@ class TrackedSequence:
         self._since_off = 0
 
     def report(self, *, is_assigned: bool) -> None:
-        """Whether the track will assign the stripes of the next frame with all lasers on; from any thread."""
+        """Set whether the track will assign the stripes of the next frame with all lasers on; from any thread."""
         self._is_assigned = is_assigned
 
     def __call__(self, switched: tuple[Step, ...]) -> tuple[Step, ...]:

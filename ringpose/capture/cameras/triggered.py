@@ -170,7 +170,7 @@ class SoftwareTriggeredCamera(CameraDriver):
 
     @abstractmethod
     def _start(self) -> None:
-        """Make it wait for software triggers."""
+        """Prepare the camera to wait for software triggers."""
 
     @abstractmethod
     def _stop(self) -> None:

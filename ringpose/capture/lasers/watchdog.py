@@ -40,7 +40,8 @@ _START = (
 class WatchdogLasers(LaserDriver):
     """Lasers at a relay board that a watchdog process switches.
 
-    If that process ends unexpectedly, this one opens the port itself, switches off, and every later command fails.
+    If the watchdog process ends unexpectedly, the capture process opens the port itself and switches the lasers off,
+    and every later command fails.
     """
 
     def __init__(self, settings: RelaySettings) -> None:
