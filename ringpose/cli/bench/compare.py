@@ -84,7 +84,7 @@ class _Result(NamedTuple):
 
 
 def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) -> _Result:
-    """Scores of pose records, or those in a table of `bench --json`, or in the results of a study."""
+    """Scores computed from pose records, or read from a report of `bench --json` or from the results of a study."""
     from ringpose.bench.report import recorded_scores
     from ringpose.bench.study.table import scores_of
     from ringpose.files.inputs import holds_records

@@ -98,7 +98,10 @@ class TrackSettings:
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
-    """The motion of the camera, all of whose poses are read first; `inputs`: the arguments that may also be `-`."""
+    """The motion of the camera, from robot poses that are all read first.
+
+    `inputs` are the arguments of which only one may be `-` together with `robot_poses`.
+    """
     if robot_poses is None:
         return None
     from ringpose.files.records.robot_poses import read_robot_poses
