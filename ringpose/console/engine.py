@@ -185,7 +185,7 @@ class Engine:
             stage.end()
 
     def show(self, state: ConsoleState, *, measure_now: bool = False) -> None:
-        """Show this state as soon as possible, then measure it, instead of earlier ones that are not begun yet."""
+        """Show this state as soon as possible, then measure it; earlier states that are not begun yet are skipped."""
         with self._lock:
             now_s = time.monotonic()
             if now_s > self._changed_s + QUIET_S:  # the first change for a while: its preview comes first
@@ -255,7 +255,7 @@ class Engine:
         return self._tracker.line_of(self._tracker.add(line))
 
     def _scene_of(self, state: ConsoleState) -> Scene:
-        """The scene of a state, with the camera record of earlier pictures: the renderer keeps the rays of a record."""
+        """The scene of a state, with the camera record of earlier pictures, whose rays the renderer has cached."""
         scene, change = state.scene_of(self._scene), state.rig_change
         key = (change.rig, change.focal_scale, change.pitch_scale, scene.rig.camera.image_width)
         with self._lock:

@@ -264,7 +264,7 @@ class ConsolePage:
             self._engine.show(self._state, measure_now=measure_now)
 
     def _masks(self) -> tuple[int, ...]:
-        """The sequence; that before while the text is not one."""
+        """The laser masks of the sequence in the text field; those of the last state if the text is invalid."""
         try:
             lasers = len(self._scene.rig.lasers.names)
             masks = tuple(step.mask(lasers) for step in parsed_sequence(self._sequence.value))
@@ -306,7 +306,7 @@ class ConsolePage:
         self._follow(trajectory, f"{uploaded.name}: {len(trajectory.time_s)} poses, {trajectory.time_s[-1]:.1f} s")
 
     def _follow(self, trajectory: Trajectory | None, text: str) -> None:
-        """Show the poses of a trajectory from its beginning; None for those that the controls set."""
+        """Show the poses of a trajectory from its beginning, or, for None, the pose that the controls set."""
         with self._lock:
             self._state = replace(self._state, trajectory=trajectory)
             self._time.max = END_S if trajectory is None else max(float(trajectory.time_s[-1]), 0.1)
@@ -357,7 +357,7 @@ class ConsolePage:
                     self._advance(step_s, measure_now=speed == IN_STEP)
 
     def _advance(self, step_s: float, *, measure_now: bool = False) -> None:
-        """Go on in time; the slider follows with the picture."""
+        """Advance the time by a step; the slider follows when the picture is shown."""
         with self._lock:
             time_s = float((self._state.time_s + step_s) % self._time.max)
             self._change(time_s, is_time_only=True, measure_now=measure_now)

@@ -18,7 +18,7 @@ class Playback:
         self._asked_s = self._held_until_s = -np.inf
 
     def hold(self, now_s: float) -> None:
-        """The time was set: let it stand for `TYPING_S`."""
+        """Stop the motion for `TYPING_S` because the user has set the time."""
         self._held_until_s = now_s + TYPING_S
 
     def step_s(self, now_s: float, speed: str | None, *, is_measured: bool) -> float:
