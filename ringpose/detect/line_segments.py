@@ -150,10 +150,10 @@ def joined_lines(
 ) -> tuple[Float64[Array, "line end=2 xy=2"], Int64[Array, "line"]]:
     """Lines after joining those that continue each other, and the number of supporting pixels of each.
 
-    From the first line to the last, each of at least `shortest_px` pixels takes the nearest line beyond its end, at
-    most `gap_px` ahead and 2 `aside_px` beside or behind, and again from the new end, as long as all ends of both lie
-    within `aside_px` (measured along x or y) of the least-squares line through the maxima of both; then beyond its
-    start. Shorter lines that were not joined to another are dropped.
+    Each line of at least `shortest_px` pixels, from the first to the last, is joined to the nearest line beyond its
+    end, at most `gap_px` ahead and 2 `aside_px` beside or behind. The search is repeated from the new end, then beyond
+    the start. Two lines are joined only if all ends of both lie within `aside_px` (measured along x or y) of the
+    least-squares line through the maxima of both. Shorter lines that were not joined to another are dropped.
     """
     flat = np.ascontiguousarray(lines).reshape(-1, 4)
     joined, support = _kernels.joins(flat, moments, pieces, gap_px, aside_px, shortest_px)
@@ -163,10 +163,11 @@ def joined_lines(
 def edge_chains(gradient: Gradient, lower_dn: float, shortest: int) -> Chains:
     """Edge chains, one pixel wide, along which the gradient is at least `lower_dn` grey values per pixel.
 
-    From each anchor, the strongest first, two walks in opposite directions; a walk goes to the largest magnitude of
-    the three pixels ahead (straight on, if equal; then left) and stops below `lower_dn`, on another chain, or where one
-    of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer than
-    `shortest` pixels are dropped, but no other chain may cross them.
+    From each anchor, the strongest first, two walks start in opposite directions. A walk continues to the largest
+    magnitude of the three pixels ahead (straight on, if equal; then left). It stops below `lower_dn`, on another chain,
+    or where one of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer
+    than `shortest` pixels are dropped, but no other chain may cross them.
+
     The magnitude serves as scratch memory and is restored on return: no other thread may use it in the meantime.
     """
     pixels, starts = _kernels.chains(

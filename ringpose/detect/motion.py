@@ -59,7 +59,7 @@ MIN_SHIFT_PX = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingMotion:
-    """Rigid motion at constant rates, and how fast the edges move in the image by it."""
+    """Rigid motion of the ring at constant rates, and the speed of its edges in the image."""
 
     pivot_m: Float64[Array, "xyz=3"]
     """Point of the ring whose velocity is given."""
@@ -164,7 +164,7 @@ def _fitted(
     points: BreakPoints,
     rig: Rig,
 ) -> RingMotion | None:
-    """Rates that explain the speeds of the edges across themselves, robustly, regularized to zero."""
+    """Rates fitted to the speeds of the edges along their normals: robust least squares, regularized to zero."""
     laser, edge = np.nonzero(points.seen)
     ends_px = points.position_px[laser, edge]
     ends_m = intersect(rays(ends_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser])

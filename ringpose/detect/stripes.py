@@ -61,9 +61,9 @@ def find_stripes(
 ) -> Stripes:
     """Sub-pixel stripe centres, linked along x into pieces without gap or jump, not assigned to lasers.
 
-    `dark` is the same view with the lasers off: it is subtracted, and its noise is taken into account. `bands` restrict
-    the search: first column, the one after the last, and likewise the rows. `saturation_dn` is the grey value at which
-    a pixel saturates; by default it is estimated from the image.
+    `dark` is the same view with the lasers off: it is subtracted, and its noise is taken into account. `bands` are the
+    windows to search, one a row: first column, column after the last, first row, row after the last. `saturation_dn` is
+    the grey value at which a pixel saturates; by default it is estimated from the image.
     """
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
     min_peak_dn = MIN_PEAK_DN * full_dn / 255
