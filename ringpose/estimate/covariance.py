@@ -140,7 +140,7 @@ def quantities(estimate: Estimate) -> Quantities:
 
 
 def _outward_at(arcs: RingArcs, point_m: Float64[Array, "3"]) -> Float64[Array, "3"]:
-    """Unit vector in the ring's plane from the centre towards a point, regular at curvature 0."""
+    """Unit vector in the ring's plane from the centre towards a point; also defined at curvature 0 (straight edges)."""
     x, y, _ = (arcs.axes @ (point_m - arcs.origin)).tolist()
     h_x, h_y = 1.0 - arcs.curvature * x, arcs.curvature * y
     unit: Float64[Array, "3"] = (-h_x * arcs.axes[0] + h_y * arcs.axes[1]) / hypot(h_x, h_y)
@@ -284,7 +284,7 @@ def exceeds_sd(covariance: Float64[Array, "3 3"], limit: float) -> bool:
 
 
 def standard_deviation(covariance: Float64[Array, "n n"]) -> float:
-    """In the direction in which it is largest."""
+    """Standard deviation in the direction in which it is largest."""
     if len(covariance) == 2:
         (first, off_diagonal), (_, second) = covariance.tolist()
         half_sum, half_difference = 0.5 * (first + second), 0.5 * (first - second)

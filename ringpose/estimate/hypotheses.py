@@ -93,7 +93,7 @@ def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> 
 
 
 def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
-    """The target moves faster, or less evenly, or the ring is less round and flat, than assumed."""
+    """Hypotheses that the target moves faster or less evenly, or the ring is less round and flat, than assumed."""
     motion, tolerance_m = prior.assumptions.motion, prior.assumptions.ring_tolerance_m
     times_s = measured.times_s(measured.stamp_s)
     if times_s.any():
@@ -115,7 +115,7 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
 
 
 def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:
-    """The hypothesis, and that the ring deviates from a circle or a plane by this standard deviation."""
+    """The hypothesis that, in addition, the ring deviates from a circle or a plane by this standard deviation (m)."""
     assumptions = replace(hypothesis.prior.assumptions, ring_tolerance_m=deviation_m)
     return hypothesis._replace(
         prior=hypothesis.prior._replace(assumptions=assumptions),

@@ -192,7 +192,7 @@ class Measurements:
 
     @cached_property
     def stripe_numbers(self) -> int:
-        """Number of measured numbers of stripes and break points; one that was measured twice counts once."""
+        """Number of measured values of stripes and break points; a value that was measured twice counts once."""
         ends = 2 * self.points.laser + self.points.edge
         distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
         return 2 * len(self.stripes) + distinct
@@ -446,7 +446,7 @@ def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n x
 def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
     """The edges with standard deviations raised by the root of their integrated autocorrelation time in each frame.
 
-    `residual`: of a fit to all measurements, in standard deviations.
+    `residual` are the points' residuals in a fit to all measurements, in standard deviations.
     """
     factor = np.ones(len(residual))
     _, frame = np.unique(edges.stamp_s, return_inverse=True)

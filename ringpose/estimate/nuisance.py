@@ -89,8 +89,8 @@ def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
 def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
     """The covariance of the rig's parameters: of its calibration, if it is known and finite, plus its stability.
 
-    Since the calibration, each plane's tilts and distance, and both focal lengths together, may have changed.
-    That of a plane that was corrected is the one of its correction.
+    Since the calibration, each plane's tilts and distance, and both focal lengths together, may have changed. A plane
+    that was corrected has the covariance of its correction.
     """
     calibrated = rig.covariance
     if calibrated is None or not np.isfinite(calibrated.data).all():

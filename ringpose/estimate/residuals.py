@@ -116,7 +116,7 @@ class Residuals(NamedTuple):
 
 
 class FixedColumns(NamedTuple):
-    """Derivatives by common errors that are evaluated once, near the solution."""
+    """Derivatives of the residuals with respect to common errors, evaluated once, near the solution."""
 
     rig: Float64[Array, "row parameter"] | None
     """In the parameters' own units; None if the rig counts as exact."""
@@ -184,8 +184,8 @@ class Estimate:
     def expected_chi2(self) -> float:
         """Expectation of chi-squared, to which the degrees of freedom of a test of it correspond.
 
-        The number of its terms less their leverages. Without visible edges these add up to the number of parameters;
-        edges take a part of the parameters upon themselves, of up to seven numbers in twelve.
+        The expectation is the number of terms less their leverages. Without visible edges the leverages add up to the
+        number of parameters; with visible edges to less, as the edges determine a part of the parameters.
         """
         residuals = self.residuals
         if residuals.stripe_rows == residuals.data_rows:
@@ -200,12 +200,12 @@ class Estimate:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Of the stripes alone: the numbers less the parameters."""
+        """Degrees of freedom of the stripes alone: their number of measured values less the number of parameters."""
         return max(self.numbers - PARAMETERS, 0)
 
     @property
     def log_determinant(self) -> float:
-        """Of the information on ring and common errors: how much wider their priors are than the result."""
+        """Log determinant of the information on ring and common errors: how much the data narrow their priors."""
         return float(np.linalg.slogdet(self.joint_information)[1])
 
     @property
@@ -224,7 +224,7 @@ class Estimate:
     def curvature_alone(self) -> tuple[float, float]:
         """The curvature by the shot alone, without the prior, and its standard deviation.
 
-        From the normal equations without the rows of the prior, whose gradient balances that of the data.
+        It follows from the normal equations without the rows of the prior, whose gradient balances that of the data.
         """
         prior = self.residuals.jacobian[self.residuals.data_rows :]
         information = self.normal_matrix - prior.T @ prior + RIDGE_MATRIX
@@ -243,10 +243,11 @@ NO_ORDINATES = OrdinateScale(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 def ordinate_scale(
     points: Points, slope: Float64[Array, "point"], distance_wrt_x: Float64[Array, "point"]
 ) -> OrdinateScale:
-    """Weights of the ordinates of points without a line.
+    """Weights of the ordinates of break points without a line.
 
-    The height above the predicted line is correlated with the error of the abscissa, which residual b uses; the
-    remainder after regression on the abscissa (`share`) is independent of it and has the standard deviation 1 / scale.
+    The height of such a point above the predicted line is correlated with the error of its abscissa, which residual b
+    uses. The coefficient of the regression on the abscissa is `share`; the remainder is independent of the abscissa and
+    has the standard deviation 1 / scale.
     """
     which = np.flatnonzero(points.isolated)
     covariance, slope = points.covariance[which], slope[which]

@@ -141,7 +141,7 @@ def _solved(
 
 
 def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
-    """An estimate that ended earlier, to the precision of a pose; None if it diverges."""
+    """The estimate, iterated further to the precision of a pose; None if the iteration diverges."""
     observations, residuals = measured.observations, estimate.residuals
     try:
         fixed = fixed_columns(residuals, observations, estimate.prior)
@@ -158,8 +158,8 @@ def _gauss_newton(
 ) -> Estimate:
     """Iteratively reweighted Gauss-Newton from `_linearized`; LinAlgError if it diverges.
 
-    The derivatives by common errors that are not given are evaluated after the first step: from there they hardly
-    change.
+    Derivatives with respect to common errors, if not given, are evaluated after the first step; they hardly change
+    later.
     """
     residuals, fixed, predicted = linearized
     nuisance, count, robust, steps = nuisance_columns(residuals, fixed), len(residuals.rate_sds), None, _Steps()
@@ -211,9 +211,10 @@ def _gauss_newton(
 def _linearized(
     start: RingArcs | MovingRing | Estimate, observations: Observations, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The residuals at a guess or at a ring nearby, fixed columns at the latter, and what these leave of residuals.
+    """The residuals at `start`, the fixed columns (None for a mere guess), and the residuals after common errors.
 
-    LinAlgError if parameters are so far from being determined that the iteration is useless without weak priors.
+    The latter are less the part that the common errors of `start` explain, if it is an estimate. LinAlgError if
+    parameters are so far from being determined that the iteration is useless without weak priors.
     """
     fixed: FixedColumns | None = None
     if isinstance(start, RingArcs):
@@ -263,7 +264,7 @@ class _Steps:
 
 
 def nuisance_columns(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
-    """B: derivatives by the rates, then by the other common errors, in standard deviations of their priors."""
+    """Matrix B: derivatives with respect to the rates, then the other common errors, in sigmas of their priors."""
     by_rates = residuals.wrt_rates * residuals.rate_sds
     return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
 
@@ -343,7 +344,7 @@ def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Fl
 def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
     """Whether tilt or in-plane rotation are left to more than 0.5 rad, or curvature to more than 1/m (sigmas).
 
-    The weak priors of `ring_residuals` have about these standard deviations. `factor`: on the variances.
+    The weak priors of `ring_residuals` have about these standard deviations. `factor` multiplies the variances.
     """
     variance = covariance.diagonal().tolist()
     return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 * factor) or bool(
@@ -456,7 +457,7 @@ def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
 def moved_ring(
     residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
 ) -> tuple[RingArcs, Rates]:
-    """The ring after a step, and its rates after one in their standard deviations.
+    """The ring and its rates after one step; `rate_step` is in standard deviations of the rates' prior.
 
     A step longer than `MAX_TILT_RAD` is shortened as a whole. LinAlgError if the ring is then not in front of the
     camera, or has an impossible size. The angular velocity stays across the normal.
