@@ -114,7 +114,7 @@ def _masks(archive: Archive, key: str, frames: int) -> UInt8[Array, "frame"]:
 def _times(archive: Archive, frames: int) -> tuple[Float64[Array, "frame"], Float64[Array, "frame"]]:
     """Stamps and exposures, which must fit between the stamps.
 
-    Equal stamps, of frames without own ones, and any order are accepted.
+    Stamps may be in any order; equal stamps, of frames without stamps of their own, are accepted.
     """
     times: list[Float64[Array, "frame"]] = [archive.numbers(key, (frames,)) for key in ("stamp_s", "exposure_s")]
     for key, values in zip(("stamp_s", "exposure_s"), times, strict=True):

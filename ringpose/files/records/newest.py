@@ -47,7 +47,7 @@ class NewestWriter:
             raise self._failure
 
     def write(self, record: Mapping[str, Any]) -> None:
-        """Replace the record that waits; raises the error of an earlier one that could not be written."""
+        """Replace the waiting record by this one; raises the error of an earlier record that could not be written."""
         with self._changed:
             if self._failure is not None:
                 raise self._failure
