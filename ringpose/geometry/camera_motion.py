@@ -93,7 +93,7 @@ class CameraMotion:
         return replace(self, poses=further)
 
     def why_not_at(self, stamp_s: float) -> str:
-        """Why `at` has no camera for this stamp; empty if it has one."""
+        """The reason why `at` returns None for this stamp; empty if it returns a camera."""
         if not isfinite(stamp_s):
             return "its time is unknown"
         stamps_s = self.poses.stamp_s

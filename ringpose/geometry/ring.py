@@ -430,9 +430,10 @@ class RingView(NamedTuple):
 
 
 class RingPrediction(NamedTuple):
-    """Of a view, with derivatives `wrt_step` by the ring's step at t_0, its rates, and errors of the camera's motion.
+    """What a view shows of a ring, with derivatives by the ring's step at t_0 (`wrt_step`).
 
-    Rates as in `motion_derivatives`; they and the camera's errors have no columns for a ring and a camera at rest.
+    These are followed by derivatives with respect to the rates, as in `motion_derivatives`, and to the errors of the
+    camera's motion; there are no such columns for a ring and a camera at rest.
     """
 
     stripes: StripePrediction
@@ -441,7 +442,7 @@ class RingPrediction(NamedTuple):
 
 
 def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
-    """What is seen of the ring `arcs` at the reference time that moves at these rates; `rates` None if it is still."""
+    """The prediction of a view of a ring that is `arcs` at the reference time and moves at `rates` (None: still)."""
     moves = rates is not None or view.camera is not None
     of_samples = of_edges = arcs
     if moves:
@@ -467,10 +468,10 @@ def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingP
 def _linearized_on_edges(
     measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], view: RingView
 ) -> EdgeDistances:
-    """The distances with the visible points' derivatives at the predicted edge, in the direction of their errors.
+    """The distances of visible points, linearised at the predicted edge along the direction of the points' errors.
 
-    Derivatives at the measured points would be correlated with the points' errors, which biases what many shots have
-    in common.
+    Derivatives at the measured points would be correlated with the points' errors, which biases what many shots have in
+    common.
     """
     step = np.zeros((len(rays), 2))
     step[-len(view.visible_step) :] = view.visible_step
@@ -510,7 +511,7 @@ def _at_instants(
 def displacement_increments(rings: RingArcs) -> Float64[Array, "*instant step=7 6"]:
     """Increments (`STEP`) by a small displacement of the camera frame: rotation vector (rad), translation (m).
 
-    P becomes P + turn x P + shift. A displacement along the face is the turn by which the place slides back.
+    P becomes P + turn x P + shift. A displacement along the face is expressed as the turn that slides the origin back.
     """
     axes, origin = rings.axes, rings.origin
     jacobian = np.zeros((*origin.shape[:-1], len(STEP), 6))
