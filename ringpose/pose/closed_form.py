@@ -175,11 +175,12 @@ def pose_covariance(
 
 
 def prediction_rms_px(form: ClosedForm, points: RingPoints, break_points: BreakPoints, rig: Rig) -> float:
-    """Root mean square distance between seen and predicted break points, in pixels (with distortion).
+    """Root mean square distance between measured and predicted break points, in pixels (with distortion).
 
-    The predicted point is where ring plane, light plane and the sphere of the edge's radius about the centre meet (the
-    ring's circle itself where the centre lies in the plane); where the light plane misses the sphere, the line's
-    point nearest to the centre. NaN if that does not exist in front of the camera. `form` is a batch of one.
+    The predicted point is where ring plane, light plane and the sphere of the edge's radius about the centre meet (on
+    the edge itself if the centre lies in the ring plane). If the light plane misses the sphere, it is the point of the
+    stripe's line that is nearest to the centre. NaN if there is no such point in front of the camera. `form` is a batch
+    of one.
     """
     laser, edge = np.nonzero(points.seen)
     normal, light_normal, seen_m = form.normal[0], rig.lasers.normal[laser], points.position_m[laser, edge]

@@ -32,7 +32,7 @@ def seen_lasers(
 ) -> tuple[Mapping[str, LaserState], PoseFlag]:
     """What each laser that was on contributed, and the flags of what should be in view but was not used.
 
-    `rejected`: by the detector and by the explanation.
+    `rejected`: what the detector and the explanation have rejected.
     """
     used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
     used[best.measured.points.laser, best.measured.points.edge] = True
