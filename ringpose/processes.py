@@ -82,7 +82,7 @@ def _outcome(work: Callable[[Any], Result], numbered: tuple[int, Any]) -> Result
 
 
 def _send(items: Iterable[Any], connection: "Connection[Any, Any]") -> None:
-    """In a thread: send what `_received` receives, until nobody does."""
+    """Thread function: send the items that `_received` receives, until the receiver is closed."""
     with connection, suppress(OSError):
         try:
             for item in items:
