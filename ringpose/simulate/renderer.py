@@ -74,7 +74,7 @@ def render_view(
 ) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise.
 
-    `samples`: of every pixel, as in `layers`; by default as many as each needs.
+    `samples` is the number of samples of every pixel, as in `layers`; by default each pixel has as many as it needs.
     """
     generator = np.random.default_rng(seed)
     camera = scene.rig.camera

@@ -360,7 +360,7 @@ class ImageServer:
 
 
 async def _first_ended(*works: Coroutine[Any, Any, Any]) -> None:
-    """Run until one of them ends, whose error is raised, and cancel the other."""
+    """Run both until one of them ends; its error is raised, and the other is cancelled."""
     tasks = [asyncio.create_task(work) for work in works]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
