@@ -162,7 +162,7 @@ class Innovation(NamedTuple):
 
 
 def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
-    """The bank after its first measurement, of an explanation with the ring's centre on a side (`Bank.side`)."""
+    """The bank after its first measurement, for an explanation with the ring's centre on side `side` (`Bank.side`)."""
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
     chart, count = observed.chart, len(MODELS.precession)
@@ -201,7 +201,7 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
 def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, float, Float64[Array, "2 2"]]:
     """Curvature and half width of the ring with their covariance, from the radii that the record assumes.
 
-    Where no radius is assumed for an edge, it follows from the half width of the first shot, which is then widened.
+    The radius of an edge for which none is assumed follows from the half width in the first shot, with a wide prior.
     """
     if radius is None:
         return CURVATURE_PRIOR, half_band_m, np.diag([CURVATURE_SD**2, HALF_BAND_SD_M**2])
@@ -221,8 +221,8 @@ def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
     """The bank after a further measurement, and the innovation of the measurement by the bank's prediction.
 
     The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
-    turn of an edge is curvature times velocity. The motion is linearised again about the states before to which the
-    measurement moves them (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
+    turn of an edge is curvature times velocity. The motion is therefore linearised again about the previous states as
+    corrected by the measurement (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
     """
     bank = _with_common_errors_of(bank, observed)
     at, transition, found = _ahead(bank, observed, None)
@@ -396,7 +396,10 @@ def innovation_covariance(
 
 
 def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
-    """The innovation linearised where the measurement moves the states to (iterated filter), for the first ones."""
+    """The innovation linearised where the measurement moves the states to (iterated filter).
+
+    Only the first measurements of a bank are iterated.
+    """
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
         gain = schmidt_gain(bank.own, bank.common, found)
         step = (gain @ found.remaining[..., None])[..., 0]

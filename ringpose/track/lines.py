@@ -181,7 +181,7 @@ class _Reported:
         return self._of(np.concatenate([across @ self._jacobian[_GRASP], self.basis @ self._jacobian[_NORMAL]]))
 
     def velocity_covariance(self) -> Float64[Array, "5 5"]:
-        """Covariance of the velocity (x, y, z) and the two rates."""
+        """Covariance of the velocity (x, y, z) and of the two angular velocities across the normal."""
         return self._of(np.concatenate([self._jacobian[_VELOCITY], self.basis @ self._jacobian[_RATES]]))
 
     def pose_covariance(self) -> Float64[Array, "7 7"]:

@@ -207,9 +207,10 @@ class Tracker:
     def _leave_out(self, stamp_s: float) -> None:
         """Note the stamp of a record outside the buffer.
 
-        One that is not later than the last, or on the other side of the buffer, is of another clock. If only older ones
-        have come for long enough, the clock was set back, and the track starts anew. Two records, whose stamps may both
-        be wrong, count for no more than half of the time after which a track is lost.
+        A stamp that is not later than the previous one outside the buffer, or on the other side of the buffer, is of
+        another clock. If only records older than the buffer have come for long enough, the clock was set back, and the
+        track starts anew. The time between two records, whose stamps may both be wrong, counts for no more than half of
+        the time after which a track is lost.
         """
         last, is_old, elapsed_s = self._unused, stamp_s < self._base_stamp_s, 0.0
         if last is not None and last.is_old == is_old and stamp_s > last.stamp_s:
