@@ -83,7 +83,7 @@ class BreakPoints:
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
-        """Which of them were measured."""
+        """Mask of the break points that were measured."""
         seen: Bool[Array, "laser edge=2"] = ~np.isnan(self.position_px[..., 0])
         return seen
 

@@ -312,7 +312,7 @@ class RingPoints:
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
-        """Which of them were measured."""
+        """Mask of the break points that were measured."""
         seen: Bool[Array, "laser edge=2"] = ~(self.position_m != self.position_m).any(axis=-1)
         return seen
 
