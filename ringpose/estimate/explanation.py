@@ -289,7 +289,7 @@ def _is_unique(best: Explanation) -> bool:
 
 
 def _side_score(explanation: Explanation) -> float:
-    """Penalised chi-squared, plus that of a negative curvature (over its sigma), which puts the centre on the wrong side."""
+    """Penalised chi-squared, plus that of a negative curvature, with which the centre is on the wrong side."""
     estimate = explanation.estimate
     variance = float(estimate.inverse[CURVATURE, CURVATURE])
     score = estimate.chi2 + explanation.penalty
