@@ -165,7 +165,7 @@ class Row:
     shots: int
     """Shots in which both results have this quantity."""
     changed: int
-    """Those of them in which it differs."""
+    """Shots in which the quantity differs."""
     a: float
     b: float
     """The statistics, in metres, radians, seconds, shares."""

@@ -88,7 +88,7 @@ class Summary:
     targets: int
     """Shots in which there is a ring."""
     available: int
-    """Those of them whose status is `ok`."""
+    """Shots in which there is a ring and whose status is `ok`."""
     wrong: WrongQuantities
     errors: Mapping[str, ErrorStatistics]
     """By the names of `QUANTITIES`; for the two NEES see `nees`."""

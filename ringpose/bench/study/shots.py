@@ -70,11 +70,11 @@ class StudyShot(NamedTuple):
     scene: Scene
     """With the rig that measures; the shot itself may have been taken by another one."""
     run: tuple[Shot | Detection, ...]
-    """The shot is the last of them."""
+    """Shots of the run, this one last."""
     truth: Truth
-    """Of the last one."""
+    """Truth of the last shot of the run."""
     simulate_s: float
-    """For all shots of the run."""
+    """Time that the simulation of all shots of the run took."""
 
 
 def study_rows(study: Study, index: int) -> list[Row]:

@@ -25,9 +25,9 @@ class Statistics:
     targets: int = 0
     """Shots in which a ring is visible."""
     answers: int = 0
-    """Those of them with a pose."""
+    """Shots in which a ring is visible and that have a pose."""
     available: int = 0
-    """Those of them whose status is `ok`."""
+    """Shots in which a ring is visible and whose status is `ok`."""
     false_poses: int = 0
     """Poses where no ring is visible."""
     failed: int = 0
