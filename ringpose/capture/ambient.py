@@ -53,7 +53,7 @@ class AmbientChange:
     size_dn: float
     """Change of the grey value in at least a tenth of the image; negative if it became darker."""
     share_of_full: float
-    """The same as a share of the full grey value."""
+    """The change `size_dn` as a share of the full grey value."""
     only_with_lasers: bool = False
     """Whether only frames with lasers show it, so that it may also be stray light of the lasers."""
 

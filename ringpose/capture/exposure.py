@@ -62,7 +62,7 @@ class ExposureControl:
         self._min_s, self._max_s = min_s, max_s
         self._too_long_s = math.inf
         self.exposures: Exposures | None = None
-        """None before the first shot, which has the exposure that the camera is set to."""
+        """Exposures of the next shot; None before the first one, which has the exposure that the camera is set to."""
 
     def accepts(self, shot: Shot) -> bool:
         """Whether a shot is well exposed, or cannot be exposed better; sets the exposures of the next one.

@@ -111,7 +111,7 @@ class EarlyStripes:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stripes")
         self._dark: Frame | None = None
         self._searches: dict[tuple[float, float | None, int], Future[Stripes]] = {}
-        """By the mid exposures of a frame and of its background, and the saturation value."""
+        """Searches by the mid exposures of a frame and of its background, and the saturation value."""
 
     def add(self, frame: Frame, saturation_dn: int) -> None:
         """Start the search in a frame that has just arrived."""

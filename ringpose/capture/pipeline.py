@@ -126,7 +126,7 @@ class _Sequencer:
         self._procedure = procedure
         self._checker = ShotChecker(camera, lasers, must_see=procedure.must_see)
         self._steps = procedure.steps
-        """Of the shot that is being taken."""
+        """Steps of the shot that is being taken."""
         self._settle_s = 0.0 if procedure.settle_s is None else procedure.settle_s
         self._is_settle_measured = procedure.settle_s is not None
         self._control = self._exposure_control() if procedure.is_exposure_auto else None
