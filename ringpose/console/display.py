@@ -31,10 +31,10 @@ RING_POINTS = 90
 """Vertices of a circle in the scene."""
 
 RING_COLORS = (31, 95, 191), (70, 160, 60), (225, 120, 0)
-"""Of the estimate, the truth and the track."""
+"""Colours of the estimate, the truth and the track."""
 
 COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
-"""Of the target's materials; others are grey."""
+"""Colours of the target's materials; others are grey."""
 
 FRUSTUM_PX = 160
 """Width of the picture in the frustum; without a GPU, that of the panel would take as long as the rest of the scene."""

@@ -42,7 +42,7 @@ ORBIT_PERIOD_S = 0.4
 """Least time between two updates of the orbit view; viser draws it anew for 0.25 s after each."""
 
 END_S = 60.0
-"""Of the motion that the controls set; then it starts again."""
+"""End of the motion that the controls set; it then starts again."""
 
 SLIDER_PERIOD_S = 1.0
 """Time between two moves of the time slider while the motion plays; the label of the picture has the exact time."""
