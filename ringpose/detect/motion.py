@@ -66,7 +66,7 @@ class RingMotion:
     velocity_m_s: Float64[Array, "xyz=3"]
     rate_rad_s: Float64[Array, "xyz=3"]
     edge_speed_px_s: float
-    """Largest speed of the edges across themselves."""
+    """Largest speed of the edges in the image, along their normals."""
 
     def points_after(self, points: Float64[Array, "*shape xyz=3"], duration_s: float) -> Float64[Array, "*shape xyz=3"]:
         """Where points of the ring are after that time."""
