@@ -77,7 +77,7 @@ class Quantities(NamedTuple):
     along_wrt_points_m: Float64[Array, "point"]
     """Shift of the grasp point along the face by an error of one standard deviation in each break point."""
     along_wrt_nuisance_m: Float64[Array, "error"]
-    """The same by each of the rates and the rig's errors, for a fixed ring."""
+    """Shift of the grasp point along the face by each of the rates and the rig's errors, for a fixed ring."""
 
 
 def quantities(estimate: Estimate) -> Quantities:

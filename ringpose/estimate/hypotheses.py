@@ -44,7 +44,7 @@ MAX_PERMUTED = 3
 """Number of lasers up to which all assignments are tried."""
 
 WIDER_BY = 4.0
-"""Factor on the standard deviations of that prior."""
+"""Factor by which a hypothesis widens the standard deviations of a prior."""
 
 MIN_DEVIATION_M = 0.001
 """Smallest standard deviation of a ring's edges and face in an explanation by the ring's form."""

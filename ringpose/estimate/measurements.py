@@ -27,7 +27,7 @@ from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Camera, Rig
 
 NOMINAL_SIGMA_PX = 0.3
-"""Of a break point without a covariance; it only weights the points against each other and is not reported."""
+"""Sigma of a break point without a covariance; it only weights points against each other and is not reported."""
 
 MIN_SIGMA_PX = 1e-4
 """Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""

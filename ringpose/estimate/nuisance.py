@@ -23,7 +23,7 @@ _NEGLIGIBLE = 1e-12
 
 
 EXACT = RigStability()
-"""Of a rig that has not changed since its calibration."""
+"""Stability of a rig that has not changed since its calibration."""
 
 FOCAL_RATIO = "focal_ratio"
 """Change of both focal lengths together, relative to them."""

@@ -119,17 +119,17 @@ class FixedColumns(NamedTuple):
     """Derivatives of the residuals with respect to common errors, evaluated once, near the solution."""
 
     rig: Float64[Array, "row parameter"] | None
-    """In the parameters' own units; None if the rig counts as exact."""
+    """Derivatives by the rig's parameters, in their own units; None if the rig counts as exact."""
     form: Float64[Array, "row amplitude"] | None
-    """In metres; None for a perfect ring."""
+    """Derivatives by the amplitudes of the ring's form, in metres; None for a perfect ring."""
     camera: Float64[Array, "row parameter"]
-    """By the mount's parameters, in their own units."""
+    """Derivatives by the mount's parameters, in their own units."""
     mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
-    """By the rig's errors, in standard deviations: of the mean of the predicted break points, for a fixed ring."""
+    """Derivatives of the mean of the predicted break points by the rig's errors (in sigmas), for a fixed ring."""
     columns: Float64[Array, "row error"]
-    """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
+    """Derivatives by the errors of rig, form, mount and visible edges, in standard deviations."""
     edge_errors: int
-    """Number of those of visible edges, the last ones."""
+    """Number of columns by errors of visible edges, which are the last ones."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
