@@ -36,7 +36,7 @@ from ringpose.types.rig import PlaneCorrection
 SCHEMA = "ringpose/pose/2"
 
 SCHEMA_1 = "ringpose/pose/1"
-"""The version before, which is read but not written."""
+"""The previous version, which is read but not written."""
 
 STILL = "still"
 """`priors.motion` of a target that is assumed not to move."""
