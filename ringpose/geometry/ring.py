@@ -25,7 +25,7 @@ inward, and the axes turn by turn_rad about the normal. A motion of the origin a
 """
 
 TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN, CURVATURE, HALF_BAND = range(7)
-"""Their indices."""
+"""Indices of the increments `STEP`."""
 
 EDGE_SIGN = (-1.0, 1.0)
 """Side of the middle of the face on which the inner and the outer edge lie, outward positive."""
@@ -245,9 +245,9 @@ class StripePrediction(NamedTuple):
     """dy/dx of the lines."""
     y_wrt_step: Float64[Array, "n step=7"]
     y_wrt_cosine: Float64[Array, "n"]
-    """Of the ray with the normal of the light plane."""
+    """Derivatives by the product of ray and normal of the light plane."""
     depth: Float64[Array, "n"]
-    """At which the rays meet the plane."""
+    """Depth at which the rays meet the ring's plane."""
 
     @property
     def y_wrt_light_normal(self) -> Float64[Array, "n xyz=3"]:
@@ -322,7 +322,7 @@ class EdgeDistances(NamedTuple):
 
     distance_m: Float64[Array, "n"]
     wrt_step: Float64[Array, "n step=7"]
-    """For fixed rays."""
+    """Derivatives by the ring's step, for fixed rays."""
     wrt_ray: Float64[Array, "n xy=2"]
     """With respect to x and y of the rays (x, y, 1)."""
 
@@ -438,7 +438,7 @@ class RingPrediction(NamedTuple):
 
     stripes: StripePrediction
     edges: EdgeDistances
-    """Of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
+    """Distances of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
 
 
 def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
