@@ -314,7 +314,7 @@ void free_profile(Profile *profile) {
     free(profile->saturated);
 }
 
-/* The line in the image as taken. 1, or 0 if the face has fewer than two columns, or -1 without memory. */
+/* The line in the distorted image. Returns 1, 0 if the face has fewer than two columns, or -1 without memory. */
 static int distort_line(const StripeLine *line, const Lens *lens, const EndParams *params, ptrdiff_t width,
                     Profile *profile) {
     double straight[CURVE_POINTS], x[CURVE_POINTS], y[CURVE_POINTS];

@@ -20,7 +20,7 @@ static const double FAR_M = 100, LIFT_M = 1e-7;
 /* Reach of the rays of the camera. */
 static const double EVERYWHERE_M = 1e9;
 
-/* Shortest way to an intersection that shadows. */
+/* Smallest distance of an intersection that casts a shadow. */
 static const double NEAREST_M = 1e-9;
 
 /* Code of a pixel: surface + 1 in the upper half, then what else changes at edges; laser k has bit k. */
