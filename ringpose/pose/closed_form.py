@@ -29,7 +29,7 @@ from ringpose.types.pose import NoPose, PoseFlag, RingPoints, RingPose
 from ringpose.types.rig import Rig
 
 MILLIMETRES = 1000.0
-"""Per metre."""
+"""Millimetres per metre."""
 
 SINGULAR_BELOW = 1e-3
 """q0: where smallest over largest singular value of the centre's equations falls below it, they are damped.
@@ -48,7 +48,7 @@ the points: all of it at q0, nothing where the equations are singular.
 """
 
 STEP = 1e-6
-"""Of the central differences, in units of the points' largest distance from their mean.
+"""Step of the central differences, in units of the points' largest distance from their mean.
 
 Small against the arc's height even of nearly collinear points (1e-3 of their extent), large against rounding
 (1e-16 of their distance).
@@ -87,7 +87,7 @@ class PoseCovariance:
     """Covariances of one pose; NaN where the quantity itself is NaN."""
 
     parameters: Float64[Array, "7 7"]
-    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
+    """Covariance of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
     center_m2: Float64[Array, "3 3"]
     grasp_m2: Float64[Array, "3 3"]
 

@@ -23,7 +23,7 @@ MIN_SHOTS = 4
 """Number of shots from which their radii are compared."""
 
 _LIMIT_SIGMAS = sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * log(STREAM_SHOTS))
-"""Of the test after each shot (Bonferroni, as for the planes)."""
+"""Limit of the test after each shot, as a normal quantile (Bonferroni, as for the planes)."""
 
 _EDGES = 2
 
