@@ -15,7 +15,7 @@ from ringpose.types.pose import PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, ParameterCovariance, PlaneCorrection, Rig, laser_parameters
 
 NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
-"""Of a rig that counts as exact."""
+"""Covariance of a rig that counts as exact."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

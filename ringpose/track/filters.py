@@ -85,7 +85,7 @@ class Bank:
     common: Float64[Array, "filter error=14 source"]
     """Sensitivity B to the common errors, which have unit variance."""
     common_root: Float64[Array, "parameter rig_error"]
-    """Root of the prior covariance by which they are defined."""
+    """Root of the prior covariance that defines the common errors."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
     side: int

@@ -72,9 +72,9 @@ class _Unused(NamedTuple):
     is_old: bool
     """Whether they are older than the buffer, rather than ahead of this computer's clock."""
     stamp_s: float
-    """Of the last one."""
+    """Stamp of the last one."""
     elapsed_s: float
-    """From the first to the last, with bounded gaps."""
+    """Time from the first to the last, with bounded gaps."""
 
 
 class Tracker:

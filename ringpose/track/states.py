@@ -38,7 +38,7 @@ ERRORS = (*STEP, *MOTION)
 
 VELOCITY, RATE, LEVER = slice(7, 10), slice(10, 13), 13
 RATE_INWARD, RATE_ALONG, RATE_NORMAL = 10, 11, 12
-"""Their indices."""
+"""Indices of these components in `ERRORS`."""
 
 DIFFERENCE = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-5, 1e-6, *[1e-5] * 7])
 """Steps of the central differences by which Jacobians are computed: their error is 1e-9 and less."""
