@@ -86,7 +86,7 @@ class PlaneEvidence:
     rows: Float64[Array, "row column"]
     """[A, y], in the parameters' own units."""
     normal: Float64[Array, "xyz=3"]
-    """Of the ring, by which shots of the same pose are recognized ..."""
+    """Normal of the ring, by which shots of the same pose are recognized ..."""
     place_m: Float64[Array, "xyz=3"]
     """... and a point of its face."""
 
@@ -227,7 +227,7 @@ class PoseResult:
 
     pose: RingPose | NoPose
     flags: PoseFlag = PoseFlag(0)
-    """Those of the pose, if there is one."""
+    """Flags of the pose, if there is one."""
     remark: str = ""
     """What contradicts the pose, in words; empty if nothing does."""
     stamp_s: float = math.nan
