@@ -13,7 +13,7 @@ from ringpose.types.pose import PoseFlag, PoseLine
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssumedRadii:
-    """Radii that a pose takes as known: given ones, or those of a catalogue's ring, which each shot chooses."""
+    """Radii that a pose assumes: given radii, or those of the catalogue's ring that each shot identifies."""
 
     source: Literal["given", "catalogue"]
     inner_m: float | None = None

@@ -64,7 +64,7 @@ ERROR = "error"
 
 
 class StudyShot(NamedTuple):
-    """A simulated shot with its truth, after those before it in its run."""
+    """A simulated shot with its truth, as the last one of its run of shots."""
 
     setting: Mapping[str, Value]
     scene: Scene
@@ -113,7 +113,7 @@ def setting_of(study: Study, index: int) -> dict[str, Value]:
 
 
 def _turn(study: Study, index: int) -> int:
-    """What shots with the same drawn values and view have in common."""
+    """The number that shots with the same drawn values and the same random view have in common, for their seeds."""
     return index // study.cells if study.cases else index
 
 
@@ -269,7 +269,7 @@ def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | No
 
 
 def _radii(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:
-    """The radii of the scene's ring with the prior of the estimator; with `rng`, their errors are drawn from it."""
+    """The radii of the scene's ring as a prior of the estimator; with `rng`, they have errors drawn from that prior."""
     radius_m, sd_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m]), np.full(2, RADIUS_SD_M)
     return KnownRadii(radius_m=radius_m if rng is None else radius_m + sd_m * rng.standard_normal(2), sd_m=sd_m)
 
@@ -363,9 +363,9 @@ def with_run(scene: Scene, run: ShotRun, prior: MotionPrior | None, rng: np.rand
 
 
 def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> PoseLine:
-    """The last of the pose lines with the pose of the track after it.
+    """The last pose line, with the pose of a track through all of the lines instead of its own.
 
-    The track assumes the motion of `prior`; like `ringpose track` it does not take a target for still, and uses its
+    The track assumes the motion of `prior`; like `ringpose track` it never assumes a still target, and uses its
     defaults for a speed or rate of 0.
     """
     options = TrackOptions()
