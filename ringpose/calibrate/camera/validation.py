@@ -73,8 +73,8 @@ def leave_one_out(
 ) -> tuple[tuple[LeftOutView, ...], MapValues]:
     """Results of leaving out each view in turn, and the projection uncertainty that they show (jackknife).
 
-    The uncertainty includes the errors that the corners of a view have in common. There are no results, and it is NaN,
-    if there are too few views.
+    The uncertainty includes the errors that the corners of a view have in common. With too few views, there are no
+    results and the uncertainty is NaN.
     """
     others = cameras_without_one(used, whole, model)
     unknown = np.full(map_points_px(whole.camera).shape[:2], np.nan)

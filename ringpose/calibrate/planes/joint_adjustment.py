@@ -223,7 +223,10 @@ class _ReducedEquations(NamedTuple):
 
 
 def joint_information(data: JointData, state: JointState) -> Float64[Array, "shared shared"]:
-    """N of Eq. (1): of the planes' parameters (three for each laser) and the camera's, without the camera's prior."""
+    """Matrix N of Eq. (1): information on the planes' parameters (three for each laser), then the camera's.
+
+    The camera's prior is not included.
+    """
     return _reduced_equations(data, state).information
 
 
