@@ -54,7 +54,7 @@ Exposures: TypeAlias = tuple[float, ...]
 
 
 class ExposureControl:
-    """Exposures of the next shot, from the stripes of the last one; within the limits of camera and lasers."""
+    """Determines the next shot's exposures from the stripes of the last one, within the limits of camera and lasers."""
 
     def __init__(self, rig: Rig | None, lasers: int, min_s: float, max_s: float) -> None:
         self._rig = rig

@@ -94,8 +94,8 @@ class LitPixels:
     def _line_dn(self, image: Image) -> Float32[Array, "n"]:
         """How much brighter the pixels are than their surroundings; about 0 for edges, texture and noise.
 
-        The smaller one of the morphological top-hat, which is 0 beside an edge, and of the difference to the local
-        mean, which texture and noise exceed in at most half of the pixels.
+        It is the smaller of two values: the morphological top-hat, which is 0 beside an edge, and the difference to the
+        local mean, which texture and noise exceed in at most half of the pixels.
         """
         size = max(image.shape[1] // MAX_WIDTHS_PER_IMAGE, 15)
         lines = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((size, size), dtype=np.uint8))

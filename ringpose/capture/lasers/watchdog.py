@@ -183,7 +183,7 @@ class WatchdogLasers(LaserDriver):
         return line.decode()
 
     def _lost(self) -> DeviceError | LaserSafetyError:
-        """The fault that ended the watchdog, once the lasers have been switched off or cannot be."""
+        """The fault that ended the watchdog; waits until the lasers have been switched off or that has failed."""
         if self._has_ended is not None:
             self._has_ended.wait(ENDING_LIMIT_S + self.settings.opening_s)
         return self._fault or self._taken_over()
