@@ -242,7 +242,7 @@ def _writer(
     verbose: bool,
     batch: Batch,
 ) -> "Callable[[PoseLine], None]":
-    """Writes the record of a pose line, or of the track that it continues."""
+    """A function that writes the record of a pose line, or of the track that the line continues."""
     from ringpose.files.records.poses import pose_record
 
     record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)

@@ -117,7 +117,10 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
 
 
 def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:
-    """Writes records to stdout; with `newest` a slow reader gets the newest one. Ends with the stack."""
+    """A function that writes records to stdout; with `newest` a slow reader gets the newest one.
+
+    Its thread ends with the stack.
+    """
     from ringpose.files import records
     from ringpose.files.records.newest import NewestWriter
 
@@ -127,7 +130,7 @@ def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]
 def track_writer(
     write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: Batch
 ) -> "Callable[[TrackLine], None]":
-    """Writes lines of a track, and with `verbose` reports what became of each measurement."""
+    """A function that writes lines of a track, and with `verbose` reports what became of each measurement."""
     from ringpose.files.records.ros import ros_messages
     from ringpose.files.records.tracks import track_record
 
