@@ -50,7 +50,7 @@ BELOW_ALL = 1e9
 
 
 def opened_server(host: str, port: int) -> viser.ViserServer:
-    """A server whose page has its controls at the right, and nothing that concerns other machines."""
+    """A server whose page has its controls at the right, without viser's buttons for sharing with other machines."""
     import io
     from contextlib import redirect_stdout
 
@@ -72,7 +72,7 @@ def opened_server(host: str, port: int) -> viser.ViserServer:
 
 
 class Picture:
-    """An image in the panel, encoded before."""
+    """An image in the panel, which is passed as JPEG."""
 
     def __init__(self, server: viser.ViserServer, label: str) -> None:
         self._handle = server.gui.add_image(np.zeros((120, 160, 3), np.uint8), label=label, format="jpeg")

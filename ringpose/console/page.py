@@ -288,7 +288,7 @@ class ConsolePage:
         self._change(0.0)
 
     def _apply_motion(self) -> None:
-        """Spin and tumble of a motion by name."""
+        """Set the controls of spin and tumble to those of the motion that is chosen by name."""
         preset = MOTION_PRESETS.get(self._motion.value)
         x, y, z = (0.0, 0.0, 0.0) if preset is None else np.degrees(preset.angular_velocity_rad_s)
         self._spin.value, self._tumble.value = round(float(z), 2), round(float(np.hypot(x, y)), 2)
@@ -421,7 +421,8 @@ class ConsolePage:
     def _show(self, picture: ConsolePicture, jpeg: bytes) -> None:
         """Show a preview, or a measurement; called by two threads of the engine.
 
-        The panel is updated first, and alone: such an update is drawn at once, one of the scene with its next frame.
+        The panel is updated before the scene, and separately: the browser then draws it at once, not with the next
+        frame of the scene.
         """
         with self._lock, self._server.atomic():
             state, shown = picture.state, self._measurement
