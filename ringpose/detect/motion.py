@@ -143,7 +143,7 @@ def _shift_across(
 ) -> tuple[Float64[Array, "n"], Bool[Array, "n"]]:
     """Displacement of each place along its normal (Lucas and Kanade's method), and where it was found.
 
-    An edge does not show its displacement along itself, which is of no use here.
+    The displacement along the edge is not visible, and not needed.
     """
     start = (position / 2).astype(np.float32)
     to_bytes = 1.0 if before.dtype == np.uint8 else 255.0 / max(int(before.max()), 255)

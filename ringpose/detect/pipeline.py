@@ -460,7 +460,7 @@ def predicted_bands(
 ) -> Int32[Array, "band side=4"] | None:
     """Search windows about the predicted stripes of some lasers, for `find_stripes`; None if none is predicted.
 
-    Left and right column, top and bottom row; right and bottom are exclusive.
+    Each window has a left and a right column, a top and a bottom row; right and bottom are exclusive.
     """
     starts, stops = predicted.face_start_px.tolist(), predicted.face_end_px.tolist()
     pairs = [[starts[laser], stops[laser]] for laser in lasers]

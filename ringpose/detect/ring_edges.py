@@ -62,7 +62,7 @@ SIDE_SIGMAS = 4.0
 
 
 class PredictedRing(NamedTuple):
-    """A ring, and the covariance of its step."""
+    """A predicted ring, and the covariance of its increments (`STEP` of `ringpose.geometry.ring`)."""
 
     arcs: RingArcs
     covariance: Float64[Array, "step=7 step=7"]
