@@ -350,7 +350,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
 def prior_rows(estimate: Estimate, prior: Prior, found: Quantities) -> Float64[Array, "row 13"] | None:
     """The rows [J, z - h] of the weak priors, in the twelve parameters; None without weak priors.
 
-    The rows of assumed radii, which the record states by themselves, come first and are left out.
+    The rows of assumed radii, which the record states separately, come first and are left out.
     """
     radii = 0 if prior.radii is None else int(np.isfinite(prior.radii.radius_m).sum())
     first = estimate.residuals.data_rows + radii

@@ -299,7 +299,10 @@ def _side_score(explanation: Explanation) -> float:
 def _explained(
     measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
-    """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
+    """The best explanation with inner and outer edges as they are named.
+
+    An explanation with a score above `max_score` is not necessarily the best one.
+    """
     estimate = estimate_ring(measured, prior, search.start, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
     if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))

@@ -76,7 +76,11 @@ class Hypothesis(NamedTuple):
 
 
 def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
-    """One break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the radii wrong."""
+    """Hypotheses that something is wrong, one for each possible cause.
+
+    The causes are one break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the
+    radii.
+    """
     yield from _wrong_points(measured, prior)
     yield from _wrong_stripes(measured, prior)
     yield from _wrong_assignments(measured, prior, labelled)

@@ -126,7 +126,7 @@ def light_plane_bases(rig: Rig) -> Float64[Array, "laser 2 3"]:
 
 
 def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
-    """R with R R^T the covariance, of correlations first: the parameters are pixels and microradians.
+    """Square root R of a covariance R R^T, computed from its correlations: parameters are pixels and microradians.
 
     Parameters without variance have zero rows.
     """

@@ -562,8 +562,8 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
 def edge_jacobian(residuals: Residuals, observations: Observations, prior: Prior) -> Float64[Array, "row error"]:
     """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
 
-    A chamfer or a rounding reflects the light of a laser and that around in other directions, so that the edge in
-    ambient light lies beside the ends of the stripes by up to its width.
+    A chamfer or a rounding reflects laser light and ambient light in different directions, so that the edge in ambient
+    light lies beside the ends of the stripes by up to its width.
 
     What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
     face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
