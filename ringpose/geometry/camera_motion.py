@@ -71,7 +71,7 @@ class CameraMotion:
         )
 
     def going_on_until(self, stamp_s: float) -> "CameraMotion":
-        """The motion with further poses up to a stamp, for a robot that goes on at its last twist.
+        """The motion with further poses up to a stamp, as if the robot continued at its last twist.
 
         Unchanged where the stamp is covered, not finite, or more than `MAX_AHEAD_S` after the last pose.
         """

@@ -170,10 +170,10 @@ def motion_derivatives(
 ) -> Float64[Array, "*instant step=7 parameter=12"]:
     """Derivatives of the increments (`STEP`) of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
 
-    By the increments of the ring before (7), the velocity x, y, z of the centre, and the angular velocities about the
-    inward axis and the axis along the face. The origin moves by o_k = o + v t + l (i - i_k), with the lever l and the
-    inward axes i and i_k before and after. A displacement s along the face turns the ring by s / R, as it does not
-    change the ring otherwise.
+    They are taken with respect to the increments of the ring before (7), the velocity x, y, z of the centre, and the
+    angular velocities about the inward axis and the axis along the face. The origin moves by o_k = o + v t + l (i -
+    i_k), with the lever l and the inward axes i and i_k before and after. A displacement s along the face turns the
+    ring by s / R, as it does not change the ring otherwise.
     """
     lever_m, curvature, time = before.lever_m, before.curvature, np.asarray(time_s)[..., None]
     turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
