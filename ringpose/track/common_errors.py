@@ -61,7 +61,7 @@ def common_errors(
 
 
 def _with_mount(others: CommonErrors, names: tuple[str, ...], mount: Mount) -> CommonErrors:
-    """The errors with those of the mount: its root has one column for each independent error, the last is the delay."""
+    """The errors with those of the mount appended: a column of the root for each independent error, the delay last."""
     of_mount = np.zeros((len(MOUNT_PARAMETERS), len(MOUNT_PARAMETERS)))
     of_mount[:6, :6], of_mount[6, 6] = mount.root, mount.delay_sd_s
     errors = others.root.shape[1]

@@ -264,9 +264,10 @@ def pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank
 def _ahead(
     bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None
 ) -> tuple[Bank, Float64[Array, "filter error=14 error=14"], Innovation]:
-    """The bank at the time of a measurement and in its chart, its transition, and the innovation.
+    """The bank predicted to the time and chart of a measurement, the transition to it, and the innovation.
 
-    Motion and rates are linear about the coordinates `about` of the bank before; None for its own.
+    Motion and rates are linearised about the coordinates `about` of the bank before; None for the bank's own
+    coordinates.
     """
     transported = _transported(bank, observed.stamp_s, observed.chart, about)
     count, found, leader_of = len(bank.coordinates), transported.found, transported.leader_of

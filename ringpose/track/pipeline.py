@@ -160,7 +160,7 @@ class Tracker:
         return None
 
     def _fused(self, line: PoseLine, now_s: float, inflation: float) -> Fusion:
-        """How a record is used."""
+        """Use a record for the track, if it can be used, and return how it was used."""
         measurement, stamp_s, newest_s = line.measurement, line.pose_stamp_s, self.track.stamp_s
         if not_usable := self._not_usable(line, now_s):
             return not_usable

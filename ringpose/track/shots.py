@@ -138,7 +138,7 @@ class ShotTracker:
             return predicted_ring(track, stamp_s, camera)
 
     def _usable_background(self, shot: Shot, rig: Rig) -> Frame | None:
-        """The newest frame without lasers, unless the ring's edges have moved since, or the exposure is another."""
+        """The newest frame without lasers, unless the ring's edges have moved since, or the exposure has changed."""
         dark, track, stamp_s = self._background, self._tracker.track, shot.measured_at_s
         if dark is None or not track.banks or not np.allclose(shot.exposure_s, dark.exposure_s, rtol=1e-3):
             return None
