@@ -79,7 +79,7 @@ class Shot:
 
     @property
     def ambient_changed(self) -> bool:
-        """Whether ambient light changed within the shot, by less than makes `capture` repeat it, as `meta` states."""
+        """Whether ambient light changed, too little for `capture` to repeat the shot, as `meta` states."""
         return "ambient_change_dn" in self.meta
 
     @property

@@ -44,7 +44,7 @@ class Beacon:
     """A time at which it is switched on, on the clock of the frames' time stamps."""
 
     def share_on(self, begin_s: float, duration_s: float) -> float:
-        """Share of an interval during which it is on."""
+        """Share of an interval during which the lamp is on."""
         begin_s = (begin_s - self.phase_s) % (self.on_s + self.off_s)
         return (self._on_before(begin_s + duration_s) - self._on_before(begin_s)) / duration_s
 
