@@ -44,7 +44,7 @@ SWEPT = ("laser_angle_rad", "baseline_m", "focal_px", "dark_noise_e", "lasers")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """Where the middle of the seen section of the ring's face is, and how the ring is turned."""
+    """A place of the ring: where the middle of the visible section of its face is, and how the ring is turned."""
 
     distance_m: float
     """Depth of that point."""
@@ -223,9 +223,9 @@ BEYOND_LEVEL = 0.25
 
 
 def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy=2"]) -> bool:
-    """Whether beyond an end the same laser's stripe on another surface is so near that their sections overlap.
+    """Whether an end's section overlaps with that of the same laser's stripe on another surface, beyond the end.
 
-    Such an end is flagged as unclear, with several times the standard deviation of one that ends in the dark.
+    The detector flags such an end as unclear; its standard deviation is several times that of an end in the dark.
     """
     camera, illuminated = scene.rig.camera, illuminated_ring(scene, scene.views[0], scene.sequence)
     columns = np.arange(-BEYOND_COLUMNS, BEYOND_COLUMNS + 1, 2)

@@ -89,7 +89,7 @@ def _set_up_text(study: Study) -> str:
 
 
 def _columns(study: Study, rows: Iterable[Row]) -> dict[str, dict[str, np.ndarray]]:
-    """By method: distance, error, bound, and reported standard deviation of the centre; NaN where there is none."""
+    """For each method: distance, error, bound, and reported standard deviation of the centre; NaN for missing ones."""
     stride = max(1, study.shots // MAX_POINTS)
     names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m")
     found: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}

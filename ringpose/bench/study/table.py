@@ -211,7 +211,7 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
     """The values of the factor in the columns of the first table, and the statistics of a method for each of them.
 
-    Without such a factor the only key is `()`, that of all shots.
+    Without such a factor the only key is `()`, which stands for all shots.
     """
     keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
     return keys, [summary.columns[method, key] for key in keys]
