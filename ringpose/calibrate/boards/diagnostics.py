@@ -95,7 +95,7 @@ def unusable(grey: GreyImage, seen: NoBoard) -> NoBoard | None:
 def edge_width_px(grey: GreyImage) -> float:
     """Standard deviation, in pixels, of the blur of the image's steepest edges: their contrast over their gradient.
 
-    The gradient is that of the image smoothed by 1 px, which the result includes. Infinite for an image without
+    The image is smoothed by 1 px for the gradient; the result includes this blur. Infinite for an image without
     contrast.
     """
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_PX)

@@ -108,7 +108,10 @@ def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model:
 
 
 def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
-    """Leave-one-out cameras by one Gauss-Newton step from the camera of all views, each view having little weight."""
+    """Leave-one-out cameras, each by one Gauss-Newton step from the camera of all views.
+
+    One step is sufficient where there are many views, each of which has little weight.
+    """
     information, gradient = whole.information.sum(axis=0), whole.gradient.sum(axis=0)
     steps = [
         covariance_of_free(information - own_information, model.free) @ (gradient - own_gradient)

@@ -171,7 +171,10 @@ def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> Stripe
 
 
 def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) -> StripeEvidence:
-    """Of two possible poses of a board, the one whose stripes lie closer to the planes of the unambiguous boards."""
+    """The evidence with one pose for each board: of two possible ones, the pose that fits the light planes better.
+
+    The pose is chosen whose stripes lie closer to the planes of the unambiguous boards.
+    """
     unambiguous = [index for index, each in enumerate(poses) if len(each) == 1]
     if len(unambiguous) == len(poses) or len(unambiguous) < 2:
         return evidence

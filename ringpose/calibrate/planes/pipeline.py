@@ -136,7 +136,7 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
 
 
 def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSolution:
-    """The plane of each laser fitted by itself, with board poses from the corners alone."""
+    """The plane of each laser fitted separately, with board poses from the corners alone."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
     return PlaneSolution(

@@ -276,7 +276,7 @@ def side_samples(
 ) -> SideSamples | None:
     """Samples of a side's edge; None if too little of it is visible.
 
-    `extent` is the share of the side left out at each end, and the reach across the side in pixels.
+    `extent` has two values: the share of the side left out at each end, and the reach across the side in pixels.
     """
     left_out, reach = extent
     t, across, grey = _pixels(image, side, left_out, reach)
@@ -336,7 +336,7 @@ def _pixels(
 
 
 def _refitted_side(side: Side, samples: SideSamples, profile: EdgeProfile, left_out: float) -> Side | None:
-    """The side through its edge; each line's offset is one Gauss-Newton step of its distance from the edge."""
+    """The side fitted to its edge: each line of pixels adds one Gauss-Newton step of its distance from the edge."""
     across = np.where(samples.used, samples.across, 0.0)
     slope = np.where(samples.used, profile.slope(across), 0.0)
     residual = np.where(samples.used, profile.share(across) - samples.share, 0.0)
