@@ -122,7 +122,7 @@ class TrackedSequence:
         self._is_assigned = is_assigned
 
     def __call__(self, switched: tuple[Step, ...]) -> tuple[Step, ...]:
-        """The steps of the next shot; `switched` are those of a shot in which the frames tell the lasers apart."""
+        """The steps of the next shot; `switched` are the steps of a shot in which each laser has its own frame."""
         if not self._is_assigned:
             self._since_off = 0  # switched shots begin and end without lasers
             return switched

@@ -151,7 +151,7 @@ class WatchdogLasers(LaserDriver):
         return self._reply(self._number, REPLY_LIMIT_S)
 
     def _reply(self, number: int, limit_s: float) -> str:
-        """The reply to a command; replies to earlier ones, whose wait a signal interrupted, are skipped."""
+        """The reply to a command; late replies to earlier commands, whose wait a signal interrupted, are skipped."""
         ends_s = time.monotonic() + limit_s
         while True:
             replied, _, words = self._line(ends_s).partition(" ")
@@ -240,9 +240,10 @@ def _switch_off(settings: RelaySettings) -> None:
 
 
 def _disable_core_dumps() -> None:
-    """Let a crash end this process at once: its pipes stay open, and the lasers on, while a core is written.
+    """Prevent core dumps, so that a crash ends this process at once.
 
-    A limit of one byte, unlike none, also keeps the kernel from piping the core to a program (core(5)).
+    While a core is written, the pipes stay open and the lasers on. A limit of one byte, unlike none, also keeps the
+    kernel from piping the core to a program (core(5)).
     """
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     if hard != 0:
