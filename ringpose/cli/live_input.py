@@ -1,4 +1,4 @@
-"""Input that arrives meanwhile: shots of a live camera, poses of the robot that carries it, records at fixed ticks."""
+"""Input that arrives while a command runs: shots of a live camera, poses of its robot, records at fixed ticks."""
 
 import queue
 import threading

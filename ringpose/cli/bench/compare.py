@@ -110,7 +110,7 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) 
 
 
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
-    """The scores to compare: all, or those of one method of each."""
+    """The scores to compare: all scores, or those of one chosen method of each result."""
     if methods is None:
         return a.scores, b.scores
     words = [word.strip() for word in methods.split(",")]

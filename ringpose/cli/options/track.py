@@ -1,4 +1,4 @@
-"""The options of a track, in `ringpose track` and `ringpose pose --track`, and those of how lines are written."""
+"""Options of a track (`ringpose track`, `ringpose pose --track`), and of the format in which lines are written."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
