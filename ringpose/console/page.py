@@ -228,7 +228,7 @@ class ConsolePage:
             self._earth: Any = gui.add_checkbox("Earth", light.earth is not None)
 
     def _change(self, time_s: float | None = None, *, is_time_only: bool = False, measure_now: bool = False) -> None:
-        """Take over the positions of all controls, at a time or that of the last state."""
+        """Take over the positions of all controls, at the given time or at the time of the last state."""
         with self._lock:
             number, pitch, yaw, roll = self._state.number + 1, *(np.radians(each.value) for each in self._angles)
             azimuth, elevation = (np.radians(handle.value) for handle in self._sun_angles)
@@ -405,7 +405,7 @@ class ConsolePage:
         server.add_label("/earth/name", "Earth")  # its position is relative to the Earth
 
     def _show_sky(self, state: ConsoleState) -> None:
-        """An arrow from the sun, and the Earth in its direction from the ring, outside the target."""
+        """Draw an arrow from the sun, and the Earth in its direction from the ring, beyond all parts of the target."""
         light = state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         self._sun_arrow.points = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])

@@ -26,7 +26,7 @@ class Trajectory:
     normal: Float64[Array, "pose xyz=3"]
 
     def at(self, time_s: float) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
-        """Centre and unit normal at a time; after the end, those of the last pose."""
+        """Centre and unit normal at a time; after the end, centre and normal of the last pose."""
         center_m, normal = (
             np.array([np.interp(time_s, self.time_s, part) for part in each.T]) for each in (self.center_m, self.normal)
         )
@@ -167,7 +167,7 @@ class StatePath:
     """Of the ring's face in the target frame."""
 
     def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
-        """See `TargetPath`; the time is that of the console."""
+        """See `TargetPath`; `time_s` is the time of the console."""
         center_m, normal = self.state.pose_at(time_s)
         rotation = ring_rotation(normal, self.state.roll_rad + self.state.spin_rad_s * time_s)
         return rotation, center_m - self.face_height_m * rotation[:, 2]
