@@ -177,7 +177,7 @@ def exposure_advice(found: BreakPoints | NoBreakPoints, shot: Shot, images: Sequ
 
 
 def overexposure(found: BreakPoints | NoBreakPoints, images: Sequence[LaserImage]) -> float:
-    """By which factor the exposure should be shorter; 1 if nothing that matters is saturated."""
+    """Factor by which the exposure should be shorter; 1 if nothing that matters is saturated."""
     if isinstance(found, BreakPoints):
         return SHORTER if np.any(found.flags & int(BreakPointFlag.SATURATED)) else 1.0
     if not images:

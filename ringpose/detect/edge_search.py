@@ -121,7 +121,7 @@ class EdgeTrace:
         return self.table[:, 12]
 
     def selected(self, which: Bool[Array, "n"]) -> "EdgeTrace":
-        """Those places for which `which` is true."""
+        """The places for which `which` is true."""
         return EdgeTrace(self.table[which])
 
 
@@ -357,7 +357,7 @@ STEP_NUMBERS = 4
 
 
 class ClearSteps(NamedTuple):
-    """Those places of a trace at which an edge of the ring may have been found, and the steps there."""
+    """Places of a trace at which an edge of the ring may have been found, and the steps there."""
 
     trace: EdgeTrace
     steps: EdgeSteps

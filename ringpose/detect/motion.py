@@ -69,7 +69,7 @@ class RingMotion:
     """Largest speed of the edges in the image, along their normals."""
 
     def points_after(self, points: Float64[Array, "*shape xyz=3"], duration_s: float) -> Float64[Array, "*shape xyz=3"]:
-        """Where points of the ring are after that time."""
+        """Positions of points of the ring after this time."""
         rotation = cv2.Rodrigues(self.rate_rad_s * duration_s)[0]
         moved: Float64[Array, "*shape xyz=3"] = (
             (points - self.pivot_m) @ rotation.T + self.pivot_m + self.velocity_m_s * duration_s

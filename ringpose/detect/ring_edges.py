@@ -179,7 +179,7 @@ def uncertainty_factor(
     frame: EdgeImage,
     rig: Rig,
 ) -> float:
-    """By how much the points' standard deviations are too small where the edges may as well be somewhere else.
+    """Factor by which the points' standard deviations are too small if the edges may as well be somewhere else.
 
     The stripes leave mainly one number of the ring open, its curvature with the centre that follows from it. If most
     steps are on foil as bright as the face, other curvatures explain about as many steps as the one that the tracking
