@@ -218,7 +218,7 @@ DIFFERS = 4.0
 
 
 def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
-    """In which quantities two explanations differ by more than the errors of the best one."""
+    """Names of the quantities in which two explanations differ by more than the errors of the best one."""
     found, other = quantities(best), quantities(rival)
     covariance = joint_covariance(best, found)
     difference = difference_from(rival, other, best, found)
@@ -374,8 +374,8 @@ REDUNDANT_STRIPES = 3
 def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence | None:
     """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
 
-    The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
-    their priors: the Schur complement of section 9.
+    These are the rows A q = y of the QR factor that are left when ring, rates, form and the errors of visible edges are
+    eliminated with their priors: the Schur complement of section 9.
     """
     if estimate.prior.regularize_about is not None or len(measured.stripes) < REDUNDANT_STRIPES:
         return None

@@ -155,7 +155,7 @@ def explain(
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
     whether the ring is needed to the precision of a pose, and not only the decision. `judged`: the ring by which the
-    break points were judged, near which the one of all measurements is sought first.
+    break points were judged; the estimate from all measurements starts there.
     """
     guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
@@ -358,8 +358,8 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
 
     Chi-squared of single rows, and the mean square of the edges, hardly show a wave along the whole edge. The score of
     the amplitudes is u = F^T W r ~ N(0, M) if the form is as assumed, with M the information on them after elimination
-    of ring and common errors. Of amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares with
-    the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
+    of ring and common errors. For amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares
+    with the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
     """
     estimate = solved.estimate
     residuals, weights = estimate.residuals, estimate.weights

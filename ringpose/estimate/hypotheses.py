@@ -193,10 +193,10 @@ def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
 def single_stripe_estimates(
     measured: Measurements, assumptions: Assumptions
 ) -> Iterator[tuple[int, Measurements, Estimate]]:
-    """For each of two stripes its laser, and measurements and ring without it; nothing for other numbers of stripes.
+    """For each of two stripes: its laser, and the measurements and the ring without it.
 
-    Assumed radii are not used: with them the length of one stripe determines the angle at which it crosses the face,
-    but not to which side.
+    Nothing is returned for other numbers of stripes. Assumed radii are not used: with them the length of one stripe
+    determines the angle at which it crosses the face, but not to which side.
     """
     for laser in measured.stripes if len(measured.stripes) == STRIPES_OF_A_PLANE else []:
         alone = measured.without_laser(laser)

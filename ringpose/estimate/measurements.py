@@ -395,7 +395,7 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
 
 
 def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
-    """Displacement of each point along its normal by common errors of unit variance; 0 for those of the other edge."""
+    """Displacement of each point along its normal by common errors of unit variance; 0 for errors of the other edge."""
     errors = np.zeros((len(edges.edge), 2, ERRORS // 2))
     frame = np.zeros(len(edges.edge), dtype=np.int64)
     if edges.stamp_s is not None:
@@ -460,9 +460,10 @@ def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
 
 
 def integrated_autocorrelation_time(series: Float64[Array, "n"]) -> float:
-    """Variance of the mean of a series over that of as many independent numbers of variance one; at least 1.
+    """Variance of the mean of a series, relative to that of as many independent standard normal numbers; at least 1.
 
-    The variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial sequence).
+    It is the variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial
+    sequence).
     """
     clipped = np.clip(series, -3.0, 3.0)
     variance = total = float(clipped @ clipped) / len(clipped)

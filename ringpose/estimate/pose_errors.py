@@ -135,7 +135,7 @@ def misses_band(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera | Non
 def outside_arc(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera) -> bool:
     """Whether a grasp point lies outside the arc between the outermost true break points.
 
-    The arc is extended by half the width of the rim at each end, because that of a single stripe is very short.
+    The arc is extended by half the width of the rim at each end, because the arc of a single stripe is very short.
     """
     if truth.center_m is None or truth.normal is None or truth.break_points_px is None:
         return False

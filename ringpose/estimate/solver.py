@@ -244,10 +244,10 @@ class _Steps:
         self._ratio = 0.0
 
     def factor(self, step: Float64[Array, "7"], normal_matrix: Float64[Array, "7 7"], *, extrapolate: bool) -> float:
-        """The factor on a step.
+        """The factor by which a step is multiplied.
 
-        Near the solution each step is the same multiple q of the one before, because second derivatives are neglected:
-        with all that follow it adds up to step / (1 - q) (Aitken's method).
+        Near the solution each step is the same multiple q of the previous one, because second derivatives are
+        neglected: the sum of this step and all following ones is step / (1 - q) (Aitken's method).
         """
         sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
         # after a long step, or one that was extrapolated, a step is shorter than the next ones show
@@ -513,8 +513,8 @@ def rig_jacobian(
 ) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
     """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
 
-    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
-    points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
+    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. The abscissae
+    of predicted points are those of the measured pixels, their ordinates those of the predicted stripes.
     """
     ends, stripes, laser, wrt_camera = residuals.ends, residuals.stripes, observations.laser, observations.wrt_camera
     rays = (wrt_camera.reshape(-1, len(errors.camera)) @ errors.camera).reshape(
