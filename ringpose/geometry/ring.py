@@ -104,7 +104,7 @@ class RingArcs:
         )
 
     def with_center_opposite(self) -> "RingArcs":
-        """The same arcs described with the centre on the other side: inner and outer edge are exchanged."""
+        """These arcs, described with the centre on the other side: inner and outer edge are exchanged."""
         return RingArcs(
             origin=self.origin,
             axes=np.array([-self.axes[0], -self.axes[1], self.axes[2]]),
@@ -291,7 +291,7 @@ def predicted_break_points(
 ) -> Float64[Array, "laser edge=2 xyz=3"]:
     """Where the light planes cross the inner and the outer edge, in space; NaN where a plane misses an edge.
 
-    Of the two crossings with each circle, that on the side of the arcs' origin.
+    A plane crosses each circle twice; the crossing on the side of the arcs' origin is returned.
     """
     inward, _, normal = arcs.axes
     direction = np.cross(light_normal, normal)
