@@ -232,7 +232,8 @@ class RigEvidence:
     def moved_laser(self, chi2: Float64[Array, "laser"]) -> tuple[int | None, bool]:
         """The laser whose plane has moved, and whether a rotation of the camera explains the evidence about as well.
 
-        The laser is None if the plane of another one, or the rotation of the camera, explains it better or as well.
+        The laser is None if the plane of another laser, or the rotation of the camera, explains the evidence as well or
+        better.
         """
         worst = int(np.argmax(chi2))
         turned = self._chi2(self.prior) - self._chi2(self._prior_if_camera_turned())
@@ -309,7 +310,7 @@ class RigEvidence:
 def _parameters_and_prior(
     rig: Rig, stability: RigStability
 ) -> tuple[tuple[str, ...], Float64[Array, "parameter parameter"]]:
-    """The rig's parameters, among them those of all light planes, and their covariance."""
+    """Names of the rig's parameters, with those of all light planes, and their covariance."""
     total = total_covariance(rig, stability)
     more = tuple(name for name in total_covariance(rig, TYPICAL_STABILITY).parameters if name not in total.parameters)
     known = len(total.parameters)

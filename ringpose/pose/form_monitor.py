@@ -1,8 +1,8 @@
 """The form of the ring over a stream of shots (ringpose-method(7), section 12).
 
-On the arc that one shot sees, a ring that is not round looks like a round one with another radius. Seen from elsewhere
-it has yet another one: the radii of a stream of shots differ by more than their errors. A wave of order k and amplitude
-a changes the radius that a short arc shows by up to (k^2 - 1) a: 8 a for order 3.
+On the arc that one shot sees, a ring that is not round looks like a round ring with another radius, which depends on
+the place of the arc: the radii of a stream of shots differ by more than their errors. A wave of order k and amplitude a
+changes the radius that a short arc shows by up to (k^2 - 1) a: 8 a for order 3.
 """
 
 from collections.abc import Sequence

@@ -311,9 +311,10 @@ def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
 
 
 def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
-    """Joint covariance; of an inconsistent shot times its reduced chi-squared, plus that of the competing fits.
+    """Joint covariance; for an inconsistent shot it is multiplied by the reduced chi-squared.
 
-    If stripes and break points have no redundancy, the factor is the mean square of the visible edges' residuals.
+    The differences to the competing fits are then added. If stripes and break points have no redundancy, the factor is
+    the mean square of the visible edges' residuals.
     """
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
