@@ -238,8 +238,8 @@ def _width_weights(
 ) -> tuple[Float64[Array, "end phase"], Float64[Array, "end phase"]]:
     """Weight of an end's own width in the width that is used, and the standard deviation due to the other ends.
 
-    The width that is used is the weighted mean of the end's own and that of all `pooled` ends, which have a spread of
-    their own.
+    The detector uses the weighted mean of the end's own width and the mean of all `pooled` ends, whose true widths
+    differ.
     """
     information = 1.0 / variance
     others = 1.0 / ((variance + WIDTH_SPREAD**2) / pooled + WIDTH_SPREAD**2)

@@ -138,9 +138,9 @@ def draw_detection(
 ) -> DrawnShot:
     """The detection in a shot of one view that begins at `stamp_s`, with its truth.
 
-    Without `common` errors they are drawn for this shot alone; `appearance` is that of this view or of one nearby.
-    Edges have their true names: a detector may exchange inner and outer edge where the stripes hardly show the ring's
-    curvature.
+    Without `common`, the common errors are drawn for this shot alone; `appearance` is that of this view or of a similar
+    one. Edges have their true names: a detector may exchange inner and outer edge where the stripes hardly show the
+    ring's curvature.
     """
     if common is None:
         common = common_errors(scene, rng, deviations)
