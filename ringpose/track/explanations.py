@@ -137,7 +137,10 @@ def track_after(
 def _contradicted(
     track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions, ratio: float
 ) -> tuple[Track, Fusion]:
-    """As `track_after`, for a measurement with a test ratio above 1: an outlier unless a second one agrees with it."""
+    """The track after a measurement with a test ratio above 1: an outlier unless a second measurement agrees with it.
+
+    Returns the same as `track_after`.
+    """
     gap_s = observed.stamp_s - track.stamp_s
     if gap_s <= options.predict_for_s:
         anew, its_ratio = _continued(track, observed, pushed_with=options.motion)

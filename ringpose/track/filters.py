@@ -364,7 +364,7 @@ def innovation(
 ) -> Innovation:
     """The measurement less its prediction by each filter of a bank, which is in the chart of the measurement.
 
-    With a `step` the rates are those of the states after that step, about which they are linearised instead.
+    With a `step`, the rates are those of the states after that step, and are linearised about these states.
     """
     remaining = observed.target - bank.coordinates[:, : len(STEP)] @ observed.wrt_step.T
     remaining -= (rates - observed.step_rates) @ observed.wrt_step_rates.T

@@ -68,8 +68,8 @@ def process_noise(
 ) -> Float64[Array, "filter error=14 error=14"]:
     """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
 
-    With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
-    the origin too.
+    Phi(t) is taken as linear in t. Accelerations are those of the centre of mass and of the angular velocity; the
+    latter moves the origin too.
     """
     gain = np.zeros((len(coordinates), len(ERRORS), 6))
     gain[:, VELOCITY, :3] = np.eye(3)

@@ -151,8 +151,8 @@ class ShotTracker:
 def shared_inflation(number: int) -> float:
     """Factor on the variances of the shot of this number, from 1, with one background; 1 for 0.
 
-    n such shots of a target at rest determine it with the variance (1 + (n - 1) share) / n of a single one. The n-th
-    contributes the difference of the information of n shots to that of n - 1.
+    n such shots of a target at rest determine it with the variance (1 + (n - 1) share) / n of a single one. The
+    information of the n-th shot is the difference between the information of n and of n - 1 shots.
     """
     before = min(number, MAX_SHARING) - 1
     if before < 1:
