@@ -52,7 +52,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """All checks; the worst grade is that of the result."""
+    """The checks of a result; the worst grade of the checks is the grade of the result."""
 
     findings: tuple[Check, ...]
 

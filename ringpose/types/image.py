@@ -48,7 +48,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
-    """Frames taken in quick succession, each with its laser mask; the target may move meanwhile."""
+    """Frames taken in quick succession, each with its laser mask; the target may move between them."""
 
     name: str
     images: UInt[Array, "frame row column"]

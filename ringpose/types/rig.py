@@ -110,7 +110,7 @@ class Mount:
 
     @property
     def uncertain(self) -> tuple[str, ...]:
-        """Names of those of `MOUNT_PARAMETERS` that have a variance."""
+        """Names of the parameters in `MOUNT_PARAMETERS` that have a variance."""
         return tuple(name for name, sd in zip(MOUNT_PARAMETERS, np.diag(self.covariance), strict=True) if sd > 0)
 
 

@@ -70,7 +70,7 @@ class Foil:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Box:
-    """A box with its axes along those of the part frame; its faces are z+, x-, x+, y-, y+, z-."""
+    """A box with axes parallel to those of the part frame; its faces are z+, x-, x+, y-, y+, z-."""
 
     low_m: Float64[Array, "xyz=3"]
     high_m: Float64[Array, "xyz=3"]
