@@ -107,7 +107,7 @@ class SetLasers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetExposure:
-    """Sets the exposure; None for that of the scene."""
+    """Sets the exposure; None for the exposure that the scene defines."""
 
     exposure_s: float | None
 
@@ -344,7 +344,7 @@ def pixels(image: UInt[Array, "row column"]) -> memoryview:
 
 
 def _shot_name(header: Header) -> str:
-    """The name of a shot, which clients use as that of a file."""
+    """The name of a shot, which must be valid as the name of a file."""
     name = header.text("shot")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", name):
         raise header.problem("shot", "must consist of letters, digits and _ . + -, and not begin with a point")
