@@ -87,7 +87,7 @@ class PoseEstimate:
     method: str
     """Empty if a record without a pose does not contain it."""
     status: Status
-    """That of the record, which may have flags that are not known."""
+    """Status of the record, which may have flags that are not known."""
 
     @property
     def stamp_s(self) -> float:
@@ -134,14 +134,14 @@ class Score:
     method: str
     outcome: Outcome
     status: Literal["ok", "degraded", "none", "lost"]
-    """That of the pose record; `lost` if there is none."""
+    """Status of the pose record; `lost` if there is none."""
     has_target: bool = True
     """Whether a ring is visible."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
-    """By the names of `QUANTITIES`, without those that cannot be compared."""
+    """Errors by the names of `QUANTITIES`, without those that cannot be compared."""
     judgements: Mapping[str, Judgement] = field(default_factory=dict)
-    """By the names of `JUDGED`, without those that the pose does not report."""
+    """Judgements by the names of `JUDGED`, without those that the pose does not report."""
     distances: Mapping[str, float] = field(default_factory=dict)
     """Mahalanobis distances from the truth by the names of `JUDGED`, of the quantities with a covariance."""
     gross: tuple[str, ...] = ()

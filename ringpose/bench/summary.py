@@ -91,7 +91,7 @@ class Summary:
     """Shots in which there is a ring and whose status is `ok`."""
     wrong: WrongQuantities
     errors: Mapping[str, ErrorStatistics]
-    """By the names of `QUANTITIES`; for the two NEES see `nees`."""
+    """Statistics by the names of `QUANTITIES`; for the two NEES see `nees`."""
     nees: Mapping[str, float]
     """Mean NEES of centre and normal divided by the degrees of freedom; 1 if the covariance is correct."""
 

@@ -25,7 +25,7 @@ class Bound:
     """Smallest covariances of an unbiased estimator, camera frame, for a ring without motion."""
 
     parameters: Float64[Array, "7 7"]
-    """Of the first seven `MEASURED_PARAMETERS`."""
+    """Covariance of the first seven `MEASURED_PARAMETERS`."""
     center_m2: Float64[Array, "3 3"]
 
     @property

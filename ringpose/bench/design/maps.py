@@ -47,10 +47,10 @@ class Place:
     """A place of the ring: where the middle of the visible section of its face is, and how the ring is turned."""
 
     distance_m: float
-    """Depth of that point."""
+    """Depth of the place in the camera frame."""
     offset_x: float = 0.0
     offset_y: float = 0.0
-    """Its offset from the image centre, as a share of the image's width and height."""
+    """Offset of the place from the image centre, as a share of the image's width and height."""
     pitch_rad: float = 0.0
     yaw_rad: float = 0.0
 

@@ -68,7 +68,7 @@ class StudyShot(NamedTuple):
 
     setting: Mapping[str, Value]
     scene: Scene
-    """With the rig that measures; the shot itself may have been taken by another one."""
+    """The scene with the rig that measures; the shot itself may have been taken by another one."""
     run: tuple[Shot | Detection, ...]
     """Shots of the run, this one last."""
     truth: Truth
@@ -320,10 +320,10 @@ class SteadyPath:
     """A `TargetPath` at constant velocity of the ring's centre and constant angular velocity."""
 
     center_m: Float64[Array, "xyz=3"]
-    """Of the ring's face at time 0, as is the rotation."""
+    """Centre of the ring's face in the camera frame at time 0, as is the rotation."""
     rotation: Float64[Array, "3 3"]
     face_m: Float64[Array, "xyz=3"]
-    """That point in the target frame."""
+    """Centre of the ring's face in the target frame."""
     velocity_m_s: Float64[Array, "xyz=3"]
     angular_velocity_rad_s: Float64[Array, "xyz=3"]
 

@@ -93,9 +93,9 @@ class StudySummary:
     """The factors that distinguish the cells."""
     table: str
     cells: Mapping[tuple[str, Key], Statistics]
-    """By method and values of the factors."""
+    """Statistics by method and values of the factors."""
     columns: Mapping[tuple[str, Key], Statistics]
-    """By method and value of the factor `table` alone."""
+    """Statistics by method and value of the factor `table` alone."""
 
     def all(self, method: str) -> Statistics:
         """The statistics of all shots of a method."""
