@@ -25,7 +25,7 @@ class PlanesAssessment:
     calibration: PlanesCalibration
     verdict: Verdict
     paper: PlanesCalibration | None = None
-    """The same views by the paper's method; None if it is not applicable."""
+    """The calibration of the same views by the paper's method; None if it is not applicable."""
     without_board: Sequence[tuple[str, str]] = ()
     """Names of the images that show no board, and the reasons."""
 

@@ -37,7 +37,7 @@ class LaserCheck:
 
     name: str
     offset_m: float
-    """Of the stripe's line, at the end or middle where it is largest relative to its limit; NaN without a stripe."""
+    """Distance of the stripe's line, at the end or middle where it is largest relative to its limit; NaN if unseen."""
     limit_m: float
     lies_on: str = ""
     """The other laser on whose plane the stripe lies instead; empty if none."""
