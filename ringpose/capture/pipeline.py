@@ -71,9 +71,9 @@ class Procedure:
     is_exposure_auto: bool = False
     """Whether the exposure is controlled by the stripes (`ringpose.capture.exposure`); it starts at `exposure_s`."""
     rig: Rig | None = None
-    """Of the camera: the stripes on the ring's face control the exposure, otherwise all stripes."""
+    """Rig of the camera: the stripes on the ring's face control the exposure, otherwise all stripes."""
     settle_s: float | None = 0.0
-    """From switching to triggering; None to measure it before the first shot."""
+    """Time from switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
     """Whether every commanded laser must be seen in the images of a shot."""
     report: Callable[[str], None] = lambda _: None

@@ -14,7 +14,7 @@ from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
 from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
 
 Verdict = Literal["ok", "warning", "fault"]
-"""From best to worst."""
+"""Verdicts from best to worst."""
 
 FRAMES = 10
 """Frames without lasers, to measure the frame rate and to count repeated frames."""

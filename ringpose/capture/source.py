@@ -53,9 +53,9 @@ class CaptureRequest:
     """Whether to keep a shot in which a commanded laser is not seen."""
     channel: str | None = None
     laser_names: tuple[str, ...] | None = None
-    """Of the rig's lasers; None where no rig is given."""
+    """Names of the rig's lasers; None where no rig is given."""
     rig: Rig | None = None
-    """Of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
+    """Rig of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
     report: Callable[[str], None] = lambda _: None
     """Receives a message when the camera is lost."""
     on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
@@ -80,7 +80,7 @@ class Source:
     folders: frozenset[Path] = frozenset()
     """Folders of recorded shots, as far as they are known before reading."""
     devices: tuple[()] | tuple[CameraDriver, LaserDriver] = ()
-    """To be entered, in this order, while shots are taken."""
+    """Context managers to be entered, in this order, while shots are taken."""
     abort: Callable[[], None] | None = None
     """Switches the lasers off, also while another thread takes shots."""
     waits_for_consumer: bool = False

@@ -43,7 +43,7 @@ class TcpCamera(CameraDriver):
         self._remaining = 0
         """Frames that were asked for and have not come."""
         self._exposure_s: float | None = None
-        """As set by this client since it connected."""
+        """Exposure that this client has set since it connected."""
         self._valid_from = 0
         """Number of the first frame with the settings of this client."""
         self._shot = ""
