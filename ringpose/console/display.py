@@ -40,7 +40,7 @@ FRUSTUM_PX = 160
 """Width of the picture in the frustum; without a GPU, that of the panel would take as long as the rest of the scene."""
 
 CHEAP: Any = {"material": "toon3", "cast_shadow": False, "receive_shadow": False}
-"""Of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
+"""Material of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
 
 PANEL_PX = (400, 600, 900)
 """Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""

@@ -47,7 +47,7 @@ MAX_CAMERAS = 4
 """Camera records that are kept."""
 
 POLL_S = 0.05
-"""Between two checks whether a waiting item can be worked on."""
+"""Time between two checks whether a waiting item can be worked on."""
 
 Item = TypeVar("Item")
 
@@ -60,18 +60,18 @@ class ConsolePicture:
     image: UInt8[Array, "row column 3"]
     """Blue, green, red; the number of the state and its time are written into it."""
     rig: Rig
-    """Of the images of this picture."""
+    """Rig of the images of this picture."""
     truth: Truth
-    """At the time at which the pose holds."""
+    """Truth at the time at which the pose holds."""
     shot: Shot | None = None
     shot_truth: Truth | None = None
     line: PoseLine | None = None
-    """None in a preview."""
+    """The pose line; None in a preview."""
     errors: dict[str, float] | None = None
     """Errors of the pose, as `ringpose bench` names and computes them; empty without a pose."""
     track: TrackLine | None = None
     track_error_m: float = np.nan
-    """Of the track's centre."""
+    """Error of the track's centre."""
 
     @property
     def jpeg(self) -> bytes:

@@ -54,7 +54,7 @@ SHOWN_MEASUREMENTS = 300
 """Measurements in the plots."""
 
 EARTH_MARGIN_M = 0.5
-"""Between the target and the Earth, which is drawn behind all its parts and as large as it appears from the ring."""
+"""Gap between the target and the Earth, which is drawn beyond all parts, as large as it appears from the ring."""
 
 EARTH = Earth(direction=np.array([0.9, -0.2, 0.15]))
 """The Earth of scenes without one: beside the target, and in the first view of the page."""

@@ -8,7 +8,7 @@ SPEEDS, IN_STEP = ("0.25", "0.5", "1", "2", "4"), "each shot measured"
 STEP_S = 0.2
 
 TYPING_S = 2.0
-"""For which the time stands after it was set: the rest of a number that is being typed."""
+"""Time for which the motion waits after the time was set, as the rest of a number may still be typed."""
 
 
 class Playback:

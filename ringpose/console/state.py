@@ -21,7 +21,7 @@ class Trajectory:
     """Poses of the ring at increasing times; in between, centre and normal are interpolated linearly."""
 
     time_s: Float64[Array, "pose"]
-    """From 0."""
+    """Ascending times from 0."""
     center_m: Float64[Array, "pose xyz=3"]
     normal: Float64[Array, "pose xyz=3"]
 
@@ -41,7 +41,7 @@ class RigChange:
     """A rig to take the place of the scene's."""
     focal_scale: float = 1.0
     pitch_scale: float = 1.0
-    """Of the pixels; the focal length in millimetres stays."""
+    """Factor on the size of pixels; the focal length in millimetres stays."""
     laser_tilt_rad: tuple[float, ...] = ()
     """Rotation of each light plane about the camera's x axis through its projector; empty for none."""
     laser_shift_m: tuple[float, ...] = ()
@@ -86,19 +86,19 @@ class ConsoleState:
     """Centre of the ring at time 0."""
     pitch_rad: float
     yaw_rad: float
-    """Of its normal at time 0 (ringpose-method(7), section 4)."""
+    """Yaw of the normal at time 0 (ringpose-method(7), section 4)."""
     roll_rad: float = 0.0
     spin_rad_s: float = 0.0
-    """About the normal, which is not observable."""
+    """Rate about the normal, which is not observable."""
     tumble_rad_s: float = 0.0
-    """About the camera's x axis through the centre."""
+    """Rate about an axis through the centre, parallel to the camera's x axis."""
     drift_m_s: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
     time_s: float = 0.0
     trajectory: Trajectory | None = None
     """Takes the place of pose, tumble and drift."""
     rig_change: RigChange = RigChange()
     width: int | None = None
-    """Of the images; None for that of the camera."""
+    """Width of the images; None for that of the camera."""
     exposure_s: float | None = None
     """None for the rule of the scene."""
     mask: int = 255
@@ -164,7 +164,7 @@ class StatePath:
 
     state: ConsoleState
     face_height_m: float
-    """Of the ring's face in the target frame."""
+    """Height of the ring's face in the target frame."""
 
     def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
         """See `TargetPath`; `time_s` is the time of the console."""
