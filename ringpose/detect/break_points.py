@@ -186,13 +186,13 @@ class Ends(NamedTuple):
     """The ends of the stripes on the ring's rim, left, then right; NaN where none was found."""
 
     position_px: Float64[Array, "laser end=2 xy=2"]
-    """In the distorted image."""
+    """Ends in the distorted image."""
     covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
     flags: Int64[Array, "laser end=2"]
     straight_px: Float64[Array, "laser end=2 xy=2"]
     """The segments' own ends, in the undistorted image."""
     straight_sigma_px: Float64[Array, "laser end=2"]
-    """Of the ordinates of the segments' lines there."""
+    """Standard deviations of the ordinates of the segments' lines at these ends."""
 
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:

@@ -90,9 +90,9 @@ class Gradient:
     """Gradient magnitude and its maxima across the edge."""
 
     magnitude: Int16[Array, "row column"]
-    """In 1 / `STEPS_PER_DN` grey value per pixel."""
+    """Gradient in 1 / `STEPS_PER_DN` grey value per pixel."""
     anchors: Int32[Array, "anchor"]
-    """As `row * width + column`, ascending."""
+    """Pixels as `row * width + column`, ascending."""
     orientation: UInt8[Array, "anchor"]
     """0: edge along x, 1: down to the right, 2: along y, 3: down to the left."""
 

@@ -278,7 +278,7 @@ class _Plane(NamedTuple):
     lengths_m: list[float]
     origin_m: Float64[Array, "xyz=3"]
     normal: Float64[Array, "xyz=3"]
-    """Towards the camera."""
+    """Unit normal towards the camera."""
 
 
 def _plane_of(face: Face, rig: Rig) -> _Plane:
