@@ -124,7 +124,7 @@ class Explanation:
     flag: PoseFlag
     remark: str
     penalty: float
-    """In chi-squared, for what was rejected."""
+    """Penalty in chi-squared for what was rejected."""
     rejected: tuple[Rejection, ...]
     side_known: bool
     """Whether the shot determines on which side of the face the ring's centre lies."""

@@ -65,7 +65,7 @@ class Hypothesis(NamedTuple):
     flag: PoseFlag = PoseFlag(0)
     remark: str = ""
     penalty: float = 0.0
-    """In chi-squared."""
+    """Penalty in chi-squared."""
     rejected: tuple[Rejection, ...] = ()
     laser: int = -1
     """Laser of the rejected break points or stripe; -1 if there is none."""

@@ -58,7 +58,7 @@ class Prior(NamedTuple):
 
     radii: KnownRadii | None = None
     assumptions: Assumptions = Assumptions()
-    """On motion, the ring's form and the rig."""
+    """Assumptions on motion, the ring's form and the rig."""
     regularize_about: RingArcs | None = None
     """The ring about which curvature, turn and tilt have weak priors; None to estimate from the shot alone."""
     single_edge: bool = False
@@ -103,9 +103,9 @@ class Residuals(NamedTuple):
     stripes: StripePrediction
     """Derivatives by the ring's step, its rates, and errors of the camera's motion."""
     points: EdgeDistances
-    """Of the break points from their edges."""
+    """Distances of the break points from their edges."""
     edges: EdgeDistances
-    """Of the visible edge points from their edges."""
+    """Distances of the visible edge points from their edges."""
     edge_scale: Float64[Array, "visible"]
     """1 / standard deviation of their distances."""
     distance_wrt_x: Float64[Array, "point"]
@@ -140,7 +140,7 @@ class Estimate:
     arcs: RingArcs
     """The ring at the reference time of the measurements."""
     rates: Rates
-    """Its motion."""
+    """Motion of the ring."""
     weights: Float64[Array, "row"]
     """1 for a residual that was used, 0 for a rejected edge point."""
     fixed: FixedColumns
@@ -151,9 +151,9 @@ class Estimate:
     normal_matrix: Float64[Array, "7 7"]
     """Inverse covariance of the ring's step, the common errors marginalised."""
     inverse: Float64[Array, "7 7"]
-    """Of the normal matrix with `RIDGE`."""
+    """Inverse of the normal matrix with `RIDGE`."""
     prior: Prior
-    """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
+    """The prior that was used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
     remaining: Float64[Array, "row"]
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas ..."""
     edge_residuals: Float64[Array, "visible"]
@@ -161,7 +161,7 @@ class Estimate:
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
     numbers: int
-    """Of stripes, break points and radii; rows of weak priors count like measurements."""
+    """Number of values of stripes, break points and radii; rows of weak priors count like measurements."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
