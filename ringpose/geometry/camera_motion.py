@@ -26,7 +26,7 @@ class CameraState(NamedTuple):
     """Where the camera is at one instant and how it moves, in the base frame."""
 
     rotation: Float64[Array, "3 3"]
-    """From camera to base."""
+    """Rotation from camera to base."""
     origin_m: Float64[Array, "xyz=3"]
     velocity_m_s: Float64[Array, "xyz=3"]
     rate_rad_s: Float64[Array, "xyz=3"]

@@ -54,7 +54,7 @@ class RingArcs:
     """
 
     origin: Float64[Array, "*instant xyz=3"]
-    """On the middle of the face, in metres."""
+    """Point on the middle of the face, in metres."""
     axes: Float64[Array, "*instant 3 xyz=3"]
     """Unit vectors: inward (towards the centre), along the face, and the normal towards the camera."""
     curvature: float
@@ -324,7 +324,7 @@ class EdgeDistances(NamedTuple):
     wrt_step: Float64[Array, "n step=7"]
     """Derivatives by the ring's step, for fixed rays."""
     wrt_ray: Float64[Array, "n xy=2"]
-    """With respect to x and y of the rays (x, y, 1)."""
+    """Derivatives with respect to x and y of the rays (x, y, 1)."""
 
 
 def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: Float64[Array, "n"]) -> EdgeDistances:
@@ -387,7 +387,7 @@ class Rates(NamedTuple):
     """Motion of the ring: constant rates within a shot, Eq. (8.1)."""
 
     velocity_m_s: Float64[Array, "xyz=3"]
-    """Of the ring's centre."""
+    """Velocity of the ring's centre."""
     rate_rad_s: Float64[Array, "xyz=3"]
     """Angular velocity across the normal."""
 
