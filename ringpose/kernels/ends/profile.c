@@ -403,7 +403,7 @@ static void fill_texture(Profile *profile, double expected, const EndParams *par
     profile->background = background / ((double)face * expected * expected);
 }
 
-/* Peak of which clipping leaves the observed amplitude: in the median of some columns of the face. */
+/* Peak of a stripe that has the observed amplitude after clipping: median over some columns of the face. */
 static double unclipped_peak(const Images *images, const Profile *profile, int reach, const Parts *parts,
                              double observed, const EndParams *params) {
     double shown[PEAK_COLUMNS], before = 0;

@@ -20,7 +20,7 @@ TEXELS = 512
 """Side of a relief."""
 
 MAX_PARTS, MAX_POINTS, MAX_LASERS = 128, 64, 8
-"""Of a target, of a profile, of a rig."""
+"""Maximum numbers of parts of a target, points of a profile, lasers of a rig."""
 
 
 class TargetTables(NamedTuple):

@@ -134,7 +134,7 @@ typedef struct {
     double reach[BLOCK];                 /* and its distance */
 } Beam;
 
-/* Parts of which light may cast a shadow on the hits that are `on`: those near the bundle from their bounding sphere
+/* Parts that may cast a shadow on the hits that are `on`: those near the bundle from their bounding sphere
    towards the light; not a box on which all of them are. `slope` is the change of radius of the bundle with the
    distance. */
 static void may_shade(const Scene *scene, const Hits *hits, const uint8_t *on, Vector towards, double slope, double reach,
