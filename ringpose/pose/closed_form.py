@@ -352,7 +352,7 @@ class Differentiated(NamedTuple):
     form: ClosedForm
     """A batch of one."""
     jacobian: Float64[Array, "13 coordinate"]
-    """Of the seven parameters, the centre and the grasp point with respect to x1 y1 z1 x2 ... of the points."""
+    """Derivatives of the seven parameters, the centre and the grasp point by the points' x1 y1 z1 x2 ..."""
 
 
 def differentiated(

@@ -60,7 +60,7 @@ class PointJacobians:
 
     wrt_pixel: Float64[Array, "n xyz=3 xy=2"]
     wrt_camera: Float64[Array, "n xyz=3 parameter"]
-    """In the order of `CAMERA_PARAMETERS`, as many as the camera has."""
+    """Derivatives in the order of `CAMERA_PARAMETERS`, as many as the camera has."""
 
 
 def point_jacobians(
