@@ -62,7 +62,7 @@ class Stripe:
     """The image of one laser's stripe on the ring's face, before the blur by the lens."""
 
     sigma_px: float
-    """Of its section along an image column."""
+    """Sigma of the stripe's section along an image column."""
     peak_e: float
     """Expected electrons at its peak, if the lens did not blur."""
     background_e: float = 0.0

@@ -31,9 +31,9 @@ class IlluminatedTarget:
 
     target: TargetTables
     placement: Placement
-    """In the middle of the exposure."""
+    """Placement in the middle of the exposure."""
     during: tuple[Placement, ...]
-    """At equal steps of the exposure, an odd number; for a target that hardly moves in it, `placement` alone."""
+    """Placements at equal steps of the exposure, an odd number; `placement` alone if the target hardly moves."""
     planes: LaserPlanes
     laser_light: LaserLight
     light: Light

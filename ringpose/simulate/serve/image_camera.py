@@ -295,15 +295,15 @@ class MovingShot:
     """A shot of a moving target, of which each frame is rendered at its own time."""
 
     scene: Scene
-    """Its sequence is that of the shot."""
+    """The scene, with the sequence of this shot."""
     view: RingView
     exposure_s: float
     stamp_s: float
-    """Of the first frame."""
+    """Time stamp of the first frame."""
     begins_s: Float64[Array, "frame"]
     """Begin of each exposure since that of the first."""
     truth: Mapping[str, Any]
-    """Its record."""
+    """Record of the shot's truth."""
 
     def frame(self, step: int, seed: tuple[int, ...]) -> Frame:
         """One exposure; `seed` is the seed of speckle and noise."""
@@ -319,7 +319,7 @@ class MotionRuns:
         self.duration_s = (scene.shots - 1) * scene.period_s + len(scene.sequence) * (
             max(scene.exposure_s, MAX_DURATION_S) + READOUT_S
         )
-        """For which the motion of a run is known."""
+        """Duration for which the motion of a run is known."""
         self._run, self._began_s = -1, -np.inf
         self._paused_s: float | None = None
 
