@@ -63,7 +63,7 @@ class TrackOptions:
     lost_after_s: float = 3.0
     """Time without a measurement after which the track is given up."""
     motion: MotionPrior = motion_prior()
-    """Of a new track."""
+    """Motion prior of a new track."""
     gripper: Gripper | None = None
     """The gripper whose capture of the ring is predicted."""
 

@@ -36,7 +36,7 @@ class MotionModels(NamedTuple):
     velocity_noise: Float64[Array, "filter"]
     """Power spectral density of the acceleration of the centre (of mass), m^2/s^3 per axis."""
     rate_noise: Float64[Array, "filter"]
-    """Of the angular acceleration, rad^2/s^3 per axis."""
+    """Power spectral density of the angular acceleration, rad^2/s^3 per axis."""
     precession: Bool[Array, "filter"]
     log_prior: Float64[Array, "filter"]
     """Logarithms of their weights before the first measurement."""

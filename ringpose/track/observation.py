@@ -79,9 +79,9 @@ class Observation:
         return _chart(self.arcs)
 
     def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
-        """This observation, described for a ring whose centre lies in the direction `inward`.
+        """The observation, described for a ring whose centre lies in the direction `inward`.
 
-        If this is opposite to the present direction, inner and outer edge are exchanged
+        If `inward` is opposite to the present direction, inner and outer edge are exchanged
         (`RingArcs.with_center_opposite`).
         """
         if float(inward @ self.arcs.axes[0]) >= 0.0:

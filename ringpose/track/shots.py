@@ -50,7 +50,7 @@ class ShotTracker:
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
-        """Its camera's motion, if it has one, is that within the shots, too."""
+        """The tracker; the motion of its camera, if it has one, is also used within the shots."""
         self._background: Frame | None = None
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None

@@ -48,7 +48,7 @@ class RingStates(NamedTuple):
     """A batch of states."""
 
     origin: Float64[Array, "state xyz=3"]
-    """On the middle of the face, in metres."""
+    """Points on the middle of the faces, in metres."""
     axes: Float64[Array, "state 3 xyz=3"]
     """Unit vectors: inward (towards the centre), along the face, and the normal towards the camera."""
     curvature: Float64[Array, "state"]
