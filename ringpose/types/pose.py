@@ -251,7 +251,7 @@ class RingVelocity:
     rate_rad_s: Float64[Array, "xyz=3"]
     """Perpendicular to the normal; the spin about the normal is not observable."""
     covariance: Float64[Array, "5 5"]
-    """Of velocity x, y, z, rate_1, rate_2."""
+    """Covariance of velocity x, y, z, rate_1, rate_2."""
 
 
 Status = Literal["ok", "degraded", "none"]
@@ -279,7 +279,7 @@ class PoseLine:
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
     plane_evidence: PlaneEvidence | None = None
-    """As in `PoseResult`."""
+    """See `PoseResult`."""
     rig_health: Mapping[str, float] = field(default_factory=dict)
     """Normalised error of each laser's light plane; empty where it was not measured."""
     shots_dropped: int = 0
@@ -326,7 +326,7 @@ class KnownRadii:
     sd_m: Float64[Array, "edge=2"]
     """Standard deviations."""
     tolerance_m: float | None = None
-    """Of the ring's form, by a catalogue; None if it states none, or the user states another one."""
+    """Tolerance of the ring's form by a catalogue; None if it states none, or the user states another one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

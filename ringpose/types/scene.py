@@ -65,7 +65,7 @@ class Earth:
     """The Earth, lit by the sun, as a sphere of uniform albedo."""
 
     direction: Float64[Array, "xyz=3"]
-    """Towards its centre, camera frame."""
+    """Direction towards the Earth's centre, camera frame."""
     orbit_radius_m: float = GEO_RADIUS_M
     albedo: float = 0.3
 
@@ -268,7 +268,7 @@ class Truth:
     velocity_m_s: Float64[Array, "xyz=3"] | None = None
     """Velocity of the ring's centre, in the camera frame."""
     angular_velocity_rad_s: Float64[Array, "xyz=3"] | None = None
-    """In the camera frame."""
+    """Angular velocity of the target in the camera frame."""
     frames: tuple[TruthFrame, ...] = ()
     """A moving target at each frame of the shot, in chronological order."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)

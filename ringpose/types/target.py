@@ -38,7 +38,7 @@ class Material:
     roughness: float
     """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
     grid: Grid | None = None
-    """On the faces of boxes and panels."""
+    """Grid of lines on the faces of boxes and panels."""
 
 
 MATERIALS: Mapping[str, Material] = {
@@ -88,10 +88,10 @@ class Gap:
     """A slot with parallel walls across a ring: a pusher's seat, or the room for a bracket."""
 
     angle_rad: float
-    """Of its middle, from the target frame's x axis towards y."""
+    """Angle of the gap's middle, from the target frame's x axis towards y."""
     width_m: float
     depth_m: float
-    """Below the ring's face."""
+    """Depth of the gap below the ring's face."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,7 +113,7 @@ class Part:
     name: str
     shape: Box | Revolution
     materials: tuple[Material, ...]
-    """Of each face; of a ring with gaps, also that of their walls."""
+    """Material of each face; of a ring with gaps, also the material of the gaps' walls."""
     rotation: Float64[Array, "3 3"] = field(default_factory=lambda: np.eye(3))
     translation_m: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
     foil: Foil | None = None
@@ -197,13 +197,13 @@ class FreeMotion:
     """
 
     inertia_kg_m2: Float64[Array, "3 3"]
-    """About the centre of mass, along the axes of the target frame; only ratios matter."""
+    """Inertia about the centre of mass, along the axes of the target frame; only ratios matter."""
     center_of_mass_m: Float64[Array, "xyz=3"]
-    """In the target frame."""
+    """Centre of mass in the target frame."""
     angular_velocity_rad_s: Float64[Array, "xyz=3"]
-    """At the start, along the axes of the target frame."""
+    """Angular velocity at the start, along the axes of the target frame."""
     velocity_m_s: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
-    """Of the centre of mass, in the inertial frame."""
+    """Velocity of the centre of mass, in the inertial frame."""
     camera: TimedPoses | None = None
 
 
