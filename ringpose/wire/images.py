@@ -77,7 +77,7 @@ class ServedFrame:
     shot: str
     """Name of the shot that it belongs to."""
     step: int
-    """Its place in the shot, from 0."""
+    """Place of the frame in the shot, from 0."""
     lasers: int
     stamp_s: float
     """Start of the exposure: Unix epoch, UTC; with the clock `lockstep` simulated time."""
@@ -118,7 +118,7 @@ class ServedPose:
 
     center_m: tuple[float, float, float]
     normal: tuple[float, float, float]
-    """Towards the camera; any length above 0."""
+    """Normal towards the camera; any length above 0."""
     roll_rad: float = 0.0
     light: str | None = None
     """Name of a light of the scene; None for that of its first view."""
