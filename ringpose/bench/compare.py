@@ -64,7 +64,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Quantity:
-    """A compared quantity: the score of each shot, and the printed statistic and the loss of their mean."""
+    """A compared quantity: the score of each shot; the printed statistic and the loss, as functions of the mean score."""
 
     score: Callable[[Score], float | None]
     """None if a shot has none."""
@@ -291,7 +291,7 @@ def permutation_p_value(
 
 @lru_cache(maxsize=16)
 def _random_permutations(shots: int, permutations: int) -> UInt8[Array, "permutation byte"]:
-    """Which shots are exchanged in random permutations, one bit per shot: 25 MB for 20,000 shots.
+    """Random permutations as one bit per shot: whether its scores are exchanged; 25 MB for 20,000 shots.
 
     Rows with the same number of shots use the same permutations.
     """

@@ -45,7 +45,7 @@ class Bound:
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """The three standard deviations, keyed by the errors that they bound."""
+        """The three standard deviations of this bound, keyed by the names of the errors that they bound."""
         return {
             "center_m": self.center_sd_m,
             "normal_rad": self.normal_sd_rad,

@@ -57,7 +57,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceResult:
-    """How accurately a rig can measure the ring at a place."""
+    """The accuracy with which a rig can measure the ring at a place."""
 
     place: Place
     stripes: int
@@ -113,7 +113,7 @@ class Design:
         return float(np.median(values)) if values else nan
 
     def full_view_m(self) -> tuple[float, float] | None:
-        """Nearest and farthest distance with all stripes in view at the image centre; None if there is none."""
+        """Nearest and farthest distance at which all stripes are in view at the image centre; None if there is none."""
         lasers = len(self.rig.lasers.names)
         seen = [
             result.place.distance_m

@@ -46,7 +46,7 @@ Work = Callable[[int], Rows]
 
 
 class Done(NamedTuple):
-    """A finished shot."""
+    """A finished shot with its rows."""
 
     shot: int
     rows: Rows | None

@@ -38,7 +38,7 @@ MARGIN_PX = 150
 
 
 def metadata(study: Study, command: str) -> dict[str, Any]:
-    """What identifies the results, and where they come from."""
+    """The data that identify the results of a study, and their provenance."""
     return {
         "ringpose": "study_results/1",
         "title": study.title,
