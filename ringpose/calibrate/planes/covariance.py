@@ -112,7 +112,7 @@ def laser_disagreements(data: JointData, state: JointState) -> tuple[float, ...]
 
 
 def _degrees_of_freedom(data: JointData, laser: int) -> int:
-    """Two for each of a laser's stripes, less the parameters of its plane."""
+    """Degrees of freedom of a laser: two for each of its stripes, less the parameters of its plane."""
     return 2 * sum(len(own[laser].ray) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 
 

@@ -65,7 +65,7 @@ class RigCheck:
 
 
 class BoardMeasurements(NamedTuple):
-    """One view of a board, as a rig sees it."""
+    """Measurements of corners and stripes in one view of a board, with the camera and light planes of a rig."""
 
     data: JointData
     """Corners and stripes of the view, with their standard deviations; the stripes have the labels that the rig gives
