@@ -17,7 +17,7 @@ from ringpose.types.image import Frame, Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveShot:
-    """A shot with its acquisition data."""
+    """A shot with data about its acquisition: lost shots, time of completion."""
 
     shot: Shot
     dropped: int

@@ -235,7 +235,10 @@ class _Sequencer:
             return self._camera.trigger(mask, exposure_s)
 
     def _reconnected(self, lost: _CameraError) -> DeviceError:
-        """Open the camera again, with all lasers off; returns the error to raise if no attempt at the shot succeeds."""
+        """Open the camera again, with all lasers off, in several attempts; raises its error if none succeeds.
+
+        Returns the error to raise if the camera is lost in every attempt at the shot.
+        """
         (problem,) = lost.args
         self._camera.close()
         self._procedure.report(f"{problem}; trying to connect again for {sum(RECONNECT_PAUSES_S):.0f} s")

@@ -117,5 +117,5 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
 
 
 def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> Check:
-    """A check with the verdict `ok`, or with this one and a remedy if the finding is bad."""
+    """The check with its verdict: `ok`, or, if the finding is bad, `verdict` together with the remedy."""
     return Check(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")

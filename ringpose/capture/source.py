@@ -103,7 +103,7 @@ def camera_source(request: CaptureRequest) -> Source:
 
 
 def switched_steps(count: int) -> tuple[Step, ...]:
-    """Each of `count` lasers alone in one frame, between two frames without lasers."""
+    """Steps in which each of `count` lasers is on alone, between two frames without lasers."""
     return (Step("off"), *(Step(str(number + 1)) for number in range(count)), Step("off"))
 
 
@@ -146,7 +146,10 @@ def device_source(
     names: Callable[[Container[str]], Iterator[str]],
     scene_file: Path | None = None,
 ) -> Source:
-    """The source of shots by the steps of the request; `names` yields their names, given those that exist already."""
+    """The source that takes shots from devices by the steps of the request.
+
+    `names` receives the existing names of shots and yields new ones.
+    """
     from ringpose.capture.pipeline import Procedure, captured_shots
 
     steps = request.steps or ()

@@ -190,7 +190,7 @@ class SoftwareTriggeredCamera(CameraDriver):
 
     @abstractmethod
     def _identity(self) -> tuple[str, int, int]:
-        """Name, width and height."""
+        """Name of the camera, width and height of its images."""
 
 
 def mid_stamp_s(before_s: float) -> float:

@@ -63,12 +63,12 @@ class WatchdogLasers(LaserDriver):
 
     @property
     def settle_s(self) -> float:
-        """Relays close within 10 ms; the rest covers contact bounce and the start of the laser."""
+        """Settling time of relays: they close within 10 ms; the rest covers contact bounce and the laser's start."""
         return 0.05
 
     @property
     def longest_on_s(self) -> float:
-        """Time until the watchdog switches off; it receives no command while a frame is exposed."""
+        """Time after which the watchdog switches a laser off; it receives no command while a frame is exposed."""
         return min(self.settings.heartbeat_s, self.settings.on_limit_s)
 
     @property
