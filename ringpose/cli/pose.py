@@ -277,7 +277,7 @@ def _write(
     verbose: bool,
     quiet: bool,
 ) -> None:
-    """Every line as it comes, with the health of the rig; then its picture."""
+    """Write each line as it comes, report the health of the rig, then draw the line's picture."""
     from ringpose.pose.pipeline import remarks_on
 
     for line in with_progress(lines, "shots", quiet):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleShot:
-    """Measures an input by itself, with the rig as it was given; worker processes import it."""
+    """Measures each input independently of the others, with the given rig; worker processes import this class."""
 
     rig: "Rig"
     channel: str | None

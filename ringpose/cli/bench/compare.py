@@ -149,7 +149,7 @@ def _require_pairs(
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:
-    """The number of shots of the truth, and the shots of which both results, only A, or only B have a record."""
+    """The number of shots of the truth, and the shots for which both results, only A, or only B have a record."""
     lines_a, lines_b = ({score.shot for score in result.scores if score.status != "lost"} for result in (a, b))
     shots = dict.fromkeys(score.shot for score in (*a.scores, *b.scores))
     return {
