@@ -192,7 +192,7 @@ class Plots:
 
 
 def _points(label: str, color: str) -> uplot.Series:
-    """A series without lines: they would join the measurements on either side of a missing one."""
+    """A plot series of points without lines, which would join the measurements on both sides of a missing one."""
     return uplot.Series(label=label, stroke=color, width=0, points={"show": True, "size": 4, "fill": color})
 
 

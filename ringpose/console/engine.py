@@ -54,7 +54,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConsolePicture:
-    """What the console shows of one state."""
+    """The picture of one state, with its measurement."""
 
     state: ConsoleState
     image: UInt8[Array, "row column 3"]
@@ -220,7 +220,7 @@ class Engine:
         return ConsolePicture(state=state, image=captioned(frame.image, caption), rig=scene.rig, truth=truth)
 
     def measured(self, state: ConsoleState) -> ConsolePicture:
-        """A shot of the state, what detect, pose and track find in it, and their errors."""
+        """Measure a state: render a shot, detect, estimate the pose, track, and compute the errors."""
         scene = self._scene_of(state)
         try:
             shot, truth = simulated_shot(scene, (state.view(scene),), 0)

@@ -35,7 +35,7 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigChange:
-    """How camera and lasers differ from the rig file: what the controls add to it."""
+    """Differences of camera and lasers from the rig file, as the controls set them."""
 
     rig: Rig | None = None
     """A rig to take the place of the scene's."""
@@ -49,7 +49,7 @@ class RigChange:
 
     @property
     def is_none(self) -> bool:
-        """Whether the rig is that of the scene."""
+        """Whether there is no difference: the rig is that of the scene."""
         return (
             self.rig is None
             and self.focal_scale == self.pitch_scale == 1.0
