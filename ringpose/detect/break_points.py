@@ -196,7 +196,7 @@ class Ends(NamedTuple):
 
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:
-    """The ends of the face's tracks, each in the image that shows its stripe."""
+    """The ends of the tracks on the face, each measured in the image that shows the track's stripe."""
     shown = [[number for number, laser in enumerate(face.lasers) if laser in image.lasers] for image in images]
     order = [number for numbers in shown for number in numbers]
     lit = [

@@ -316,7 +316,7 @@ def _slope(segments: Segments) -> Float64[Array, "segment"]:
 
 
 def _ordinate(segments: Segments, which: Int64[Array, "n"], x: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Row coordinates of the segments at the columns x."""
+    """Row coordinates, at the columns x, of the segments with the indices `which`."""
     start = segments.start_px[which]
     y: Float64[Array, "n"] = start[:, 1] + _slope(segments)[which] * (x - start[:, 0])
     return y

@@ -174,7 +174,7 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
 
 
 def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> bool:
-    """Whether a predicted break point was not found."""
+    """Whether a break point that was predicted was not found."""
     if predicted is None or not isinstance(found, BreakPoints):
         return True
     return bool((predicted.seen & np.isnan(found.position_px[..., 0])).any())

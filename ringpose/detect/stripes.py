@@ -220,7 +220,7 @@ def straight_segments(
 
 @lru_cache(maxsize=4)
 def lens(camera: Camera) -> Lens:
-    """Intrinsic parameters in the form that the kernels expect."""
+    """Intrinsic parameters of a camera in the form that the kernels expect."""
     matrix = camera.camera_matrix
     focal_and_principal = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
     return Lens(*(float(each) for each in (*focal_and_principal, *camera.distortion_coefficients)))
