@@ -240,7 +240,7 @@ def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
 
 
 def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
-    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
+    """Whether a difference is within `DIFFERS` of its errors; false for numbers that are not finite."""
     if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
         return False
     squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)

@@ -101,7 +101,7 @@ class Search(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """A hypothesis with its ring."""
+    """A hypothesis with the ring estimated under it."""
 
     hypothesis: Hypothesis
     estimate: Estimate
@@ -228,9 +228,10 @@ def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, searc
 
 
 def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
-    """Whether the ring by the shot alone has other radii than the assumed ones.
+    """Whether the ring estimated from the shot alone has other radii than the assumed ones.
 
-    Compared by the curvature of each edge, k = 1 / radius: its errors are Gaussian even where those of radii are not.
+    The curvatures of the edges, k = 1 / radius, are compared: their errors are Gaussian even where those of radii are
+    not.
     """
     arcs = alone.arcs
     for radius_m, sign, assumed_m, sd_m in zip(

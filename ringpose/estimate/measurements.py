@@ -203,7 +203,7 @@ class Measurements:
         return sorted(set(self.lines.laser.tolist()))
 
     def once(self) -> "Measurements":
-        """The measurements with each stripe and each break point once: repetitions in later frames are dropped."""
+        """The measurements with each stripe and break point once; repeated measurements in later frames are dropped."""
         first = np.unique(2 * self.points.laser + self.points.edge, return_index=True)[1]
         return self._selected(np.unique(self.lines.laser, return_index=True)[1], first)
 
@@ -358,7 +358,7 @@ def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]
 
 
 def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Lines) -> Float64[Array, "point"]:
-    """Middle of each point's stripe: of its line, or else of its break points."""
+    """Abscissa of the middle of each point's stripe: of its line, or else of its break points."""
     middle = {number: sum(ends) / 2 for number, ends in zip(lines.laser.tolist(), lines.x.tolist(), strict=True)}
     for number in set(laser.tolist()) - middle.keys():
         middle[number] = float(x[laser == number].mean())
