@@ -95,7 +95,7 @@ def checked_shot(shot: Shot, rig: Rig, location: str) -> Shot:
 
 
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
-    """The images; the declared type and size are checked before memory of that size is allocated."""
+    """The images in an archive; the declared type and size are checked before memory of that size is allocated."""
     dtype, shape = archive.declared("images", "u", (None, None, None))
     if dtype.itemsize > 2 or 0 in shape:
         raise archive.problem("images", f"has type {dtype} and {math.prod(shape)} pixels, must be 8 or 16 bits")

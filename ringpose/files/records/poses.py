@@ -134,7 +134,7 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
 
 
 def _finite(values: Float64[Array, "..."] | None) -> Float64[Array, "..."] | None:
-    """The array, or None if an element of it is not finite."""
+    """The array, or None if any element of it is not finite."""
     return values if values is not None and np.isfinite(values).all() else None
 
 
