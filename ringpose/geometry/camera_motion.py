@@ -115,7 +115,7 @@ class CameraMotion:
         return ""
 
     def _interval(self, stamp_s: float) -> tuple[float, int]:
-        """The robot's time of a stamp, and the number of the pose that ends its interval."""
+        """The stamp in the robot's time, and the index of the pose that ends the interval around it."""
         time_s = stamp_s + self.mount.delay_s
         after = int(np.searchsorted(self.poses.stamp_s, time_s, side="right"))
         return time_s, min(max(after, 1), len(self.poses.stamp_s) - 1)

@@ -393,7 +393,7 @@ class Rates(NamedTuple):
 
 
 class MovingRing(NamedTuple):
-    """A ring at one instant, and its motion."""
+    """A ring at one instant, and its rates."""
 
     arcs: RingArcs
     rates: Rates
