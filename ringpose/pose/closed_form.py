@@ -70,7 +70,7 @@ first-order covariance does not show; in-plane methods are not affected.
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClosedForm:
-    """Solutions for a batch of point sets; lengths in metres, camera frame."""
+    """Solutions of the closed form for a batch of point sets; lengths in metres, camera frame."""
 
     normal: Float64[Array, "batch xyz=3"]
     offset_m: Float64[Array, "batch"]
@@ -347,7 +347,7 @@ def _facing(
 
 
 class Differentiated(NamedTuple):
-    """A solution and its Jacobian."""
+    """A closed-form solution and its Jacobian."""
 
     form: ClosedForm
     """A batch of one."""

@@ -84,7 +84,7 @@ class DriftMonitor:
         return line, self._reason if cause and cause != before else None
 
     def _flagged(self, line: PoseLine) -> PoseLine:
-        """The line with the flags of a drift that was detected before it."""
+        """The line with the flags of a drift that earlier shots have shown."""
         if not self._reason:
             return line
         flags = line.flags | PoseFlag.RIG_DRIFT
@@ -118,7 +118,7 @@ class DriftMonitor:
             )
 
     def _correct(self, moved: "MovedPlane") -> None:
-        """Measure the next shots with the plane as estimated, with its covariance instead of the calibration's."""
+        """Replace the plane in the rig for the next shots by the estimated plane with its covariance."""
         lasers, laser, given = self.rig.lasers, moved.laser, self._given.lasers
         normal, distance_m = lasers.normal.copy(), lasers.distance_m.copy()
         normal[laser] = tilted(normal[laser], moved.change[:2])
@@ -161,7 +161,7 @@ _PLANE = len(PLANE_PARAMETERS)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovedPlane:
-    """A light plane that has moved, as shots show it."""
+    """The change of a light plane that has moved, as shots show it."""
 
     laser: int
     change: Float64[Array, "parameter=3"]

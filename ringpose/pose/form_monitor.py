@@ -82,7 +82,7 @@ class FormMonitor:
 def _squared_deviations(
     shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]],
 ) -> list[float]:
-    """Squared deviations of the curvatures from their weighted mean, in their covariances."""
+    """Squared deviations of the curvatures from their weighted mean, each in units of its variance."""
     information = [np.linalg.inv(covariance) for _, covariance in shots]
     weighted = sum(each @ curvature for each, (curvature, _) in zip(information, shots, strict=True))
     mean = np.linalg.solve(np.sum(information, axis=0), weighted)

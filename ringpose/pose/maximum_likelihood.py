@@ -144,7 +144,7 @@ def most_likely_pose(
 
 
 def _unusable(measured: Measurements, camera: CameraMotion | None) -> NoPose | None:
-    """Why these measurements cannot be estimated from; None if they can."""
+    """The reason why no ring can be estimated from these measurements; None if it can."""
     if not len(measured.points.x):
         return NoPose.TOO_FEW_BREAK_POINTS
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
