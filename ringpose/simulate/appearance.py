@@ -47,7 +47,7 @@ _GRAZING = 1e-6
 
 
 class LaserFrames(NamedTuple):
-    """The frame of a shot in which the detector searches for the stripe of each laser."""
+    """For each laser, the frame of a shot in which the detector searches for its stripe."""
 
     number: Int64[Array, "laser"]
     """Index of that frame in the shot; -1 for a laser that is off in all frames."""

@@ -110,7 +110,7 @@ def image_noise(scene: Scene, *, subtracted: bool) -> ImageNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CenterErrors:
-    """Errors of a stripe's centre in one column."""
+    """Errors of a stripe's centre that is measured in one column."""
 
     speckle_px: float
     """Standard deviation due to speckle, which neighbouring columns share."""
