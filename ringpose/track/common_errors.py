@@ -20,7 +20,7 @@ NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CommonErrors:
-    """Nuisance parameters of the records, and the root R of their prior covariance R R^T.
+    """Nuisance parameters of the records, and the square root R of their prior covariance R R^T.
 
     The columns of R are independent errors of unit variance.
     """

@@ -46,7 +46,7 @@ MIN_CURVATURE = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gripper:
-    """How far the ring may be off for the gripper to close on it."""
+    """Largest errors of the ring's pose with which a gripper still closes on it."""
 
     radial_m: float
     """Distance of the true middle of the band from the grasp point."""
@@ -228,7 +228,7 @@ def _pruned(track: Track) -> Track:
 
 
 def _evidence(bank: Bank) -> float:
-    """Log evidence over all models, times the probability that the curvature is one that a ring can have."""
+    """Log evidence over all models, including the probability that the curvature is one that a ring can have."""
     from scipy.special import log_ndtr
 
     scores = bank.scores

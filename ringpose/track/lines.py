@@ -129,7 +129,7 @@ def track_line(
 
 
 def validity(track: Track, stamp_s: float, options: TrackOptions) -> Validity:
-    """How far the track may be trusted at an instant, by the age of the newest measurement that was used."""
+    """Validity of a track at an instant, by the age of the newest measurement that was used."""
     if not track.banks:
         return Validity.LOST
     age_s = stamp_s - track.stamp_s
