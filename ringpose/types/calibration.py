@@ -110,7 +110,7 @@ class LaserView:
 
     @property
     def held_out_rms_m(self) -> float:
-        """Root mean square of the held-out distances; NaN if they are not known."""
+        """Root mean square of the held-out distances; NaN if these are not known."""
         return _rms(self.held_out_m)
 
     @property

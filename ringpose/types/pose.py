@@ -195,7 +195,7 @@ class RadiusPrior:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Priors:
-    """What a pose assumes besides the shot itself."""
+    """Prior assumptions of a pose."""
 
     assumptions: Assumptions = Assumptions()
     radius: RadiusPrior | None = None
@@ -209,7 +209,7 @@ class Priors:
 
 
 class LaserState(StrEnum):
-    """What a laser's stripe contributed to a pose."""
+    """Contribution of a laser's stripe to a pose."""
 
     USED = "used"
     PARTLY = "partly"

@@ -102,7 +102,7 @@ class RingForm:
     axial_m: Float64[Array, "order=3 wave=2"]
 
     def any(self) -> bool:
-        """Whether there is a deviation."""
+        """Whether any deviation is not zero."""
         return bool(self.radial_m.any() or self.axial_m.any())
 
 

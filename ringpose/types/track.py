@@ -11,7 +11,7 @@ from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, RingPose, RingVelocity
 
 
 class Validity(StrEnum):
-    """How far a line may be trusted, by the age of the last measurement that was used."""
+    """Validity of a line: how far it may be trusted, by the age of the last measurement that was used."""
 
     VALID = "valid"
     PREDICTED = "predicted"
