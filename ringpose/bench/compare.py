@@ -64,7 +64,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Quantity:
-    """A compared quantity: the score of each shot; the printed statistic and the loss, as functions of the mean score."""
+    """A compared quantity: the score of each shot, and the printed statistic and the loss of the mean score."""
 
     score: Callable[[Score], float | None]
     """None if a shot has none."""

@@ -37,8 +37,8 @@ Baseline = Callable[[Detection, Rig, KnownRadii], RingPose | NoPose | str]
 def bisectors_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose | NoPose | str:
     """Centre where the perpendicular bisectors of an edge's two chords intersect; mean of both edges.
 
-    As in double-line and earlier structured-light systems (method(7), section 4): with chords that are nearly parallel
-    the intersection is far away. The radii are not used.
+    This is the method of double-line and earlier structured-light systems (method(7), section 4): with chords that are
+    nearly parallel the intersection is far away. The radii are not used.
     """
     found = _points_in_space(detection, rig)
     if not isinstance(found, tuple):

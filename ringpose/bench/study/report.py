@@ -233,7 +233,7 @@ def _numeric(keys: Sequence[Key]) -> bool:
 
 
 def _positions(keys: Sequence[Key], place: int, count: int) -> np.ndarray:
-    """Values on the axis; methods side by side for texts."""
+    """Places of a factor's values on the axis; if the values are texts, the methods are placed side by side."""
     if _numeric(keys):
         return np.array([float(key[0]) for key in keys])
     return np.arange(len(keys)) + 0.5 * ((place + 0.5) / count - 0.5)
