@@ -184,7 +184,10 @@ def _middle(
 
 
 def _ink_share(patch: Patch, offset: Offsets, outside: Patch) -> Patch | None:
-    """Share of ink by pixel: measured near the ellipse, else 1 inside and 0 outside; None without visible paper."""
+    """Share of ink in each pixel: measured near the ellipse, elsewhere 1 inside and 0 outside.
+
+    None without visible paper.
+    """
     paper, ink = (outside > EDGE_PX) & (outside < EDGE_PX + PAPER_PX), outside < -EDGE_PX
     if paper.sum() < MIN_LEVEL_PIXELS:
         return None

@@ -161,7 +161,7 @@ class EdgeProfile:
 
 
 class SideSamples(NamedTuple):
-    """Pixels beside a side, by line of pixels across it."""
+    """Pixels beside a side of a marker, arranged in lines of pixels across the side."""
 
     t: Float64[Array, "line"]
     """Position along the side at which the line crosses it."""
