@@ -248,7 +248,7 @@ def track_text(pose: RingPose | None, velocity: RingVelocity | None, status: str
 
 
 def _field_of_view(camera: Camera) -> tuple[float, float]:
-    """Vertical angle, and width over height."""
+    """Vertical angle of view (rad), and ratio of width to height."""
     angle_rad = 2 * np.arctan(camera.image_height / 2 / camera.camera_matrix[1, 1])
     return float(angle_rad), camera.image_width / camera.image_height
 
