@@ -119,11 +119,11 @@ def stripe_centers(
 ) -> Centers:
     """Sub-pixel centres of ridges, column by column, linked into pieces; 8 or 16 bits a pixel.
 
-    `dark` is the same view with the lasers off and is subtracted. `bands` restrict the search: first column, the one
-    after the last, and likewise the rows, rounded outwards to cells of 4 x 16 pixels. Each piece is measured with the
-    filter matched to its width, with a narrower one if clutter disturbs it, or by weighted least squares if speckle
-    dominates. Sigmas are propagated from the sensor noise and raised to the scatter that second differences of the
-    centres show.
+    `dark` is the same view with the lasers off and is subtracted. `bands` are the windows to search, one a row: first
+    column, column after the last, first row, row after the last; they are rounded outwards to cells of 4 x 16 pixels.
+    Each piece is measured with the filter matched to its width, with a narrower one if clutter disturbs it, or by
+    weighted least squares if speckle dominates. Sigmas are propagated from the sensor noise and raised to the scatter
+    that second differences of the centres show.
     """
     lit = np.ascontiguousarray(image)
     black = None if dark is None else np.ascontiguousarray(dark)
