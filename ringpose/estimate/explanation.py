@@ -426,8 +426,8 @@ def _select(
 def _margin(best: Solved, other: Solved) -> float:
     """The margin in chi-squared by which the best hypothesis must beat another one.
 
-    Two stripes nearly always agree with some ring. Which one of three is rejected is then decided by a single degree of
-    freedom, and each of them is as likely beforehand.
+    Two stripes nearly always agree with some ring. Which one of three stripes is rejected is then decided by a single
+    degree of freedom, and a priori each of the three is as likely to be wrong.
     """
     both_reject = PoseFlag.STRIPE_REJECTED in best.hypothesis.flag & other.hypothesis.flag
     two_left = len(best.hypothesis.measured.stripes) <= STRIPES_OF_A_PLANE

@@ -174,7 +174,7 @@ def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> 
 
 
 def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
-    """All assignments of the seen stripes to lasers; of more than three lasers those that differ in one or two."""
+    """All assignments of the seen stripes to lasers; for more than three lasers, those that differ in one or two."""
     if lasers <= MAX_PERMUTED:
         yield from permutations(range(lasers), len(seen))
         return

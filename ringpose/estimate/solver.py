@@ -213,8 +213,9 @@ def _linearized(
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
     """The residuals at `start`, the fixed columns (None for a mere guess), and the residuals after common errors.
 
-    The latter are less the part that the common errors of `start` explain, if it is an estimate. LinAlgError if
-    parameters are so far from being determined that the iteration is useless without weak priors.
+    If `start` is an estimate, the part of the residuals that its common errors explain is subtracted in the third
+    result. LinAlgError if parameters are so far from being determined that the iteration is useless without weak
+    priors.
     """
     fixed: FixedColumns | None = None
     if isinstance(start, RingArcs):
@@ -486,7 +487,7 @@ WALL_SD_M = 0.03
 
 
 def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior) -> FixedColumns:
-    """Derivatives by the errors of rig, form, mount and visible edges."""
+    """Derivatives of the residuals with respect to the errors of rig, form, mount and visible edges."""
     measured = observations.measured
     by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
     mean_ray = np.zeros((2, 0))
