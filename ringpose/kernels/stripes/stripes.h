@@ -35,7 +35,7 @@ typedef struct {
     size_t gap, shortest;      /* columns */
 } StripeParams;
 
-/* For each band its first column, the one after the last, and likewise its rows; NULL for the whole image. */
+/* First column, column after the last, first row, row after the last of each band; NULL for the whole image. */
 typedef struct {
     const int32_t *sides;
     size_t count;
