@@ -313,8 +313,8 @@ def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
 def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
     """Joint covariance; for an inconsistent shot it is multiplied by the reduced chi-squared.
 
-    The differences to the competing fits are then added. If stripes and break points have no redundancy, the factor is
-    the mean square of the visible edges' residuals.
+    The outer products of the differences from the competing fits are then added. If stripes and break points have no
+    redundancy, the factor is the mean square of the visible edges' residuals.
     """
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
