@@ -130,7 +130,7 @@ class Bank:
 
     @property
     def covariance(self) -> Float64[Array, "filter error=14 error=14"]:
-        """Covariance of the errors."""
+        """Covariance of the states' errors, with the common errors included."""
         covariance: Float64[Array, "filter error error"] = self.own + self.common @ self.common.swapaxes(1, 2)
         return covariance
 
