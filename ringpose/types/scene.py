@@ -49,7 +49,7 @@ class Beacon:
         return (self._on_before(begin_s + duration_s) - self._on_before(begin_s)) / duration_s
 
     def _on_before(self, time_s: float) -> float:
-        """Duration for which the lamp was on between `phase_s` and a time, which is counted from `phase_s`."""
+        """Time for which the lamp was on between `phase_s` and a time that is counted from `phase_s`."""
         cycles, rest_s = divmod(time_s, self.on_s + self.off_s)
         return cycles * self.on_s + min(rest_s, self.on_s)
 

@@ -209,14 +209,14 @@ class FreeMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionPreset:
-    """Angular velocity at the start, and where published the principal moments, along the axes of the target frame."""
+    """A motion: the angular velocity at the start and, if published, the principal moments, in target-frame axes."""
 
     angular_velocity_rad_s: tuple[float, float, float]
     inertia_kg_m2: tuple[float, float, float] | None = None
 
 
 def _rate(degrees_s: float, from_axis_deg: float) -> tuple[float, float, float]:
-    """An angular velocity at an angle from the ring's axis, towards x and a third as much towards y."""
+    """An angular velocity whose axis is tilted from the ring's axis towards x, and a third as much towards y."""
     rate_rad_s, angle_rad = np.radians(degrees_s), np.radians(from_axis_deg)
     across = rate_rad_s * np.sin(angle_rad) / np.sqrt(10.0)
     return float(3 * across), float(across), float(rate_rad_s * np.cos(angle_rad))
