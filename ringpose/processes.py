@@ -74,7 +74,7 @@ def outcomes(work: Callable[[Any], Result], items: Iterable[Any], jobs: int) -> 
 
 
 def _outcome(work: Callable[[Any], Result], numbered: tuple[int, Any]) -> Result | Exception:
-    """The result, or the exception as a value, which can be sent between processes."""
+    """The result of `work` for an item, or its exception as a value, which can be sent between processes."""
     try:
         return work(numbered[1])
     except Exception as error:
@@ -82,7 +82,7 @@ def _outcome(work: Callable[[Any], Result], numbered: tuple[int, Any]) -> Result
 
 
 def _send(items: Iterable[Any], connection: "Connection[Any, Any]") -> None:
-    """In a thread: send what `_received` receives, until nobody does."""
+    """Thread function: send the items that `_received` receives, until the receiver is closed."""
     with connection, suppress(OSError):
         try:
             for item in items:

@@ -13,7 +13,7 @@ from ringpose.types.pose import PoseFlag, PoseLine
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssumedRadii:
-    """Radii that a pose takes as known: given ones, or those of a catalogue's ring, which each shot chooses."""
+    """Radii that a pose assumes: given radii, or those of the catalogue's ring that each shot identifies."""
 
     source: Literal["given", "catalogue"]
     inner_m: float | None = None
@@ -35,11 +35,11 @@ class StatedAssumptions(Assumptions):
 
 
 def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
-    """Assumptions of a pose line; None for lines that are not compared by their assumptions.
+    """Assumptions of a pose line; None for a line that is not compared by its assumptions.
 
-    These are lines without a pose, closed-form solutions, which make no assumptions, and shots that fit only other
-    assumptions than the chosen ones. A pose without priors, as in records of version 1, counts as computed for a still
-    and exactly circular ring of unknown radius, with an unchanged rig.
+    None is returned for a line without a pose, for a closed-form solution, which makes no assumptions, and for a shot
+    that fits only assumptions other than the chosen ones. A pose without priors, as in records of version 1, counts as
+    computed for a still and exactly circular ring of unknown radius, with an unchanged rig.
     """
     if line.pose is None or line.pose.method != Method.ML or line.flags & OTHER_ASSUMPTIONS:
         return None

@@ -64,7 +64,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Quantity:
-    """A compared quantity: the score of each shot, and the printed statistic and the loss of their mean."""
+    """A compared quantity: the score of each shot, and the printed statistic and the loss of the mean score."""
 
     score: Callable[[Score], float | None]
     """None if a shot has none."""
@@ -102,7 +102,10 @@ def _typical_error(name: str) -> Quantity:
 
 
 def _nees(name: str) -> Quantity:
-    """The loss is |ln NEES|: 2 is as bad as 1/2. Values below one millionth, as of exact poses, count as that."""
+    """NEES of the errors `name`, compared by the loss |ln NEES|: 2 is as bad as 1/2.
+
+    NEES below 1e-6, as of exact poses, counts as 1e-6.
+    """
     return Quantity(
         score=lambda shot: shot.errors.get(name),
         figure=_itself,
@@ -162,7 +165,7 @@ class Row:
     shots: int
     """Shots in which both results have this quantity."""
     changed: int
-    """Those of them in which it differs."""
+    """Shots in which the quantity differs."""
     a: float
     b: float
     """The statistics, in metres, radians, seconds, shares."""
@@ -288,7 +291,7 @@ def permutation_p_value(
 
 @lru_cache(maxsize=16)
 def _random_permutations(shots: int, permutations: int) -> UInt8[Array, "permutation byte"]:
-    """Which shots are exchanged in random permutations, one bit per shot: 25 MB for 20,000 shots.
+    """Random permutations as one bit per shot: whether its scores are exchanged; 25 MB for 20,000 shots.
 
     Rows with the same number of shots use the same permutations.
     """

@@ -36,7 +36,7 @@ def nothing_changed(rows: Sequence[Row]) -> bool:
 
 
 def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str, str]]:
-    """Method, shot and quantity of those that are wrong in B and not in A."""
+    """Method, shot and name of each quantity that is wrong in B and not in A."""
     return [
         (method, a.shot, name)
         for method, members in paired
@@ -47,7 +47,7 @@ def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str,
 
 
 def newly_without_pose(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str]]:
-    """Method and shot of those with a ring for which A has a pose and B has none."""
+    """Method and name of each shot of a ring for which A has a pose and B has none."""
     without = ("none", "lost")
     return [
         (method, a.shot)

@@ -23,7 +23,7 @@ SCHEMA = "bench/3"
 STATUSES = ("ok", "degraded", "none", "lost")
 
 SCHEMA_2 = "bench/2"
-"""The version before, which is read but not written: all poses are those of a still and perfect ring."""
+"""The previous version, which is read but not written: all poses are those of a still and perfect ring."""
 
 
 def report(

@@ -87,7 +87,7 @@ class PoseEstimate:
     method: str
     """Empty if a record without a pose does not contain it."""
     status: Status
-    """That of the record, which may have flags that are not known."""
+    """Status of the record, which may have flags that are not known."""
 
     @property
     def stamp_s(self) -> float:
@@ -96,7 +96,7 @@ class PoseEstimate:
 
 
 class Outcome(StrEnum):
-    """What a method gives for a shot, compared with what the truth expects."""
+    """Outcome of a shot: what a method gives, compared with what the truth expects."""
 
     OK = "ok"
     DEGRADED = "degraded"
@@ -134,14 +134,14 @@ class Score:
     method: str
     outcome: Outcome
     status: Literal["ok", "degraded", "none", "lost"]
-    """That of the pose record; `lost` if there is none."""
+    """Status of the pose record; `lost` if there is none."""
     has_target: bool = True
     """Whether a ring is visible."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
-    """By the names of `QUANTITIES`, without those that cannot be compared."""
+    """Errors by the names of `QUANTITIES`, without those that cannot be compared."""
     judgements: Mapping[str, Judgement] = field(default_factory=dict)
-    """By the names of `JUDGED`, without those that the pose does not report."""
+    """Judgements by the names of `JUDGED`, without those that the pose does not report."""
     distances: Mapping[str, float] = field(default_factory=dict)
     """Mahalanobis distances from the truth by the names of `JUDGED`, of the quantities with a covariance."""
     gross: tuple[str, ...] = ()
@@ -183,8 +183,8 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
 def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -> list[PoseEstimate]:
     """Estimates of a track, each renamed to the shot of the truth that is nearest in time.
 
-    Of several estimates at one truth the nearest is kept. An estimate that is more than `MAX_PROPAGATION_S` from all
-    truths keeps its name.
+    If several estimates are nearest to one truth, only the nearest is kept. An estimate that is more than
+    `MAX_PROPAGATION_S` from all truths keeps its name.
     """
     dated = [truth for truth in truths if truth.stamp_s is not None]
     stamps_s = np.array([truth.stamp_s for truth in dated])
@@ -336,7 +336,7 @@ def _judgements(
 def _errors(
     truth: Truth, pose: RingPose | None, compared: Compared, distances: Mapping[str, float]
 ) -> dict[str, float]:
-    """Errors by the names of `QUANTITIES`; in a partial shot only those of normal and grasp point."""
+    """Errors by the names of `QUANTITIES`; in a partial shot only the errors of normal and grasp point."""
     if pose is None or truth.normal is None or truth.expect == "no_target":
         return {}
     error = {name: vector for name, (vector, _) in compared.items()}

@@ -90,7 +90,10 @@ def pose_times_s(rounds: int) -> dict[str, float]:
 
 
 def solve_pnp(points: BreakPoints, camera: Camera) -> Callable[[], object]:
-    """A call of solvePnP with the break points, and the same points in a plane parallel to the image as object."""
+    """A function that calls solvePnP with the break points as image points.
+
+    The object points are the same points in a plane parallel to the image.
+    """
     pixels = points.position_px.reshape(-1, 2)
     flat = (pixels - camera.camera_matrix[:2, 2]) / camera.camera_matrix[0, 0]
     objects = np.column_stack([flat, np.zeros(len(flat))])

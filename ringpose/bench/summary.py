@@ -43,7 +43,7 @@ class WrongQuantities:
     """Wrong quantities that cannot be explained by chance (`Score.gross`)."""
 
     def count(self, judgement: Judgement) -> int:
-        """Number of quantities with a judgement."""
+        """Number of quantities that have the given judgement."""
         return sum(counts[judgement] for counts in self.counts.values())
 
     @property
@@ -88,10 +88,10 @@ class Summary:
     targets: int
     """Shots in which there is a ring."""
     available: int
-    """Those of them whose status is `ok`."""
+    """Shots in which there is a ring and whose status is `ok`."""
     wrong: WrongQuantities
     errors: Mapping[str, ErrorStatistics]
-    """By the names of `QUANTITIES`; for the two NEES see `nees`."""
+    """Statistics by the names of `QUANTITIES`; for the two NEES see `nees`."""
     nees: Mapping[str, float]
     """Mean NEES of centre and normal divided by the degrees of freedom; 1 if the covariance is correct."""
 

@@ -54,7 +54,7 @@ PLANES_LIMITS: Limits = {
 
 
 def check(limits: Limits, name: str, value: float, advice: str, place: str = "", *, scale: float = 1.0) -> Check:
-    """The check of a value by its limits; those of a relative quantity are multiplied by `scale`."""
+    """The check of a value by its limits; the limits of a relative quantity are multiplied by `scale`."""
     pass_limit, fail_limit = (scale * limit for limit in limits[name])
     return Check(name=name, value=value, pass_limit=pass_limit, fail_limit=fail_limit, advice=advice, place=place)
 

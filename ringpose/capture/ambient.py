@@ -53,7 +53,7 @@ class AmbientChange:
     size_dn: float
     """Change of the grey value in at least a tenth of the image; negative if it became darker."""
     share_of_full: float
-    """The same as a share of the full grey value."""
+    """The change `size_dn` as a share of the full grey value."""
     only_with_lasers: bool = False
     """Whether only frames with lasers show it, so that it may also be stray light of the lasers."""
 
@@ -109,7 +109,10 @@ def _sampled_blocks(images: UInt[Array, "frame row column"]) -> Float32[Array, "
 
 
 def _broad_change_dn(difference_dn: Float32[Array, "block pixel"], full_dn: int) -> float:
-    """The change that at least a tenth of the blocks has; 0 within noise, or if similarly many change the other way."""
+    """The change that at least a tenth of the blocks has.
+
+    0 within noise, or if similarly many blocks change in the other direction.
+    """
     level_dn = np.median(difference_dn, axis=1)
     deviation_dn = np.median(np.abs(difference_dn - level_dn[:, None]), axis=1)
     sigma_dn = MEDIAN_SIGMA * float(np.quantile(deviation_dn, 1 - MIN_SHARE_OF_IMAGE)) / difference_dn.shape[1] ** 0.5

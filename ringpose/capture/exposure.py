@@ -54,7 +54,7 @@ Exposures: TypeAlias = tuple[float, ...]
 
 
 class ExposureControl:
-    """Exposures of the next shot, from the stripes of the last one; within the limits of camera and lasers."""
+    """Determines the next shot's exposures from the stripes of the last one, within the limits of camera and lasers."""
 
     def __init__(self, rig: Rig | None, lasers: int, min_s: float, max_s: float) -> None:
         self._rig = rig
@@ -62,13 +62,13 @@ class ExposureControl:
         self._min_s, self._max_s = min_s, max_s
         self._too_long_s = math.inf
         self.exposures: Exposures | None = None
-        """None before the first shot, which has the exposure that the camera is set to."""
+        """Exposures of the next shot; None before the first one, which has the exposure that the camera is set to."""
 
     def accepts(self, shot: Shot) -> bool:
         """Whether a shot is well exposed, or cannot be exposed better; sets the exposures of the next one.
 
-        An exposure that was far too long is not reached again until a shot is accepted: what it saturates may hide the
-        ring, whose stripes alone would suggest it.
+        An exposure that was far too long is not reached again until a shot is accepted: the ring's stripes alone may
+        suggest it, but what is saturated at that exposure may hide the ring.
         """
         used, wanted = exposures_of(shot), wanted_exposures(shot, self._lasers, self._rig)
         if wanted[-1] < used[-1] / MAX_RATIO:
@@ -84,17 +84,18 @@ class ExposureControl:
 
 
 def exposures_of(shot: Shot) -> Exposures:
-    """The exposures that a shot was taken with; those of a merged one are in its `meta`."""
+    """The exposures that a shot was taken with; for a merged shot they are in its `meta`."""
     merged = shot.meta.get("merged")
     every = shot.exposure_s.tolist() if merged is None else [each for group in merged["exposures_s"] for each in group]
     return tuple(sorted(set(every)))
 
 
 def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
-    """The exposures at which each stripe of the shot would reach `TARGET_SHARE`.
+    """The exposures at which the stripes of the shot would reach `TARGET_SHARE`.
 
-    One if it suits all stripes, else the shortest and the longest. Of a shot with a known rig, the stripes on the
-    ring's face are measured, else all of them. If no ring is found and the ambient light saturates, it is shorter.
+    One exposure if it suits all stripes, else the shortest and the longest. With a known rig, the stripes on the ring's
+    face are measured, else all stripes. If no ring is found and the ambient light saturates, the exposures are
+    shortened.
     """
     images = laser_images(shot, lasers)
     points = None if rig is None else detect(shot, rig, edges=False).break_points
@@ -118,7 +119,7 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
 def _stripes_on_face(
     points: BreakPoints, images: list[LaserImage], rig: Rig
 ) -> Iterator[tuple[LaserImage, Float64[Array, "column xy=2"]]]:
-    """The stripes on the ring's face: a place in each of their columns."""
+    """Each stripe on the ring's face: its image, and a pixel position in each of its columns."""
     for image in images:
         for laser in image.lasers:
             ends_px = np.stack([points.face_start_px[laser], points.face_end_px[laser]])
@@ -134,7 +135,8 @@ def _best_exposure_s(
 ) -> float:
     """The exposure at which the bright parts of a stripe reach their grey value.
 
-    `scale_s` is the exposure that the grey values stand for, `shortest_s` that in which saturated ones were taken.
+    `scale_s` is the exposure that the grey values refer to, `shortest_s` the shortest exposure that was taken, at which
+    pixels shown as saturated are saturated, too.
     """
     column, row = np.rint(position_px).astype(np.int64).T
     rows = np.clip(row + np.array([[-1], [0], [1]]), 0, image.lit.shape[0] - 1)
@@ -146,7 +148,7 @@ def _best_exposure_s(
 
 
 def factor_without_stripes(shot: Shot) -> float:
-    """By how much to change the exposure of a shot in which no stripe is seen; 1 if the stripes are not the cause."""
+    """Factor on the exposure of a shot in which no stripe is seen; 1 if the stripes are not the cause."""
     thinned = shot.images[:, ::4, ::4]
     if float(np.percentile(thinned, 99.9)) < DARK_SHARE * shot.saturation_dn:
         return STEP

@@ -94,8 +94,8 @@ class LitPixels:
     def _line_dn(self, image: Image) -> Float32[Array, "n"]:
         """How much brighter the pixels are than their surroundings; about 0 for edges, texture and noise.
 
-        The smaller one of the morphological top-hat, which is 0 beside an edge, and of the difference to the local
-        mean, which texture and noise exceed in at most half of the pixels.
+        It is the smaller of two values: the morphological top-hat, which is 0 beside an edge, and the difference to the
+        local mean, which texture and noise exceed in at most half of the pixels.
         """
         size = max(image.shape[1] // MAX_WIDTHS_PER_IMAGE, 15)
         lines = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((size, size), dtype=np.uint8))
@@ -134,9 +134,9 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
 
 
 def lit_pixels(image: Image, without: Sequence[Image], saturation_dn: int) -> LitPixels | None:
-    """Pixels brighter than in all dark frames; else those brighter than in one, if lit in another one as well.
+    """Pixels brighter than in all dark frames; else those brighter than in the darkest, if they are lit in another one.
 
-    The second case is a laser that stays on in one of the dark frames: it is not brighter than that one.
+    The second case is a laser that stays on in one of the dark frames: the image is not brighter than that frame.
     """
     darkest, brightest = functools.reduce(cv2.min, without), functools.reduce(cv2.max, without)
     above_all = _brighter_pixels(image, brightest, darkest, saturation_dn)
@@ -148,12 +148,12 @@ def lit_pixels(image: Image, without: Sequence[Image], saturation_dn: int) -> Li
 
 
 def diffuse_light_dn(shot: Shot, seen: UInt8[Array, "frame"], pixels: Mapping[int, LitPixels]) -> float:
-    """Rise in grey value of light that is not a line but was taken for a laser.
+    """Rise in grey value due to diffuse light that was taken for the line of a laser.
 
     0 if there is none, or if a laser line shows in a frame in which its laser should be off.
 
-    A lamp that lights part of the image in a laser's own frame and in others gives that laser pixels that are lit in
-    the others, too.
+    A lamp that lights part of the image both in a laser's own frame and in other frames makes that laser appear to be
+    on in the others, too.
     """
     rises_dn = []
     for image, extra in zip(shot.images, (seen & ~shot.lasers).tolist(), strict=True):

@@ -17,7 +17,7 @@ from ringpose.types.image import Frame, Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveShot:
-    """A shot with its acquisition data."""
+    """A shot with data about its acquisition: lost shots, time of completion."""
 
     shot: Shot
     dropped: int
@@ -29,8 +29,8 @@ class LiveShot:
 class NewestShots:
     """Takes shots in a thread while the `with` block lasts, and yields the newest one; at most one waits.
 
-    Exceptions of that thread are raised where the shots are consumed. With `every`, for sources whose time stands still
-    meanwhile, each shot is taken when it is asked for, without a thread.
+    Exceptions of that thread are raised where the shots are consumed. With `every`, each shot is taken when it is asked
+    for, without a thread: for sources whose time stands still between shots.
     """
 
     def __init__(self, shots: Iterator[Shot], abort: Callable[[], None] | None = None, *, every: bool = False) -> None:
@@ -103,15 +103,15 @@ MAX_SEARCHED = 8
 class EarlyStripes:
     """Searches each frame of a switched shot for its stripe while the camera exposes the next ones, in a thread.
 
-    The background is the last frame without lasers so far. For a frame that turns out to be nearer in time to a later
-    one, as for one that was not searched, `stripes_of` returns None.
+    The background is the last frame without lasers so far. `stripes_of` returns None for a frame that was not searched,
+    and for a frame whose background in the complete shot is a later frame.
     """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stripes")
         self._dark: Frame | None = None
         self._searches: dict[tuple[float, float | None, int], Future[Stripes]] = {}
-        """By the mid exposures of a frame and of its background, and the saturation value."""
+        """Searches by the mid exposures of a frame and of its background, and the saturation value."""
 
     def add(self, frame: Frame, saturation_dn: int) -> None:
         """Start the search in a frame that has just arrived."""
@@ -125,7 +125,7 @@ class EarlyStripes:
                 del self._searches[next(iter(self._searches))]
 
     def stripes_of(self, image: LaserImage) -> Stripes | None:
-        """The stripes of a frame of a shot that is complete, with the background that the shot has for it."""
+        """The stripes found in a frame; None if not searched with the background that the complete shot has for it."""
         dark_stamp_s = None if image.dark is None else image.dark_stamp_s
         search = self._searches.get((image.stamp_s, dark_stamp_s, image.threshold_scale_dn))
         return None if search is None else search.result()

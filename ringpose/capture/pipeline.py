@@ -71,9 +71,9 @@ class Procedure:
     is_exposure_auto: bool = False
     """Whether the exposure is controlled by the stripes (`ringpose.capture.exposure`); it starts at `exposure_s`."""
     rig: Rig | None = None
-    """Of the camera: the stripes on the ring's face control the exposure, otherwise all stripes."""
+    """Rig of the camera: the stripes on the ring's face control the exposure, otherwise all stripes."""
     settle_s: float | None = 0.0
-    """From switching to triggering; None to measure it before the first shot."""
+    """Time from switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
     """Whether every commanded laser must be seen in the images of a shot."""
     report: Callable[[str], None] = lambda _: None
@@ -126,7 +126,7 @@ class _Sequencer:
         self._procedure = procedure
         self._checker = ShotChecker(camera, lasers, must_see=procedure.must_see)
         self._steps = procedure.steps
-        """Of the shot that is being taken."""
+        """Steps of the shot that is being taken."""
         self._settle_s = 0.0 if procedure.settle_s is None else procedure.settle_s
         self._is_settle_measured = procedure.settle_s is not None
         self._control = self._exposure_control() if procedure.is_exposure_auto else None
@@ -139,10 +139,10 @@ class _Sequencer:
             self._steps = self._procedure.choose(self._procedure.steps)
 
     def shot(self, name: str) -> Shot:
-        """A shot that passes all checks.
+        """Take shots until one passes all checks, and return it.
 
-        Up to `TRIES` attempts fail for camera or lasers, and `MAX_LOST` are lost to changing ambient light, before the
-        last problem is raised.
+        The last problem is raised after `TRIES` attempts that failed because of camera or lasers, or after `MAX_LOST`
+        attempts that were lost to changing ambient light.
         """
         problem, failures, wrong = DeviceError("lasers", "no shot could be taken"), 0, 0
         lost: list[AmbientChange] = []
@@ -175,9 +175,10 @@ class _Sequencer:
         raise problem
 
     def _completed(self, shot: Shot, wrong: int, lost: Sequence[AmbientChange], *, is_first: bool) -> Shot:
-        """The shot, with the changes of ambient light in its lost attempts; read by `lost_attempts_dn`.
+        """The accepted shot; its `meta` lists the changes of ambient light in lost attempts, for `lost_attempts_dn`.
 
-        A longer settling time is kept if two shots in a row needed one; a single one may have been disturbed.
+        A longer settling time is kept for later shots if two shots in a row needed one; a single shot may have been
+        disturbed.
         """
         if not is_first:  # a contact may have welded in an attempt that was lost, before its laser was seen
             self._checker.reject_stripe_in_dark(self._checker.unseen(shot))
@@ -220,7 +221,7 @@ class _Sequencer:
         return merged_brackets(shot) if is_bracketed else shot
 
     def _exposure_control(self) -> ExposureControl:
-        """Automatic exposure within what the camera can and the watchdog of the lasers allows."""
+        """Automatic exposure within the limits of the camera and of the watchdog of the lasers."""
         bounds_us = self._camera.bounds("ExposureTime")
         min_s, max_s = AUTO_RANGE_S
         if bounds_us is not None:
@@ -234,7 +235,10 @@ class _Sequencer:
             return self._camera.trigger(mask, exposure_s)
 
     def _reconnected(self, lost: _CameraError) -> DeviceError:
-        """Open the camera again, with all lasers off; returns the problem to raise if every attempt ends so."""
+        """Open the camera again, with all lasers off, in several attempts; raises its error if none succeeds.
+
+        Returns the error to raise if the camera is lost in every attempt at the shot.
+        """
         (problem,) = lost.args
         self._camera.close()
         self._procedure.report(f"{problem}; trying to connect again for {sum(RECONNECT_PAUSES_S):.0f} s")
@@ -251,7 +255,7 @@ class _Sequencer:
         raise problem
 
     def _await_changes(self, lost_attempts: int) -> None:
-        """Wait, with all lasers off, for changes of ambient light; a shot right after one has the most time."""
+        """Wait, with all lasers off, for changes of ambient light: a shot begun just after one has the most time."""
         count = CHANGES_TO_AWAIT[(lost_attempts - 1) % len(CHANGES_TO_AWAIT)]
         if not lost_attempts or not count:
             return

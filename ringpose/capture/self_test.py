@@ -14,7 +14,7 @@ from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
 from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
 
 Verdict = Literal["ok", "warning", "fault"]
-"""From best to worst."""
+"""Verdicts from best to worst."""
 
 FRAMES = 10
 """Frames without lasers, to measure the frame rate and to count repeated frames."""
@@ -117,5 +117,5 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
 
 
 def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> Check:
-    """A check with the verdict `ok`, or with this one and a remedy if the finding is bad."""
+    """The check with its verdict: `ok`, or, if the finding is bad, `verdict` together with the remedy."""
     return Check(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")

@@ -105,7 +105,7 @@ class ShotChecker:
         return checked, None
 
     def never_seen(self, shot: Shot, lost_attempts: int) -> int:
-        """The mask of those lasers of a lost shot that no shot has shown, after `lost_attempts` attempts at it.
+        """The mask of the lasers of a lost shot that no shot has shown, after `lost_attempts` lost attempts at it.
 
         Raises a safety fault if a laser is on in frames in which it should be off, and remains on.
         """
@@ -196,7 +196,7 @@ def _reject_lit(pixels: Mapping[int, LitPixels], dark_image: Image, *, by_lamp: 
 
 
 def _reject_stripe(missing: int, dark_image: Image) -> None:
-    """Lasers are missing and a stripe shows in the dark image: one of them may be on all the time."""
+    """Raise a safety fault if the dark image shows a stripe: one of the missing lasers may be on all the time."""
     if shows_stripe(dark_image):
         found = f"{laser_list(missing)} not seen to go on or off, and a stripe shows while all are off"
         raise LaserSafetyError("lasers", found, "cut the power; a line that stays then is not a laser's")

@@ -53,9 +53,9 @@ class CaptureRequest:
     """Whether to keep a shot in which a commanded laser is not seen."""
     channel: str | None = None
     laser_names: tuple[str, ...] | None = None
-    """Of the rig's lasers; None where no rig is given."""
+    """Names of the rig's lasers; None where no rig is given."""
     rig: Rig | None = None
-    """Of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
+    """Rig of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
     report: Callable[[str], None] = lambda _: None
     """Receives a message when the camera is lost."""
     on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
@@ -80,7 +80,7 @@ class Source:
     folders: frozenset[Path] = frozenset()
     """Folders of recorded shots, as far as they are known before reading."""
     devices: tuple[()] | tuple[CameraDriver, LaserDriver] = ()
-    """To be entered, in this order, while shots are taken."""
+    """Context managers to be entered, in this order, while shots are taken."""
     abort: Callable[[], None] | None = None
     """Switches the lasers off, also while another thread takes shots."""
     waits_for_consumer: bool = False
@@ -103,12 +103,12 @@ def camera_source(request: CaptureRequest) -> Source:
 
 
 def switched_steps(count: int) -> tuple[Step, ...]:
-    """Each of `count` lasers alone in one frame, between two frames without lasers."""
+    """Steps in which each of `count` lasers is on alone, between two frames without lasers."""
     return (Step("off"), *(Step(str(number + 1)) for number in range(count)), Step("off"))
 
 
 class TrackedSequence:
-    """Chooses the lasers of each shot by what a track has last reported: all while it assigns their stripes.
+    """Chooses the lasers of each shot: all at once while the track reports that it can assign their stripes.
 
     A frame with all lasers on has a single time, so that the target does not move within it.
     """
@@ -118,11 +118,11 @@ class TrackedSequence:
         self._since_off = 0
 
     def report(self, *, is_assigned: bool) -> None:
-        """Whether the track will assign the stripes of the next frame with all lasers on; from any thread."""
+        """Set whether the track will assign the stripes of the next frame with all lasers on; from any thread."""
         self._is_assigned = is_assigned
 
     def __call__(self, switched: tuple[Step, ...]) -> tuple[Step, ...]:
-        """The steps of the next shot; `switched` are those of a shot in which the frames tell the lasers apart."""
+        """The steps of the next shot; `switched` are the steps of a shot in which each laser has its own frame."""
         if not self._is_assigned:
             self._since_off = 0  # switched shots begin and end without lasers
             return switched
@@ -146,7 +146,10 @@ def device_source(
     names: Callable[[Container[str]], Iterator[str]],
     scene_file: Path | None = None,
 ) -> Source:
-    """The source of shots by the steps of the request; `names` yields their names, given those that exist already."""
+    """The source that takes shots from devices by the steps of the request.
+
+    `names` receives the existing names of shots and yields new ones.
+    """
     from ringpose.capture.pipeline import Procedure, captured_shots
 
     steps = request.steps or ()

@@ -25,7 +25,7 @@ class DeviceUri:
     """The parts of a device URI: `scheme:address?key=value&key=value`."""
 
     text: str
-    """As the user wrote it."""
+    """The URI as the user wrote it."""
     option: str
     """The command-line option, for messages."""
     scheme: str

@@ -46,7 +46,7 @@ class Batch:
             messages.error(problem)
 
     def _report_count(self) -> None:
-        """Report how many problems were only counted, once a valid input or the end has come."""
+        """Report how many problems had no message of their own, once a valid input or the end has come."""
         if self._unreported:
             messages.echo(f"{self._unreported} further lines or names cannot be read; give names or records")
         self._in_a_row, self._unreported = 0, 0

@@ -106,7 +106,7 @@ class DetectInput:
     """Reads inputs and searches them; with `track` the search starts near the break points of the previous one."""
 
     rig: "Rig | None"
-    """To which the shots must belong, if it is given."""
+    """The rig to which the shots must belong, if it is given."""
     channel: str | None
     segments_only: bool
     """Whether only segments are searched for, by this method; else there must be a rig."""

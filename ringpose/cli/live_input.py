@@ -1,4 +1,4 @@
-"""Input that arrives meanwhile: shots of a live camera, poses of the robot that carries it, records at fixed ticks."""
+"""Input that arrives while a command runs: shots of a live camera, poses of its robot, records at fixed ticks."""
 
 import queue
 import threading
@@ -29,7 +29,7 @@ PATIENCE_S = 0.2
 def live_lines(
     request: "CaptureRequest", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
 ) -> "Iterator[Iterator[PoseLine]]":
-    """Pose lines of a camera, each of the latest shot when the one before has been measured.
+    """Pose lines of a live camera: after each measurement, the latest shot is measured next.
 
     A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block the lasers
     are off and the devices closed.
@@ -54,7 +54,10 @@ def live_lines(
 
 
 def live_camera_motion(rig: Path) -> "Callable[[float], CameraMotion]":
-    """The motion of the camera up to a stamp, by the poses of the robot that arrive on standard input meanwhile."""
+    """A function of a stamp that returns the motion of the camera up to it.
+
+    It waits for the robot's poses, which arrive on standard input.
+    """
     from ringpose.cli import messages
     from ringpose.files.records.robot_poses import RobotPoseStream
     from ringpose.files.rigs import read_mount

@@ -59,7 +59,7 @@ class PosePictures:
         """Badness, number and picture of the worst shots, the worst first."""
 
     def keep(self, source: "Shot | Detection", detection: "Detection") -> None:
-        """Keep what the next line was computed from, for its picture."""
+        """Keep the shot and its detection for the picture of the next line."""
         self._source, self._detection = source, detection
 
     def add(self, line: "PoseLine") -> None:

@@ -242,7 +242,7 @@ def _writer(
     verbose: bool,
     batch: Batch,
 ) -> "Callable[[PoseLine], None]":
-    """Writes the record of a pose line, or of the track that it continues."""
+    """A function that writes the record of a pose line, or of the track that the line continues."""
     from ringpose.files.records.poses import pose_record
 
     record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
@@ -277,7 +277,7 @@ def _write(
     verbose: bool,
     quiet: bool,
 ) -> None:
-    """Every line as it comes, with the health of the rig; then its picture."""
+    """Write each line as it comes, report the health of the rig, then draw the line's picture."""
     from ringpose.pose.pipeline import remarks_on
 
     for line in with_progress(lines, "shots", quiet):

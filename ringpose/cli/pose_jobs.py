@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleShot:
-    """Measures an input by itself, with the rig as it was given; worker processes import it."""
+    """Measures each input independently of the others, with the given rig; worker processes import this class."""
 
     rig: "Rig"
     channel: str | None
@@ -56,8 +56,8 @@ def recorded_lines(
 ) -> "Iterator[PoseLine]":
     """Pose lines in the order of the inputs, the same for any number of processes; the batch reports bad inputs.
 
-    With several, each measures shots by itself; a shot that follows the discovery of a moved light plane is measured
-    again, as all are by one process: by `measure`, which knows the stream.
+    With several processes, each measures shots by themselves. Once the stream shows that a light plane has moved, the
+    following shots are measured again with the corrected rig by `measure`, as with one process.
     """
     from ringpose.files.inputs import inputs as named
     from ringpose.files.sources import SUFFIXES

@@ -81,7 +81,7 @@ class _Records:
         self._reported: set[str] = set()
 
     def added(self, item: "Input", at_rate: bool = False) -> "Attempt | None":
-        """How a record was used; None if it does not belong to this track, which is reported."""
+        """Add a record and return how it was used; None, with a message, if it does not belong to this track."""
         from ringpose.files.records.poses import pose_line_of
 
         attempt = None

@@ -31,16 +31,16 @@ RING_POINTS = 90
 """Vertices of a circle in the scene."""
 
 RING_COLORS = (31, 95, 191), (70, 160, 60), (225, 120, 0)
-"""Of the estimate, the truth and the track."""
+"""Colours of the estimate, the truth and the track."""
 
 COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
-"""Of the target's materials; others are grey."""
+"""Colours of the target's materials; others are grey."""
 
 FRUSTUM_PX = 160
 """Width of the picture in the frustum; without a GPU, that of the panel would take as long as the rest of the scene."""
 
 CHEAP: Any = {"material": "toon3", "cast_shadow": False, "receive_shadow": False}
-"""Of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
+"""Material of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
 
 PANEL_PX = (400, 600, 900)
 """Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
@@ -50,7 +50,7 @@ BELOW_ALL = 1e9
 
 
 def opened_server(host: str, port: int) -> viser.ViserServer:
-    """A server whose page has its controls at the right, and nothing that concerns other machines."""
+    """A server whose page has its controls at the right, without viser's buttons for sharing with other machines."""
     import io
     from contextlib import redirect_stdout
 
@@ -72,7 +72,7 @@ def opened_server(host: str, port: int) -> viser.ViserServer:
 
 
 class Picture:
-    """An image in the panel, encoded before."""
+    """An image in the panel, which is passed as JPEG."""
 
     def __init__(self, server: viser.ViserServer, label: str) -> None:
         self._handle = server.gui.add_image(np.zeros((120, 160, 3), np.uint8), label=label, format="jpeg")
@@ -192,7 +192,7 @@ class Plots:
 
 
 def _points(label: str, color: str) -> uplot.Series:
-    """A series without lines: they would join the measurements on either side of a missing one."""
+    """A plot series of points without lines, which would join the measurements on both sides of a missing one."""
     return uplot.Series(label=label, stroke=color, width=0, points={"show": True, "size": 4, "fill": color})
 
 
@@ -248,7 +248,7 @@ def track_text(pose: RingPose | None, velocity: RingVelocity | None, status: str
 
 
 def _field_of_view(camera: Camera) -> tuple[float, float]:
-    """Vertical angle, and width over height."""
+    """Vertical angle of view (rad), and ratio of width to height."""
     angle_rad = 2 * np.arctan(camera.image_height / 2 / camera.camera_matrix[1, 1])
     return float(angle_rad), camera.image_width / camera.image_height
 

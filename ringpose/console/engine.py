@@ -47,31 +47,31 @@ MAX_CAMERAS = 4
 """Camera records that are kept."""
 
 POLL_S = 0.05
-"""Between two checks whether a waiting item can be worked on."""
+"""Time between two checks whether a waiting item can be worked on."""
 
 Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConsolePicture:
-    """What the console shows of one state."""
+    """The picture of one state, with its measurement."""
 
     state: ConsoleState
     image: UInt8[Array, "row column 3"]
     """Blue, green, red; the number of the state and its time are written into it."""
     rig: Rig
-    """Of the images of this picture."""
+    """Rig of the images of this picture."""
     truth: Truth
-    """At the time at which the pose holds."""
+    """Truth at the time at which the pose holds."""
     shot: Shot | None = None
     shot_truth: Truth | None = None
     line: PoseLine | None = None
-    """None in a preview."""
+    """The pose line; None in a preview."""
     errors: dict[str, float] | None = None
     """Errors of the pose, as `ringpose bench` names and computes them; empty without a pose."""
     track: TrackLine | None = None
     track_error_m: float = np.nan
-    """Of the track's centre."""
+    """Error of the track's centre."""
 
     @property
     def jpeg(self) -> bytes:
@@ -185,7 +185,7 @@ class Engine:
             stage.end()
 
     def show(self, state: ConsoleState, *, measure_now: bool = False) -> None:
-        """Show this state as soon as possible, then measure it, instead of earlier ones that are not begun yet."""
+        """Show this state as soon as possible, then measure it; earlier states that are not begun yet are skipped."""
         with self._lock:
             now_s = time.monotonic()
             if now_s > self._changed_s + QUIET_S:  # the first change for a while: its preview comes first
@@ -220,7 +220,7 @@ class Engine:
         return ConsolePicture(state=state, image=captioned(frame.image, caption), rig=scene.rig, truth=truth)
 
     def measured(self, state: ConsoleState) -> ConsolePicture:
-        """A shot of the state, what detect, pose and track find in it, and their errors."""
+        """Measure a state: render a shot, detect, estimate the pose, track, and compute the errors."""
         scene = self._scene_of(state)
         try:
             shot, truth = simulated_shot(scene, (state.view(scene),), 0)
@@ -255,7 +255,7 @@ class Engine:
         return self._tracker.line_of(self._tracker.add(line))
 
     def _scene_of(self, state: ConsoleState) -> Scene:
-        """The scene of a state, with the camera record of earlier pictures: the renderer keeps the rays of a record."""
+        """The scene of a state, with the camera record of earlier pictures, whose rays the renderer has cached."""
         scene, change = state.scene_of(self._scene), state.rig_change
         key = (change.rig, change.focal_scale, change.pitch_scale, scene.rig.camera.image_width)
         with self._lock:

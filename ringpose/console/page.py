@@ -42,7 +42,7 @@ ORBIT_PERIOD_S = 0.4
 """Least time between two updates of the orbit view; viser draws it anew for 0.25 s after each."""
 
 END_S = 60.0
-"""Of the motion that the controls set; then it starts again."""
+"""End of the motion that the controls set; it then starts again."""
 
 SLIDER_PERIOD_S = 1.0
 """Time between two moves of the time slider while the motion plays; the label of the picture has the exact time."""
@@ -54,7 +54,7 @@ SHOWN_MEASUREMENTS = 300
 """Measurements in the plots."""
 
 EARTH_MARGIN_M = 0.5
-"""Between the target and the Earth, which is drawn behind all its parts and as large as it appears from the ring."""
+"""Gap between the target and the Earth, which is drawn beyond all parts, as large as it appears from the ring."""
 
 EARTH = Earth(direction=np.array([0.9, -0.2, 0.15]))
 """The Earth of scenes without one: beside the target, and in the first view of the page."""
@@ -228,7 +228,7 @@ class ConsolePage:
             self._earth: Any = gui.add_checkbox("Earth", light.earth is not None)
 
     def _change(self, time_s: float | None = None, *, is_time_only: bool = False, measure_now: bool = False) -> None:
-        """Take over the positions of all controls, at a time or that of the last state."""
+        """Take over the positions of all controls, at the given time or at the time of the last state."""
         with self._lock:
             number, pitch, yaw, roll = self._state.number + 1, *(np.radians(each.value) for each in self._angles)
             azimuth, elevation = (np.radians(handle.value) for handle in self._sun_angles)
@@ -264,7 +264,7 @@ class ConsolePage:
             self._engine.show(self._state, measure_now=measure_now)
 
     def _masks(self) -> tuple[int, ...]:
-        """The sequence; that before while the text is not one."""
+        """The laser masks of the sequence in the text field; those of the last state if the text is invalid."""
         try:
             lasers = len(self._scene.rig.lasers.names)
             masks = tuple(step.mask(lasers) for step in parsed_sequence(self._sequence.value))
@@ -288,7 +288,7 @@ class ConsolePage:
         self._change(0.0)
 
     def _apply_motion(self) -> None:
-        """Spin and tumble of a motion by name."""
+        """Set the controls of spin and tumble to those of the motion that is chosen by name."""
         preset = MOTION_PRESETS.get(self._motion.value)
         x, y, z = (0.0, 0.0, 0.0) if preset is None else np.degrees(preset.angular_velocity_rad_s)
         self._spin.value, self._tumble.value = round(float(z), 2), round(float(np.hypot(x, y)), 2)
@@ -306,7 +306,7 @@ class ConsolePage:
         self._follow(trajectory, f"{uploaded.name}: {len(trajectory.time_s)} poses, {trajectory.time_s[-1]:.1f} s")
 
     def _follow(self, trajectory: Trajectory | None, text: str) -> None:
-        """Show the poses of a trajectory from its beginning; None for those that the controls set."""
+        """Show the poses of a trajectory from its beginning, or, for None, the pose that the controls set."""
         with self._lock:
             self._state = replace(self._state, trajectory=trajectory)
             self._time.max = END_S if trajectory is None else max(float(trajectory.time_s[-1]), 0.1)
@@ -357,7 +357,7 @@ class ConsolePage:
                     self._advance(step_s, measure_now=speed == IN_STEP)
 
     def _advance(self, step_s: float, *, measure_now: bool = False) -> None:
-        """Go on in time; the slider follows with the picture."""
+        """Advance the time by a step; the slider follows when the picture is shown."""
         with self._lock:
             time_s = float((self._state.time_s + step_s) % self._time.max)
             self._change(time_s, is_time_only=True, measure_now=measure_now)
@@ -405,7 +405,7 @@ class ConsolePage:
         server.add_label("/earth/name", "Earth")  # its position is relative to the Earth
 
     def _show_sky(self, state: ConsoleState) -> None:
-        """An arrow from the sun, and the Earth in its direction from the ring, outside the target."""
+        """Draw an arrow from the sun, and the Earth in its direction from the ring, beyond all parts of the target."""
         light = state.light
         sun_m = state.center_m + 0.8 * light.sun_direction
         self._sun_arrow.points = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
@@ -421,7 +421,8 @@ class ConsolePage:
     def _show(self, picture: ConsolePicture, jpeg: bytes) -> None:
         """Show a preview, or a measurement; called by two threads of the engine.
 
-        The panel is updated first, and alone: such an update is drawn at once, one of the scene with its next frame.
+        The panel is updated before the scene, and separately: the browser then draws it at once, not with the next
+        frame of the scene.
         """
         with self._lock, self._server.atomic():
             state, shown = picture.state, self._measurement

@@ -8,7 +8,7 @@ SPEEDS, IN_STEP = ("0.25", "0.5", "1", "2", "4"), "each shot measured"
 STEP_S = 0.2
 
 TYPING_S = 2.0
-"""For which the time stands after it was set: the rest of a number that is being typed."""
+"""Time for which the motion waits after the time was set, as the rest of a number may still be typed."""
 
 
 class Playback:
@@ -18,7 +18,7 @@ class Playback:
         self._asked_s = self._held_until_s = -np.inf
 
     def hold(self, now_s: float) -> None:
-        """The time was set: let it stand for `TYPING_S`."""
+        """Stop the motion for `TYPING_S` because the user has set the time."""
         self._held_until_s = now_s + TYPING_S
 
     def step_s(self, now_s: float, speed: str | None, *, is_measured: bool) -> float:

@@ -21,12 +21,12 @@ class Trajectory:
     """Poses of the ring at increasing times; in between, centre and normal are interpolated linearly."""
 
     time_s: Float64[Array, "pose"]
-    """From 0."""
+    """Ascending times from 0."""
     center_m: Float64[Array, "pose xyz=3"]
     normal: Float64[Array, "pose xyz=3"]
 
     def at(self, time_s: float) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
-        """Centre and unit normal at a time; after the end, those of the last pose."""
+        """Centre and unit normal at a time; after the end, centre and normal of the last pose."""
         center_m, normal = (
             np.array([np.interp(time_s, self.time_s, part) for part in each.T]) for each in (self.center_m, self.normal)
         )
@@ -35,13 +35,13 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigChange:
-    """How camera and lasers differ from the rig file: what the controls add to it."""
+    """Differences of camera and lasers from the rig file, as the controls set them."""
 
     rig: Rig | None = None
     """A rig to take the place of the scene's."""
     focal_scale: float = 1.0
     pitch_scale: float = 1.0
-    """Of the pixels; the focal length in millimetres stays."""
+    """Factor on the size of pixels; the focal length in millimetres stays."""
     laser_tilt_rad: tuple[float, ...] = ()
     """Rotation of each light plane about the camera's x axis through its projector; empty for none."""
     laser_shift_m: tuple[float, ...] = ()
@@ -49,7 +49,7 @@ class RigChange:
 
     @property
     def is_none(self) -> bool:
-        """Whether the rig is that of the scene."""
+        """Whether there is no difference: the rig is that of the scene."""
         return (
             self.rig is None
             and self.focal_scale == self.pitch_scale == 1.0
@@ -86,19 +86,19 @@ class ConsoleState:
     """Centre of the ring at time 0."""
     pitch_rad: float
     yaw_rad: float
-    """Of its normal at time 0 (ringpose-method(7), section 4)."""
+    """Yaw of the normal at time 0 (ringpose-method(7), section 4)."""
     roll_rad: float = 0.0
     spin_rad_s: float = 0.0
-    """About the normal, which is not observable."""
+    """Rate about the normal, which is not observable."""
     tumble_rad_s: float = 0.0
-    """About the camera's x axis through the centre."""
+    """Rate about an axis through the centre, parallel to the camera's x axis."""
     drift_m_s: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
     time_s: float = 0.0
     trajectory: Trajectory | None = None
     """Takes the place of pose, tumble and drift."""
     rig_change: RigChange = RigChange()
     width: int | None = None
-    """Of the images; None for that of the camera."""
+    """Width of the images; None for that of the camera."""
     exposure_s: float | None = None
     """None for the rule of the scene."""
     mask: int = 255
@@ -164,10 +164,10 @@ class StatePath:
 
     state: ConsoleState
     face_height_m: float
-    """Of the ring's face in the target frame."""
+    """Height of the ring's face in the target frame."""
 
     def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
-        """See `TargetPath`; the time is that of the console."""
+        """See `TargetPath`; `time_s` is the time of the console."""
         center_m, normal = self.state.pose_at(time_s)
         rotation = ring_rotation(normal, self.state.roll_rad + self.state.spin_rad_s * time_s)
         return rotation, center_m - self.face_height_m * rotation[:, 2]

@@ -84,7 +84,7 @@ def break_points(
     rig: Rig,
     saturation_dn: int,
 ) -> BreakPoints:
-    """The ends of the face's stripes, left ones as those of the inner edge; `tracks` are all segments of the shot."""
+    """Break points of the face's stripes, with left ends first named as on the inner edge; `tracks`: all segments."""
     ends = _measured(_with_common_bluntness(_ends(face, images, rig, saturation_dn)), rig.camera)
     beside = beside_occluder(ends, tracks, rig)
     stamp_s = np.full(len(rig.lasers.names), np.nan)
@@ -117,7 +117,7 @@ class BreakPointsOnRing(NamedTuple):
 def without_outliers(
     points: BreakPoints, rig: Rig, assumptions: Assumptions = IDEAL, camera: CameraMotion | None = None
 ) -> BreakPointsOnRing:
-    """The break points by the best explanation of their ring: inner and outer edge named, wrong ones left out.
+    """The break points judged by the best explanation of their ring: edges named inner or outer, wrong points left out.
 
     They are judged before the ring's edges are searched, since a wrong end misleads that search. A rejected end is
     flagged as occluded. If several explanations are comparable, nothing is rejected: the pose reports what they have in
@@ -159,7 +159,7 @@ def without_outliers(
 
 
 def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None:
-    """The ring of an explanation, with its edges as they are named by it; None if weak priors hold it."""
+    """The ring of an explanation, with inner and outer edge as named by it; None if it depends on weak priors."""
     if best.estimate.prior.regularize_about is not None:
         return None
     arcs, rates = best.estimate.arcs, best.estimate.rates
@@ -186,17 +186,17 @@ class Ends(NamedTuple):
     """The ends of the stripes on the ring's rim, left, then right; NaN where none was found."""
 
     position_px: Float64[Array, "laser end=2 xy=2"]
-    """In the distorted image."""
+    """Ends in the distorted image."""
     covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
     flags: Int64[Array, "laser end=2"]
     straight_px: Float64[Array, "laser end=2 xy=2"]
     """The segments' own ends, in the undistorted image."""
     straight_sigma_px: Float64[Array, "laser end=2"]
-    """Of the ordinates of the segments' lines there."""
+    """Standard deviations of the ordinates of the segments' lines at these ends."""
 
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:
-    """The ends of the face's tracks, each in the image that shows its stripe."""
+    """The ends of the tracks on the face, each measured in the image that shows the track's stripe."""
     shown = [[number for number, laser in enumerate(face.lasers) if laser in image.lasers] for image in images]
     order = [number for numbers in shown for number in numbers]
     lit = [
@@ -266,7 +266,7 @@ def flagged_ends(
     straight_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (straight_x - tracks[:, MIDDLE_X])
 
     def of_lasers(values: Array, fill: float = np.nan) -> Array:
-        """The values (end, track, ...) by laser (laser, end, ...)."""
+        """The values, with axes (end, track, ...), arranged by laser, with axes (laser, end, ...)."""
         table = np.full((len(rig.lasers.names), 2, *values.shape[2:]), fill, values.dtype)
         table[lasers] = values.swapaxes(0, 1)
         return table
@@ -281,9 +281,9 @@ def flagged_ends(
 
 
 def _with_common_bluntness(ends: Ends) -> Ends:
-    """The ends, all of an edge flagged as blunt where most of them are: an edge has the same shape all around.
+    """The ends, with all ends of an edge flagged as blunt if most of them are: an edge has the same shape all around.
 
-    The variance of those is then at least the smallest of the blunt ones.
+    The variance of the newly flagged ends is then at least the smallest of those found to be blunt.
     """
     blunt = ends.flags & int(BreakPointFlag.BLUNT) != 0
     if not blunt.any():
@@ -334,7 +334,7 @@ MIN_POINTS_OF_PLANE = 3
 
 
 def beside_occluder(ends: Ends, tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "laser end=2"]:
-    """Beside which ends a stripe of the same laser begins whose triangulated depth is in front of the face."""
+    """Mask of the ends beside which another stripe of the same laser begins that lies in front of the face in space."""
     beside = np.zeros(ends.flags.shape, dtype=bool)
     seen = ~np.isnan(ends.position_px[..., 0])
     # distance, off the face, from each end to the nearer end of each track

@@ -61,7 +61,7 @@ def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[i
 
 
 def repeated_image(shot: Shot, images: list[LaserImage]) -> LaserImage | None:
-    """A frame with several lasers on that shows the stripes of `images`, of one laser each, once more; None without."""
+    """A frame with several lasers on that repeats the stripes of `images`, each of one laser; None if there is none."""
     lasers = {laser for image in images for laser in image.lasers}
     if any(image.label == UNLABELLED for image in images):
         return None
@@ -177,7 +177,7 @@ def exposure_advice(found: BreakPoints | NoBreakPoints, shot: Shot, images: Sequ
 
 
 def overexposure(found: BreakPoints | NoBreakPoints, images: Sequence[LaserImage]) -> float:
-    """By which factor the exposure should be shorter; 1 if nothing that matters is saturated."""
+    """Factor by which the exposure should be shorter; 1 if nothing that matters is saturated."""
     if isinstance(found, BreakPoints):
         return SHORTER if np.any(found.flags & int(BreakPointFlag.SATURATED)) else 1.0
     if not images:

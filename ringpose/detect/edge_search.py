@@ -121,7 +121,7 @@ class EdgeTrace:
         return self.table[:, 12]
 
     def selected(self, which: Bool[Array, "n"]) -> "EdgeTrace":
-        """Those places for which `which` is true."""
+        """The places for which `which` is true."""
         return EdgeTrace(self.table[which])
 
 
@@ -357,7 +357,7 @@ STEP_NUMBERS = 4
 
 
 class ClearSteps(NamedTuple):
-    """Those places of a trace at which an edge of the ring may have been found, and the steps there."""
+    """Places of a trace at which an edge of the ring may have been found, and the steps there."""
 
     trace: EdgeTrace
     steps: EdgeSteps
@@ -366,7 +366,7 @@ class ClearSteps(NamedTuple):
 def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: bool = False) -> ClearSteps:
     """The steps within `reach_px` of the places of a trace that stand out of the noise.
 
-    They are placed for an estimated blur if `precise`, else for a blur of `BLUR_PX`, which takes less time.
+    The steps are located for an estimated blur if `precise`, else for a blur of `BLUR_PX`, which takes less time.
 
     The face hides what is behind it, so that its edge is as sharp as the lens images it. Where the foil behind is as
     bright as the face, the next step is a facet of the foil beyond the edge, and most of these are softer: if most
@@ -410,6 +410,6 @@ def edge_observations(found: ClearSteps, rig: Rig) -> Edges:
 
 
 def rays_beside(trace: EdgeTrace, offset_px: Float64[Array, "n"]) -> Float64[Array, "n xyz=3"]:
-    """Rays to what lies at these offsets from the places, along the normals."""
+    """Rays (camera frame) through the points at these offsets from the places of a trace, along the edge normals."""
     ray: Float64[Array, "n xyz=3"] = trace.point + (offset_px * trace.metres_per_px)[:, None] * trace.outward
     return ray

@@ -90,9 +90,9 @@ class Gradient:
     """Gradient magnitude and its maxima across the edge."""
 
     magnitude: Int16[Array, "row column"]
-    """In 1 / `STEPS_PER_DN` grey value per pixel."""
+    """Gradient in 1 / `STEPS_PER_DN` grey value per pixel."""
     anchors: Int32[Array, "anchor"]
-    """As `row * width + column`, ascending."""
+    """Pixels as `row * width + column`, ascending."""
     orientation: UInt8[Array, "anchor"]
     """0: edge along x, 1: down to the right, 2: along y, 3: down to the left."""
 
@@ -150,10 +150,10 @@ def joined_lines(
 ) -> tuple[Float64[Array, "line end=2 xy=2"], Int64[Array, "line"]]:
     """Lines after joining those that continue each other, and the number of supporting pixels of each.
 
-    From the first line to the last, each of at least `shortest_px` pixels takes the nearest line beyond its end, at
-    most `gap_px` ahead and 2 `aside_px` beside or behind, and again from the new end, as long as all ends of both lie
-    within `aside_px` (measured along x or y) of the least-squares line through the maxima of both; then beyond its
-    start. Shorter lines that were not joined to another are dropped.
+    Each line of at least `shortest_px` pixels, from the first to the last, is joined to the nearest line beyond its
+    end, at most `gap_px` ahead and 2 `aside_px` beside or behind. The search is repeated from the new end, then beyond
+    the start. Two lines are joined only if all ends of both lie within `aside_px` (measured along x or y) of the
+    least-squares line through the maxima of both. Shorter lines that were not joined to another are dropped.
     """
     flat = np.ascontiguousarray(lines).reshape(-1, 4)
     joined, support = _kernels.joins(flat, moments, pieces, gap_px, aside_px, shortest_px)
@@ -163,10 +163,11 @@ def joined_lines(
 def edge_chains(gradient: Gradient, lower_dn: float, shortest: int) -> Chains:
     """Edge chains, one pixel wide, along which the gradient is at least `lower_dn` grey values per pixel.
 
-    From each anchor, the strongest first, two walks in opposite directions; a walk goes to the largest magnitude of
-    the three pixels ahead (straight on, if equal; then left) and stops below `lower_dn`, on another chain, or where one
-    of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer than
-    `shortest` pixels are dropped, but no other chain may cross them.
+    From each anchor, the strongest first, two walks start in opposite directions. A walk continues to the largest
+    magnitude of the three pixels ahead (straight on, if equal; then left). It stops below `lower_dn`, on another chain,
+    or where one of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer
+    than `shortest` pixels are dropped, but no other chain may cross them.
+
     The magnitude serves as scratch memory and is restored on return: no other thread may use it in the meantime.
     """
     pixels, starts = _kernels.chains(
@@ -315,7 +316,7 @@ def _slope(segments: Segments) -> Float64[Array, "segment"]:
 
 
 def _ordinate(segments: Segments, which: Int64[Array, "n"], x: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Row coordinates of the segments at the columns x."""
+    """Row coordinates, at the columns x, of the segments with the indices `which`."""
     start = segments.start_px[which]
     y: Float64[Array, "n"] = start[:, 1] + _slope(segments)[which] * (x - start[:, 0])
     return y

@@ -59,17 +59,17 @@ MIN_SHIFT_PX = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingMotion:
-    """Rigid motion at constant rates, and how fast the edges move in the image by it."""
+    """Rigid motion of the ring at constant rates, and the speed of its edges in the image."""
 
     pivot_m: Float64[Array, "xyz=3"]
     """Point of the ring whose velocity is given."""
     velocity_m_s: Float64[Array, "xyz=3"]
     rate_rad_s: Float64[Array, "xyz=3"]
     edge_speed_px_s: float
-    """Largest speed of the edges across themselves."""
+    """Largest speed of the edges in the image, along their normals."""
 
     def points_after(self, points: Float64[Array, "*shape xyz=3"], duration_s: float) -> Float64[Array, "*shape xyz=3"]:
-        """Where points of the ring are after that time."""
+        """Positions of points of the ring after this time."""
         rotation = cv2.Rodrigues(self.rate_rad_s * duration_s)[0]
         moved: Float64[Array, "*shape xyz=3"] = (
             (points - self.pivot_m) @ rotation.T + self.pivot_m + self.velocity_m_s * duration_s
@@ -143,7 +143,7 @@ def _shift_across(
 ) -> tuple[Float64[Array, "n"], Bool[Array, "n"]]:
     """Displacement of each place along its normal (Lucas and Kanade's method), and where it was found.
 
-    An edge does not show its displacement along itself, which is of no use here.
+    The displacement along the edge is not visible, and not needed.
     """
     start = (position / 2).astype(np.float32)
     to_bytes = 1.0 if before.dtype == np.uint8 else 255.0 / max(int(before.max()), 255)
@@ -164,7 +164,7 @@ def _fitted(
     points: BreakPoints,
     rig: Rig,
 ) -> RingMotion | None:
-    """Rates that explain the speeds of the edges across themselves, robustly, regularized to zero."""
+    """Rates fitted to the speeds of the edges along their normals: robust least squares, regularized to zero."""
     laser, edge = np.nonzero(points.seen)
     ends_px = points.position_px[laser, edge]
     ends_m = intersect(rays(ends_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser])

@@ -124,7 +124,10 @@ def detect(
 def _confirmed(
     found: BreakPoints, ring_edges: RingEdgePoints | None, images: list[LaserImage]
 ) -> BreakPoints | NoBreakPoints:
-    """The break points, unless without visible edges, or on a single stripe, they are not enough to show a ring."""
+    """The break points, or why they are not enough to show a ring.
+
+    They are checked if no edge of the ring is visible, and if there is a single stripe.
+    """
     if ring_edges is None or int(found.seen.any(axis=1).sum()) == 1:
         if not ends_clear(found):
             return NoBreakPoints.NO_RING
@@ -171,7 +174,7 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
 
 
 def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> bool:
-    """Whether a predicted break point was not found."""
+    """Whether a break point that was predicted was not found."""
     if predicted is None or not isinstance(found, BreakPoints):
         return True
     return bool((predicted.seen & np.isnan(found.position_px[..., 0])).any())
@@ -191,7 +194,10 @@ def _all_stripes(
 
 
 def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:
-    """The same from pairs of line segments (the paper's method); the line detector is imported only if needed."""
+    """The stripes of all frames in one record, from pairs of line segments (the paper's method), and the segments.
+
+    The line detector is imported only if needed.
+    """
     from ringpose.detect.line_segments import stripes_between_segments
 
     found = [stripes_between_segments(image.lit, image.dark) for image in images]
@@ -227,9 +233,10 @@ def _joined_segments(parts: list[Segments]) -> Segments:
 def with_repetition(
     found: BreakPoints, images: list[LaserImage], shot: Shot, rig: Rig, motion: RingMotion | None = None
 ) -> BreakPoints:
-    """The break points with those of a frame with several lasers on, which shows the same stripes at another time.
+    """The break points, and as `repeated` those of a frame with several lasers on that shows the same stripes again.
 
-    Its stripes are searched and assigned to lasers near those found. What was not measured the first time is left out.
+    The stripes of that frame are searched and assigned to lasers near those found. What was not measured the first time
+    is left out.
     """
     image = repeated_image(shot, images)
     bands = None if image is None else predicted_bands(found, image.lasers, rig.camera)
@@ -288,7 +295,10 @@ def _nearest_lasers(
 
 
 def _named_alike(found: BreakPoints | NoBreakPoints, judged: BreakPoints | NoBreakPoints) -> bool:
-    """Whether visible edges have not resolved which edge is the inner one, which removes a flag."""
+    """Whether the search for visible edges has left all flags of the break points unchanged.
+
+    Edges that resolve which one is the inner edge remove the flag `EDGE_UNKNOWN`.
+    """
     if not isinstance(found, BreakPoints) or not isinstance(judged, BreakPoints):
         return False
     return np.array_equal(found.flags, judged.flags)
@@ -370,7 +380,7 @@ def _found(
 
 
 def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:
-    """The image, without background if the ring's edges have moved since that was taken."""
+    """The image, without background if the ring's edges have moved since the background was taken."""
     moved_px = motion.edge_speed_px_s * abs(image.stamp_s - image.dark_stamp_s)
     return replace(image, dark=None) if moved_px > MOVED_PX else image
 
@@ -428,7 +438,7 @@ def stripes_behind_camera(tracks: Float64[Array, "track column=11"], rig: Rig) -
 
 
 def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "track laser"]:
-    """Whether part of a segment has a possible depth under that laser."""
+    """For each segment and laser, whether part of the segment has a possible depth on the laser's light plane."""
     x_px = tracks[:, [X_START, X_END]]
     y_px = tracks[:, [MIDDLE_Y]] + tracks[:, [SLOPE]] * (x_px - tracks[:, [MIDDLE_X]])
     per_m = undistorted_rays(np.stack([x_px, y_px], axis=-1), rig.camera) @ planes_per_m(rig).T
@@ -450,7 +460,7 @@ def predicted_bands(
 ) -> Int32[Array, "band side=4"] | None:
     """Search windows about the predicted stripes of some lasers, for `find_stripes`; None if none is predicted.
 
-    Left and right column, top and bottom row; right and bottom are exclusive.
+    Each window has a left and a right column, a top and a bottom row; right and bottom are exclusive.
     """
     starts, stops = predicted.face_start_px.tolist(), predicted.face_end_px.tolist()
     pairs = [[starts[laser], stops[laser]] for laser in lasers]

@@ -147,7 +147,7 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
 def _with_further_lasers(
     face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
 ) -> Face:
-    """The face with the segments of a rig's fourth and further lasers: near the plane of the others, as long.
+    """The face with the segments of a rig's fourth and further lasers that are near its plane and about as long.
 
     Whether their ends lie on its circles is judged by the estimator. Neighbouring stripes of many lasers may fit when
     all of them are shifted by one: the assignment is ambiguous if another one leaves no more lasers without a segment.
@@ -246,7 +246,7 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
 
 
 def _lengths_consistent(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
-    """Whether the lengths suit stripes across one band: none, unless truncated by the image, is much shorter."""
+    """Whether the segments may cross one band: none is much shorter than the longest, unless the image truncates it."""
     rows = tracks.tolist()
     lengths_m = [math.dist(*_points_m(row, laser, rig)) for row, laser in zip(rows, lasers, strict=True)]
     whole_m = [length_m for row, length_m in zip(rows, lengths_m, strict=True) if not row[CLIPPED]]
@@ -258,7 +258,8 @@ def may_be_background(
 ) -> bool:
     """Whether a segment could be a stripe on the body behind the ring, drawn by another of these lasers.
 
-    Under that laser it is longer than any stripe on a face, and farther away than under its own, within range.
+    On the light plane of that laser, the segment is longer than any stripe on a face, and farther away than on the
+    plane of its own laser, within range.
     """
     for row, laser in zip(tracks.tolist(), own, strict=True):
         nearest, farthest = _depths_m(row, laser, rig)
@@ -277,7 +278,7 @@ class _Plane(NamedTuple):
     lengths_m: list[float]
     origin_m: Float64[Array, "xyz=3"]
     normal: Float64[Array, "xyz=3"]
-    """Towards the camera."""
+    """Unit normal towards the camera."""
 
 
 def _plane_of(face: Face, rig: Rig) -> _Plane:
@@ -347,7 +348,7 @@ def displaced_lasers(
 
 
 def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, float, float]]:
-    """The ends of a segment in the camera frame, if it belongs to that laser."""
+    """The ends of a segment in space (m, camera frame), on the light plane of a laser."""
     optics, (a, b, c) = lens(rig.camera), _plane_numbers(rig)[laser]
     points = []
     for x_px in (row[X_START], row[X_END]):
@@ -359,7 +360,7 @@ def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, f
 
 
 def _depths_m(row: Sequence[float], laser: int, rig: Rig) -> tuple[float, float]:
-    """Depths of a segment's nearer and farther end; negative behind the camera."""
+    """Depths (m) of a segment's nearer and farther end on the light plane of a laser; negative behind the camera."""
     start, end = (depth for _, _, depth in _points_m(row, laser, rig))
     return min(start, end), max(start, end)
 

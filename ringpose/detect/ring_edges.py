@@ -62,7 +62,7 @@ SIDE_SIGMAS = 4.0
 
 
 class PredictedRing(NamedTuple):
-    """A ring, and the covariance of its step."""
+    """A predicted ring, and the covariance of its increments (`STEP` of `ringpose.geometry.ring`)."""
 
     arcs: RingArcs
     covariance: Float64[Array, "step=7 step=7"]
@@ -84,12 +84,12 @@ the standard deviations by which a measured one must be smaller for its edges to
 
 
 def straight(curvature: float, sd: float) -> bool:
-    """Whether edges of that curvature (1/m) cannot be those of a ring: they are straight, as those of a bar."""
+    """Whether edges of that curvature (1/m, standard deviation `sd`) are too straight for a ring, as those of a bar."""
     return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
 
 
 def curved(curvature: float, sd: float) -> bool:
-    """Whether edges of that curvature (1/m) cannot be straight: they bend at least as much as the largest ring."""
+    """Whether edges of that curvature (1/m, standard deviation `sd`) bend at least as much as the largest ring's."""
     return abs(curvature) - STRAIGHT_SIGMAS * sd > MIN_CURVATURE_PER_M
 
 
@@ -130,7 +130,7 @@ def _edges_in_frame(
 
 
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
-    """Points of the ring's edges, and the significance of their names; None where no edge was found."""
+    """Points of the ring's edges, and the significance of which edge is the inner one; None where no edge was found."""
     stripes = stripe_evidence(break_points, rig)
     tracked = None if stripes is None else tracked_ring(stripes, frame, rig)
     if stripes is None or tracked is None:
@@ -179,7 +179,7 @@ def uncertainty_factor(
     frame: EdgeImage,
     rig: Rig,
 ) -> float:
-    """By how much the points' standard deviations are too small where the edges may as well be somewhere else.
+    """Factor by which the points' standard deviations are too small if the edges may as well be somewhere else.
 
     The stripes leave mainly one number of the ring open, its curvature with the centre that follows from it. If most
     steps are on foil as bright as the face, other curvatures explain about as many steps as the one that the tracking
@@ -209,7 +209,7 @@ def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -
     """Break points and edge points of all frames; inner and outer edge by the most significant curvature if unknown.
 
     What lies beside the edges, and with it most of their errors, is the same in every frame: the standard deviations
-    are raised so that several frames of a ring at rest determine it no better than one.
+    are raised so that several frames of a ring at rest determine the ring no better than one.
     """
     parts = [replace(each.points, sigma_px=math.sqrt(len(found)) * each.points.sigma_px) for each in found]
     points = parts[0] if len(parts) == 1 else joined_edge_points(parts)

@@ -61,9 +61,9 @@ def find_stripes(
 ) -> Stripes:
     """Sub-pixel stripe centres, linked along x into pieces without gap or jump, not assigned to lasers.
 
-    `dark` is the same view with the lasers off: it is subtracted, and its noise is taken into account. `bands` restrict
-    the search: first column, the one after the last, and likewise the rows. `saturation_dn` is the grey value at which
-    a pixel saturates; by default it is estimated from the image.
+    `dark` is the same view with the lasers off: it is subtracted, and its noise is taken into account. `bands` are the
+    windows to search, one a row: first column, column after the last, first row, row after the last. `saturation_dn` is
+    the grey value at which a pixel saturates; by default it is estimated from the image.
     """
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
     min_peak_dn = MIN_PEAK_DN * full_dn / 255
@@ -119,11 +119,11 @@ def stripe_centers(
 ) -> Centers:
     """Sub-pixel centres of ridges, column by column, linked into pieces; 8 or 16 bits a pixel.
 
-    `dark` is the same view with the lasers off and is subtracted. `bands` restrict the search: first column, the one
-    after the last, and likewise the rows, rounded outwards to cells of 4 x 16 pixels. Each piece is measured with the
-    filter matched to its width, with a narrower one if clutter disturbs it, or by weighted least squares if speckle
-    dominates. Sigmas are propagated from the sensor noise and raised to the scatter that second differences of the
-    centres show.
+    `dark` is the same view with the lasers off and is subtracted. `bands` are the windows to search, one a row: first
+    column, column after the last, first row, row after the last; they are rounded outwards to cells of 4 x 16 pixels.
+    Each piece is measured with the filter matched to its width, with a narrower one if clutter disturbs it, or by
+    weighted least squares if speckle dominates. Sigmas are propagated from the sensor noise and raised to the scatter
+    that second differences of the centres show.
     """
     lit = np.ascontiguousarray(image)
     black = None if dark is None else np.ascontiguousarray(dark)
@@ -220,7 +220,7 @@ def straight_segments(
 
 @lru_cache(maxsize=4)
 def lens(camera: Camera) -> Lens:
-    """Intrinsic parameters in the form that the kernels expect."""
+    """Intrinsic parameters of a camera in the form that the kernels expect."""
     matrix = camera.camera_matrix
     focal_and_principal = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
     return Lens(*(float(each) for each in (*focal_and_principal, *camera.distortion_coefficients)))

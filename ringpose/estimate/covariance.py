@@ -77,7 +77,7 @@ class Quantities(NamedTuple):
     along_wrt_points_m: Float64[Array, "point"]
     """Shift of the grasp point along the face by an error of one standard deviation in each break point."""
     along_wrt_nuisance_m: Float64[Array, "error"]
-    """The same by each of the rates and the rig's errors, for a fixed ring."""
+    """Shift of the grasp point along the face by each of the rates and the rig's errors, for a fixed ring."""
 
 
 def quantities(estimate: Estimate) -> Quantities:
@@ -140,7 +140,7 @@ def quantities(estimate: Estimate) -> Quantities:
 
 
 def _outward_at(arcs: RingArcs, point_m: Float64[Array, "3"]) -> Float64[Array, "3"]:
-    """Unit vector in the ring's plane from the centre towards a point, regular at curvature 0."""
+    """Unit vector in the ring's plane from the centre towards a point; also defined at curvature 0 (straight edges)."""
     x, y, _ = (arcs.axes @ (point_m - arcs.origin)).tolist()
     h_x, h_y = 1.0 - arcs.curvature * x, arcs.curvature * y
     unit: Float64[Array, "3"] = (-h_x * arcs.axes[0] + h_y * arcs.axes[1]) / hypot(h_x, h_y)
@@ -218,7 +218,7 @@ DIFFERS = 4.0
 
 
 def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
-    """In which quantities two explanations differ by more than the errors of the best one."""
+    """Names of the quantities in which two explanations differ by more than the errors of the best one."""
     found, other = quantities(best), quantities(rival)
     covariance = joint_covariance(best, found)
     difference = difference_from(rival, other, best, found)
@@ -240,7 +240,7 @@ def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
 
 
 def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
-    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
+    """Whether a difference is within `DIFFERS` of its errors; false for numbers that are not finite."""
     if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
         return False
     squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
@@ -284,7 +284,7 @@ def exceeds_sd(covariance: Float64[Array, "3 3"], limit: float) -> bool:
 
 
 def standard_deviation(covariance: Float64[Array, "n n"]) -> float:
-    """In the direction in which it is largest."""
+    """Standard deviation in the direction in which it is largest."""
     if len(covariance) == 2:
         (first, off_diagonal), (_, second) = covariance.tolist()
         half_sum, half_difference = 0.5 * (first + second), 0.5 * (first - second)
@@ -350,7 +350,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
 def prior_rows(estimate: Estimate, prior: Prior, found: Quantities) -> Float64[Array, "row 13"] | None:
     """The rows [J, z - h] of the weak priors, in the twelve parameters; None without weak priors.
 
-    The rows of assumed radii, which the record states by themselves, come first and are left out.
+    The rows of assumed radii, which the record states separately, come first and are left out.
     """
     radii = 0 if prior.radii is None else int(np.isfinite(prior.radii.radius_m).sum())
     first = estimate.residuals.data_rows + radii
@@ -374,8 +374,8 @@ REDUNDANT_STRIPES = 3
 def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence | None:
     """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
 
-    The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
-    their priors: the Schur complement of section 9.
+    These are the rows A q = y of the QR factor that are left when ring, rates, form and the errors of visible edges are
+    eliminated with their priors: the Schur complement of section 9.
     """
     if estimate.prior.regularize_about is not None or len(measured.stripes) < REDUNDANT_STRIPES:
         return None

@@ -88,7 +88,7 @@ COINCIDENCE = 3.0
 
 
 class Search(NamedTuple):
-    """What all explanations of a shot are estimated with."""
+    """Settings that the estimates of all explanations of a shot share."""
 
     labelled: bool
     edges_named: bool
@@ -101,7 +101,7 @@ class Search(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """A hypothesis with its ring."""
+    """A hypothesis with the ring estimated under it."""
 
     hypothesis: Hypothesis
     estimate: Estimate
@@ -124,7 +124,7 @@ class Explanation:
     flag: PoseFlag
     remark: str
     penalty: float
-    """In chi-squared, for what was rejected."""
+    """Penalty in chi-squared for what was rejected."""
     rejected: tuple[Rejection, ...]
     side_known: bool
     """Whether the shot determines on which side of the face the ring's centre lies."""
@@ -155,7 +155,7 @@ def explain(
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried. `precise`:
     whether the ring is needed to the precision of a pose, and not only the decision. `judged`: the ring by which the
-    break points were judged, near which the one of all measurements is sought first.
+    break points were judged; the estimate from all measurements starts there.
     """
     guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
@@ -228,9 +228,10 @@ def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, searc
 
 
 def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
-    """Whether the ring by the shot alone has other radii than the assumed ones.
+    """Whether the ring estimated from the shot alone has other radii than the assumed ones.
 
-    Compared by the curvature of each edge, k = 1 / radius: its errors are Gaussian even where those of radii are not.
+    The curvatures of the edges, k = 1 / radius, are compared: their errors are Gaussian even where those of radii are
+    not.
     """
     arcs = alone.arcs
     for radius_m, sign, assumed_m, sd_m in zip(
@@ -276,7 +277,7 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
 
 
 def _left_out(explanation: Explanation) -> frozenset[tuple[str, str | None, bool]]:
-    """What an explanation rejects, with the edges as they were given: either side may leave out other ends."""
+    """The measurements that an explanation rejects, with edge names as given, to compare explanations of both sides."""
     other = "inner" if explanation.edges_exchanged else "outer"
     return frozenset((each.what, each.laser, each.edge in (other, None)) for each in explanation.rejected)
 
@@ -289,7 +290,7 @@ def _is_unique(best: Explanation) -> bool:
 
 
 def _side_score(explanation: Explanation) -> float:
-    """Penalised chi-squared, and that of a negative curvature, which puts the centre on the wrong side."""
+    """Penalised chi-squared, plus that of a negative curvature, with which the centre is on the wrong side."""
     estimate = explanation.estimate
     variance = float(estimate.inverse[CURVATURE, CURVATURE])
     score = estimate.chi2 + explanation.penalty
@@ -299,7 +300,10 @@ def _side_score(explanation: Explanation) -> float:
 def _explained(
     measured: Measurements, prior: Prior, search: Search, *, guess: RingArcs | None = None, max_score: float = inf
 ) -> Explanation | None:
-    """The best explanation with inner and outer edges as they are named; it need not be the best above `max_score`."""
+    """The best explanation with inner and outer edges as they are named.
+
+    An explanation with a score above `max_score` is not necessarily the best one.
+    """
     estimate = estimate_ring(measured, prior, search.start, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
     if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
@@ -324,7 +328,7 @@ def _explained(
         return None
 
     def both_ends(laser: int) -> Solved | None:
-        """The explanation that rejects both ends of a laser's stripe, also if it is not nearly the best one."""
+        """The explanation that rejects both ends of a laser's stripe, whatever its score; None if there is none."""
         known = [each for each in tried if each.hypothesis.both and each.hypothesis.laser == laser]
         others = (each for each in hypotheses if each.both and each.laser == laser)
         return known[0] if known else next((solved(each) for each in others), None)
@@ -335,7 +339,7 @@ def _explained(
 
 
 def _with_form(best: Solved, search: Search) -> Solved:
-    """The same, or a ring with the smallest deviation of its form that its edges and stripes do not contradict."""
+    """The explanation, with the smallest deviation of the ring's form that its edges and stripes do not contradict."""
     hypothesis, estimate = best.hypothesis, best.estimate
     if not search.for_pose or hypothesis.flag & (WIDER | PoseFlag.INCONSISTENT):
         return best
@@ -355,8 +359,8 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
 
     Chi-squared of single rows, and the mean square of the edges, hardly show a wave along the whole edge. The score of
     the amplitudes is u = F^T W r ~ N(0, M) if the form is as assumed, with M the information on them after elimination
-    of ring and common errors. Of amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares with
-    the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
+    of ring and common errors. For amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares
+    with the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
     """
     estimate = solved.estimate
     residuals, weights = estimate.residuals, estimate.weights
@@ -422,8 +426,8 @@ def _select(
 def _margin(best: Solved, other: Solved) -> float:
     """The margin in chi-squared by which the best hypothesis must beat another one.
 
-    Two stripes nearly always agree with some ring. Which one of three is rejected is then decided by a single degree of
-    freedom, and each of them is as likely beforehand.
+    Two stripes nearly always agree with some ring. Which one of three stripes is rejected is then decided by a single
+    degree of freedom, and a priori each of the three is as likely to be wrong.
     """
     both_reject = PoseFlag.STRIPE_REJECTED in best.hypothesis.flag & other.hypothesis.flag
     two_left = len(best.hypothesis.measured.stripes) <= STRIPES_OF_A_PLANE
@@ -454,8 +458,8 @@ def _single_stripes(solved: Solved) -> list[Solved]:
     """Explanations by one stripe of two, the other one being on the background, if these are comparable.
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
-    redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
-    for a common ring. Visible edges are further evidence: for it, or, if they were rejected, against it.
+    redundancy. Evidence for a common ring is only that the second stripe agrees with a precise prediction by the first.
+    Visible edges are further evidence: for a common ring, or, if they were rejected, against it.
     """
     measured = solved.hypothesis.measured
     edges_contradict = PoseFlag.EDGE_REJECTED in solved.hypothesis.flag
@@ -474,7 +478,10 @@ def _single_stripes(solved: Solved) -> list[Solved]:
 
 
 def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:
-    """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
+    """The explanation that rejects both ends of a stripe, if rejecting either end alone is comparable; else None.
+
+    Which of the two ends is off then depends on the ring's curvature.
+    """
     points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
     lasers = {each.hypothesis.laser for each in points}
     if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
@@ -483,16 +490,19 @@ def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int
 
 
 def _nested(best: Solved, other: Solved) -> bool:
-    """Whether both reject parts of the same laser, and one its whole stripe or both its points: no contradiction."""
+    """Whether both explanations reject parts of one laser's stripe, and one of them the whole stripe or both its ends.
+
+    Such explanations do not contradict each other.
+    """
     first, second = best.hypothesis, other.hypothesis
     whole = first.both or second.both or PoseFlag.STRIPE_REJECTED in first.flag | second.flag
     return whole and first.laser == second.laser >= 0
 
 
 def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | None]) -> Solved:
-    """The same, or without the other end of the stripe, too, if only that end determines the ring's curvature.
+    """The explanation, or one without both ends of a stripe if only the other end determines the ring's curvature.
 
-    What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
+    What occluded one end may have occluded both; the other end is used only if the rest confirms the curvature.
     """
     hypothesis = best.hypothesis
     if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both or hypothesis.cause_seen:
@@ -512,7 +522,8 @@ def _is_suspicious(estimate: Estimate) -> bool:
 def _contradicts_itself(estimate: Estimate) -> bool:
     """Whether stripes and break points fail the chi-squared test of one ring, or the visible edges do not fit it.
 
-    Visible edges are too many, and their errors too correlated, to be added to the few numbers of the former.
+    Visible edges are too many, and their errors too correlated, to be added to the few numbers of stripes and break
+    points.
     """
     dof = estimate.expected_chi2
     fails_test = dof > MIN_FREEDOM and estimate.chi2 > chi2_quantile(dof, ALARM_SIGMAS)

@@ -44,7 +44,7 @@ MAX_PERMUTED = 3
 """Number of lasers up to which all assignments are tried."""
 
 WIDER_BY = 4.0
-"""Factor on the standard deviations of that prior."""
+"""Factor by which a hypothesis widens the standard deviations of a prior."""
 
 MIN_DEVIATION_M = 0.001
 """Smallest standard deviation of a ring's edges and face in an explanation by the ring's form."""
@@ -65,7 +65,7 @@ class Hypothesis(NamedTuple):
     flag: PoseFlag = PoseFlag(0)
     remark: str = ""
     penalty: float = 0.0
-    """In chi-squared."""
+    """Penalty in chi-squared."""
     rejected: tuple[Rejection, ...] = ()
     laser: int = -1
     """Laser of the rejected break points or stripe; -1 if there is none."""
@@ -76,7 +76,11 @@ class Hypothesis(NamedTuple):
 
 
 def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
-    """One break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the radii wrong."""
+    """Hypotheses that something is wrong, one for each possible cause.
+
+    The causes are one break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the
+    radii.
+    """
     yield from _wrong_points(measured, prior)
     yield from _wrong_stripes(measured, prior)
     yield from _wrong_assignments(measured, prior, labelled)
@@ -93,7 +97,7 @@ def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> 
 
 
 def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
-    """The target moves faster, or less evenly, or the ring is less round and flat, than assumed."""
+    """Hypotheses that the target moves faster or less evenly, or the ring is less round and flat, than assumed."""
     motion, tolerance_m = prior.assumptions.motion, prior.assumptions.ring_tolerance_m
     times_s = measured.times_s(measured.stamp_s)
     if times_s.any():
@@ -115,7 +119,7 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
 
 
 def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:
-    """The hypothesis, and that the ring deviates from a circle or a plane by this standard deviation."""
+    """The hypothesis that, in addition, the ring deviates from a circle or a plane by this standard deviation (m)."""
     assumptions = replace(hypothesis.prior.assumptions, ring_tolerance_m=deviation_m)
     return hypothesis._replace(
         prior=hypothesis.prior._replace(assumptions=assumptions),
@@ -170,7 +174,7 @@ def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> 
 
 
 def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
-    """All assignments of the seen stripes to lasers; of more than three lasers those that differ in one or two."""
+    """All assignments of the seen stripes to lasers; for more than three lasers, those that differ in one or two."""
     if lasers <= MAX_PERMUTED:
         yield from permutations(range(lasers), len(seen))
         return
@@ -189,10 +193,10 @@ def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
 def single_stripe_estimates(
     measured: Measurements, assumptions: Assumptions
 ) -> Iterator[tuple[int, Measurements, Estimate]]:
-    """For each of two stripes its laser, and measurements and ring without it; nothing for other numbers of stripes.
+    """For each of two stripes: its laser, and the measurements and the ring without it.
 
-    Assumed radii are not used: with them the length of one stripe determines the angle at which it crosses the face,
-    but not to which side.
+    Nothing is returned for other numbers of stripes. Assumed radii are not used: with them the length of one stripe
+    determines the angle at which it crosses the face, but not to which side.
     """
     for laser in measured.stripes if len(measured.stripes) == STRIPES_OF_A_PLANE else []:
         alone = measured.without_laser(laser)

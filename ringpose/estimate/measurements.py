@@ -27,7 +27,7 @@ from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Camera, Rig
 
 NOMINAL_SIGMA_PX = 0.3
-"""Of a break point without a covariance; it only weights the points against each other and is not reported."""
+"""Sigma of a break point without a covariance; it only weights points against each other and is not reported."""
 
 MIN_SIGMA_PX = 1e-4
 """Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
@@ -192,7 +192,7 @@ class Measurements:
 
     @cached_property
     def stripe_numbers(self) -> int:
-        """Number of measured numbers of stripes and break points; one that was measured twice counts once."""
+        """Number of measured values of stripes and break points; a value that was measured twice counts once."""
         ends = 2 * self.points.laser + self.points.edge
         distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
         return 2 * len(self.stripes) + distinct
@@ -203,7 +203,7 @@ class Measurements:
         return sorted(set(self.lines.laser.tolist()))
 
     def once(self) -> "Measurements":
-        """The measurements with each stripe and each break point once: repetitions in later frames are dropped."""
+        """The measurements with each stripe and break point once; repeated measurements in later frames are dropped."""
         first = np.unique(2 * self.points.laser + self.points.edge, return_index=True)[1]
         return self._selected(np.unique(self.lines.laser, return_index=True)[1], first)
 
@@ -358,7 +358,7 @@ def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]
 
 
 def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Lines) -> Float64[Array, "point"]:
-    """Middle of each point's stripe: of its line, or else of its break points."""
+    """Abscissa of the middle of each point's stripe: of its line, or else of its break points."""
     middle = {number: sum(ends) / 2 for number, ends in zip(lines.laser.tolist(), lines.x.tolist(), strict=True)}
     for number in set(laser.tolist()) - middle.keys():
         middle[number] = float(x[laser == number].mean())
@@ -395,7 +395,7 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
 
 
 def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
-    """Displacement of each point along its normal by common errors of unit variance; 0 for those of the other edge."""
+    """Displacement of each point along its normal by common errors of unit variance; 0 for errors of the other edge."""
     errors = np.zeros((len(edges.edge), 2, ERRORS // 2))
     frame = np.zeros(len(edges.edge), dtype=np.int64)
     if edges.stamp_s is not None:
@@ -446,7 +446,7 @@ def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n x
 def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
     """The edges with standard deviations raised by the root of their integrated autocorrelation time in each frame.
 
-    `residual`: of a fit to all measurements, in standard deviations.
+    `residual` are the points' residuals in a fit to all measurements, in standard deviations.
     """
     factor = np.ones(len(residual))
     _, frame = np.unique(edges.stamp_s, return_inverse=True)
@@ -460,9 +460,10 @@ def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
 
 
 def integrated_autocorrelation_time(series: Float64[Array, "n"]) -> float:
-    """Variance of the mean of a series over that of as many independent numbers of variance one; at least 1.
+    """Variance of the mean of a series, relative to that of as many independent standard normal numbers; at least 1.
 
-    The variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial sequence).
+    It is the variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial
+    sequence).
     """
     clipped = np.clip(series, -3.0, 3.0)
     variance = total = float(clipped @ clipped) / len(clipped)

@@ -23,7 +23,7 @@ _NEGLIGIBLE = 1e-12
 
 
 EXACT = RigStability()
-"""Of a rig that has not changed since its calibration."""
+"""Stability of a rig that has not changed since its calibration."""
 
 FOCAL_RATIO = "focal_ratio"
 """Change of both focal lengths together, relative to them."""
@@ -89,8 +89,8 @@ def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
 def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
     """The covariance of the rig's parameters: of its calibration, if it is known and finite, plus its stability.
 
-    Since the calibration, each plane's tilts and distance, and both focal lengths together, may have changed.
-    That of a plane that was corrected is the one of its correction.
+    Since the calibration, each plane's tilts and distance, and both focal lengths together, may have changed. A plane
+    that was corrected has the covariance of its correction.
     """
     calibrated = rig.covariance
     if calibrated is None or not np.isfinite(calibrated.data).all():
@@ -126,7 +126,7 @@ def light_plane_bases(rig: Rig) -> Float64[Array, "laser 2 3"]:
 
 
 def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
-    """R with R R^T the covariance, of correlations first: the parameters are pixels and microradians.
+    """Square root R of a covariance R R^T, computed from its correlations: parameters are pixels and microradians.
 
     Parameters without variance have zero rows.
     """

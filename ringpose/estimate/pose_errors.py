@@ -56,7 +56,10 @@ def _check_clock(truth: Truth, elapsed_s: float) -> None:
 
 
 def _between_frames(truth: Truth, stamp_s: float) -> Truth:
-    """Linear in the centre and in the normal's angle; extrapolated before the first and after the last frame."""
+    """The truth between its frames: centre and angle of the normal are interpolated linearly.
+
+    They are extrapolated before the first and after the last frame.
+    """
     frames = truth.frames
     stamps_s = np.array([frame.stamp_s for frame in frames])
     _check_clock(truth, float(stamp_s - np.clip(stamp_s, stamps_s[0], stamps_s[-1])))
@@ -98,7 +101,8 @@ def mahalanobis_squared(error: Float64[Array, "n"], covariance: Float64[Array, "
 def tilt_error_rad(normal: Float64[Array, "3"], true_normal: Float64[Array, "3"]) -> Float64[Array, "2"]:
     """The tilts t1, t2 that rotate the estimated normal into the true one, in the tilt basis of the estimate.
 
-    They are tangents, limited to `MAX_TILT`, which is also used for angles of 90 degrees or more.
+    The tilts are tangents of angles. They are limited to `MAX_TILT`, which also stands for angles of 90 degrees or
+    more.
     """
     sine, cosine = tilt_basis(normal) @ true_normal, float(normal @ true_normal)
     length = float(np.linalg.norm(sine))
@@ -131,7 +135,7 @@ def misses_band(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera | Non
 def outside_arc(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera) -> bool:
     """Whether a grasp point lies outside the arc between the outermost true break points.
 
-    The arc is extended by half the width of the rim at each end, because that of a single stripe is very short.
+    The arc is extended by half the width of the rim at each end, because the arc of a single stripe is very short.
     """
     if truth.center_m is None or truth.normal is None or truth.break_points_px is None:
         return False

@@ -58,7 +58,7 @@ class Prior(NamedTuple):
 
     radii: KnownRadii | None = None
     assumptions: Assumptions = Assumptions()
-    """On motion, the ring's form and the rig."""
+    """Assumptions on motion, the ring's form and the rig."""
     regularize_about: RingArcs | None = None
     """The ring about which curvature, turn and tilt have weak priors; None to estimate from the shot alone."""
     single_edge: bool = False
@@ -103,9 +103,9 @@ class Residuals(NamedTuple):
     stripes: StripePrediction
     """Derivatives by the ring's step, its rates, and errors of the camera's motion."""
     points: EdgeDistances
-    """Of the break points from their edges."""
+    """Distances of the break points from their edges."""
     edges: EdgeDistances
-    """Of the visible edge points from their edges."""
+    """Distances of the visible edge points from their edges."""
     edge_scale: Float64[Array, "visible"]
     """1 / standard deviation of their distances."""
     distance_wrt_x: Float64[Array, "point"]
@@ -116,20 +116,20 @@ class Residuals(NamedTuple):
 
 
 class FixedColumns(NamedTuple):
-    """Derivatives by common errors that are evaluated once, near the solution."""
+    """Derivatives of the residuals with respect to common errors, evaluated once, near the solution."""
 
     rig: Float64[Array, "row parameter"] | None
-    """In the parameters' own units; None if the rig counts as exact."""
+    """Derivatives by the rig's parameters, in their own units; None if the rig counts as exact."""
     form: Float64[Array, "row amplitude"] | None
-    """In metres; None for a perfect ring."""
+    """Derivatives by the amplitudes of the ring's form, in metres; None for a perfect ring."""
     camera: Float64[Array, "row parameter"]
-    """By the mount's parameters, in their own units."""
+    """Derivatives by the mount's parameters, in their own units."""
     mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
-    """By the rig's errors, in standard deviations: of the mean of the predicted break points, for a fixed ring."""
+    """Derivatives of the mean of the predicted break points by the rig's errors (in sigmas), for a fixed ring."""
     columns: Float64[Array, "row error"]
-    """Of the rig's errors, the form, the mount and the visible edges, in standard deviations."""
+    """Derivatives by the errors of rig, form, mount and visible edges, in standard deviations."""
     edge_errors: int
-    """Number of those of visible edges, the last ones."""
+    """Number of columns by errors of visible edges, which are the last ones."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,7 +140,7 @@ class Estimate:
     arcs: RingArcs
     """The ring at the reference time of the measurements."""
     rates: Rates
-    """Its motion."""
+    """Motion of the ring."""
     weights: Float64[Array, "row"]
     """1 for a residual that was used, 0 for a rejected edge point."""
     fixed: FixedColumns
@@ -151,9 +151,9 @@ class Estimate:
     normal_matrix: Float64[Array, "7 7"]
     """Inverse covariance of the ring's step, the common errors marginalised."""
     inverse: Float64[Array, "7 7"]
-    """Of the normal matrix with `RIDGE`."""
+    """Inverse of the normal matrix with `RIDGE`."""
     prior: Prior
-    """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
+    """The prior that was used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
     remaining: Float64[Array, "row"]
     """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas ..."""
     edge_residuals: Float64[Array, "visible"]
@@ -161,7 +161,7 @@ class Estimate:
     chi2: float
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
     numbers: int
-    """Of stripes, break points and radii; rows of weak priors count like measurements."""
+    """Number of values of stripes, break points and radii; rows of weak priors count like measurements."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
 
@@ -184,8 +184,8 @@ class Estimate:
     def expected_chi2(self) -> float:
         """Expectation of chi-squared, to which the degrees of freedom of a test of it correspond.
 
-        The number of its terms less their leverages. Without visible edges these add up to the number of parameters;
-        edges take a part of the parameters upon themselves, of up to seven numbers in twelve.
+        The expectation is the number of terms less their leverages. Without visible edges the leverages add up to the
+        number of parameters; with visible edges to less, as the edges determine a part of the parameters.
         """
         residuals = self.residuals
         if residuals.stripe_rows == residuals.data_rows:
@@ -200,12 +200,12 @@ class Estimate:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Of the stripes alone: the numbers less the parameters."""
+        """Degrees of freedom of the stripes alone: their number of measured values less the number of parameters."""
         return max(self.numbers - PARAMETERS, 0)
 
     @property
     def log_determinant(self) -> float:
-        """Of the information on ring and common errors: how much wider their priors are than the result."""
+        """Log determinant of the information on ring and common errors: how much the data narrow their priors."""
         return float(np.linalg.slogdet(self.joint_information)[1])
 
     @property
@@ -224,7 +224,7 @@ class Estimate:
     def curvature_alone(self) -> tuple[float, float]:
         """The curvature by the shot alone, without the prior, and its standard deviation.
 
-        From the normal equations without the rows of the prior, whose gradient balances that of the data.
+        It follows from the normal equations without the rows of the prior, whose gradient balances that of the data.
         """
         prior = self.residuals.jacobian[self.residuals.data_rows :]
         information = self.normal_matrix - prior.T @ prior + RIDGE_MATRIX
@@ -243,10 +243,11 @@ NO_ORDINATES = OrdinateScale(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 def ordinate_scale(
     points: Points, slope: Float64[Array, "point"], distance_wrt_x: Float64[Array, "point"]
 ) -> OrdinateScale:
-    """Weights of the ordinates of points without a line.
+    """Weights of the ordinates of break points without a line.
 
-    The height above the predicted line is correlated with the error of the abscissa, which residual b uses; the
-    remainder after regression on the abscissa (`share`) is independent of it and has the standard deviation 1 / scale.
+    The height of such a point above the predicted line is correlated with the error of its abscissa, which residual b
+    uses. The coefficient of the regression on the abscissa is `share`; the remainder is independent of the abscissa and
+    has the standard deviation 1 / scale.
     """
     which = np.flatnonzero(points.isolated)
     covariance, slope = points.covariance[which], slope[which]

@@ -141,7 +141,7 @@ def _solved(
 
 
 def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
-    """An estimate that ended earlier, to the precision of a pose; None if it diverges."""
+    """The estimate, iterated further to the precision of a pose; None if the iteration diverges."""
     observations, residuals = measured.observations, estimate.residuals
     try:
         fixed = fixed_columns(residuals, observations, estimate.prior)
@@ -158,8 +158,8 @@ def _gauss_newton(
 ) -> Estimate:
     """Iteratively reweighted Gauss-Newton from `_linearized`; LinAlgError if it diverges.
 
-    The derivatives by common errors that are not given are evaluated after the first step: from there they hardly
-    change.
+    Derivatives with respect to common errors, if not given, are evaluated after the first step; they hardly change
+    later.
     """
     residuals, fixed, predicted = linearized
     nuisance, count, robust, steps = nuisance_columns(residuals, fixed), len(residuals.rate_sds), None, _Steps()
@@ -211,9 +211,11 @@ def _gauss_newton(
 def _linearized(
     start: RingArcs | MovingRing | Estimate, observations: Observations, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The residuals at a guess or at a ring nearby, fixed columns at the latter, and what these leave of residuals.
+    """The residuals at `start`, the fixed columns (None for a mere guess), and the residuals after common errors.
 
-    LinAlgError if parameters are so far from being determined that the iteration is useless without weak priors.
+    If `start` is an estimate, the part of the residuals that its common errors explain is subtracted in the third
+    result. LinAlgError if parameters are so far from being determined that the iteration is useless without weak
+    priors.
     """
     fixed: FixedColumns | None = None
     if isinstance(start, RingArcs):
@@ -243,10 +245,10 @@ class _Steps:
         self._ratio = 0.0
 
     def factor(self, step: Float64[Array, "7"], normal_matrix: Float64[Array, "7 7"], *, extrapolate: bool) -> float:
-        """The factor on a step.
+        """The factor by which a step is multiplied.
 
-        Near the solution each step is the same multiple q of the one before, because second derivatives are neglected:
-        with all that follow it adds up to step / (1 - q) (Aitken's method).
+        Near the solution each step is the same multiple q of the previous one, because second derivatives are
+        neglected: the sum of this step and all following ones is step / (1 - q) (Aitken's method).
         """
         sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
         # after a long step, or one that was extrapolated, a step is shorter than the next ones show
@@ -263,7 +265,7 @@ class _Steps:
 
 
 def nuisance_columns(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
-    """B: derivatives by the rates, then by the other common errors, in standard deviations of their priors."""
+    """Matrix B: derivatives with respect to the rates, then the other common errors, in sigmas of their priors."""
     by_rates = residuals.wrt_rates * residuals.rate_sds
     return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
 
@@ -345,7 +347,7 @@ def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Fl
 def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
     """Whether tilt or in-plane rotation are left to more than 0.5 rad, or curvature to more than 1/m (sigmas).
 
-    The weak priors of `ring_residuals` have about these standard deviations. `factor`: on the variances.
+    The weak priors of `ring_residuals` have about these standard deviations. `factor` multiplies the variances.
     """
     variance = covariance.diagonal().tolist()
     return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 * factor) or bool(
@@ -458,7 +460,7 @@ def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
 def moved_ring(
     residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
 ) -> tuple[RingArcs, Rates]:
-    """The ring after a step, and its rates after one in their standard deviations.
+    """The ring and its rates after one step; `rate_step` is in standard deviations of the rates' prior.
 
     A step longer than `MAX_TILT_RAD` is shortened as a whole. LinAlgError if the ring is then not in front of the
     camera, or has an impossible size. The angular velocity stays across the normal.
@@ -487,7 +489,7 @@ WALL_SD_M = 0.03
 
 
 def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior) -> FixedColumns:
-    """Derivatives by the errors of rig, form, mount and visible edges."""
+    """Derivatives of the residuals with respect to the errors of rig, form, mount and visible edges."""
     measured = observations.measured
     by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
     mean_ray = np.zeros((2, 0))
@@ -514,8 +516,8 @@ def rig_jacobian(
 ) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
     """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
 
-    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. Of predicted
-    points, the abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
+    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. The abscissae
+    of predicted points are those of the measured pixels, their ordinates those of the predicted stripes.
     """
     ends, stripes, laser, wrt_camera = residuals.ends, residuals.stripes, observations.laser, observations.wrt_camera
     rays = (wrt_camera.reshape(-1, len(errors.camera)) @ errors.camera).reshape(
@@ -563,8 +565,8 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
 def edge_jacobian(residuals: Residuals, observations: Observations, prior: Prior) -> Float64[Array, "row error"]:
     """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
 
-    A chamfer or a rounding reflects the light of a laser and that around in other directions, so that the edge in
-    ambient light lies beside the ends of the stripes by up to its width.
+    A chamfer or a rounding reflects laser light and ambient light in different directions, so that the edge in ambient
+    light lies beside the ends of the stripes by up to its width.
 
     What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
     face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and

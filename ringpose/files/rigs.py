@@ -40,14 +40,14 @@ _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 def read_rig(path: Path, *, for_rings: bool = True) -> Rig:
     """The rig in a rig.yaml, with exactly normalised normals.
 
-    One with a laser that cannot measure rings (`steep_stripes`) is rejected unless `for_rings` is false: light planes
-    of such lasers are calibrated and checked with boards as any others.
+    A rig with a laser that cannot measure rings (`steep_stripes`) is rejected unless `for_rings` is false: the light
+    planes of such lasers can still be calibrated and checked with boards.
     """
     return rig_in(read_bytes(path), str(path), for_rings=for_rings)
 
 
 def rig_in(text: bytes, location: str, *, for_rings: bool = True) -> Rig:
-    """The rig in the text of a rig.yaml; the same as `read_rig`."""
+    """The rig in the text of a rig.yaml, checked as by `read_rig`; `location` is used in messages."""
     fields = Fields(location, parsed(text, location), _KEYS)
     rig = rig_of(fields, hashlib.sha256(text).hexdigest())
     for entry, finding in zip(fields.each("lasers"), steep_stripes(rig.lasers), strict=True):
@@ -75,7 +75,7 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
 
 
 def steep_stripes(lasers: LaserPlanes) -> list[str]:
-    """For each laser what keeps it from measuring rings: its stripe's angle to the rows; empty if that is fine."""
+    """For each laser, why it cannot measure rings (the angle of its stripe to the rows), as text; empty if it can."""
     angles_deg = np.degrees(np.arctan2(np.abs(lasers.normal[:, 0]), np.abs(lasers.normal[:, 1]))).tolist()
     limit = f"at most {MAX_STRIPE_ANGLE_DEG:g}"
     return [
@@ -126,7 +126,7 @@ def write_rig(
 ) -> None:
     """Write rig.yaml with provenance; `extra` may have the key `quality`, which is not needed by `read_rig`.
 
-    A rig that `rig_of` would reject is not written; one whose stripes are steep is, as its planes are right.
+    A rig that `rig_of` would reject is not written. A rig with steep stripes is written, as its light planes are valid.
     """
     values = rig_values(rig)
     rig_of(Fields(str(path), plain(values), _KEYS))

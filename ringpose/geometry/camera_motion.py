@@ -26,7 +26,7 @@ class CameraState(NamedTuple):
     """Where the camera is at one instant and how it moves, in the base frame."""
 
     rotation: Float64[Array, "3 3"]
-    """From camera to base."""
+    """Rotation from camera to base."""
     origin_m: Float64[Array, "xyz=3"]
     velocity_m_s: Float64[Array, "xyz=3"]
     rate_rad_s: Float64[Array, "xyz=3"]
@@ -71,7 +71,7 @@ class CameraMotion:
         )
 
     def going_on_until(self, stamp_s: float) -> "CameraMotion":
-        """The motion with further poses up to a stamp, for a robot that goes on at its last twist.
+        """The motion with further poses up to a stamp, as if the robot continued at its last twist.
 
         Unchanged where the stamp is covered, not finite, or more than `MAX_AHEAD_S` after the last pose.
         """
@@ -93,7 +93,7 @@ class CameraMotion:
         return replace(self, poses=further)
 
     def why_not_at(self, stamp_s: float) -> str:
-        """Why `at` has no camera for this stamp; empty if it has one."""
+        """The reason why `at` returns None for this stamp; empty if it returns a camera."""
         if not isfinite(stamp_s):
             return "its time is unknown"
         stamps_s = self.poses.stamp_s
@@ -115,7 +115,7 @@ class CameraMotion:
         return ""
 
     def _interval(self, stamp_s: float) -> tuple[float, int]:
-        """The robot's time of a stamp, and the number of the pose that ends its interval."""
+        """The stamp in the robot's time, and the index of the pose that ends the interval around it."""
         time_s = stamp_s + self.mount.delay_s
         after = int(np.searchsorted(self.poses.stamp_s, time_s, side="right"))
         return time_s, min(max(after, 1), len(self.poses.stamp_s) - 1)

@@ -13,10 +13,10 @@ def nearest_crossing(
     center: Float64[Array, "3"],
     radius: Float64[Array, "n"],
 ) -> Float64[Array, "n xyz=3"]:
-    """Where lines cross spheres about one centre: of the two crossings the one nearer to the line's given point.
+    """Crossings of lines with spheres about one centre: for each line, the crossing nearer to its given point.
 
-    A line in the circle's plane meets circle and sphere at the same points. For a line that does
-    not meet the sphere, its point nearest to the centre is returned. `direction` has unit length.
+    A line in the circle's plane meets circle and sphere at the same points. For a line that does not meet the sphere,
+    its point nearest to the centre is returned. `direction` has unit length.
     """
     along = np.sum((center - point) * direction, axis=-1)
     foot = point + along[:, None] * direction

@@ -25,7 +25,7 @@ inward, and the axes turn by turn_rad about the normal. A motion of the origin a
 """
 
 TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN, CURVATURE, HALF_BAND = range(7)
-"""Their indices."""
+"""Indices of the increments `STEP`."""
 
 EDGE_SIGN = (-1.0, 1.0)
 """Side of the middle of the face on which the inner and the outer edge lie, outward positive."""
@@ -54,7 +54,7 @@ class RingArcs:
     """
 
     origin: Float64[Array, "*instant xyz=3"]
-    """On the middle of the face, in metres."""
+    """Point on the middle of the face, in metres."""
     axes: Float64[Array, "*instant 3 xyz=3"]
     """Unit vectors: inward (towards the centre), along the face, and the normal towards the camera."""
     curvature: float
@@ -104,7 +104,7 @@ class RingArcs:
         )
 
     def with_center_opposite(self) -> "RingArcs":
-        """The same arcs described with the centre on the other side: inner and outer edge are exchanged."""
+        """These arcs, described with the centre on the other side: inner and outer edge are exchanged."""
         return RingArcs(
             origin=self.origin,
             axes=np.array([-self.axes[0], -self.axes[1], self.axes[2]]),
@@ -170,10 +170,10 @@ def motion_derivatives(
 ) -> Float64[Array, "*instant step=7 parameter=12"]:
     """Derivatives of the increments (`STEP`) of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
 
-    By the increments of the ring before (7), the velocity x, y, z of the centre, and the angular velocities about the
-    inward axis and the axis along the face. The origin moves by o_k = o + v t + l (i - i_k), with the lever l and the
-    inward axes i and i_k before and after. A displacement s along the face turns the ring by s / R, as it does not
-    change the ring otherwise.
+    They are taken with respect to the increments of the ring before (7), the velocity x, y, z of the centre, and the
+    angular velocities about the inward axis and the axis along the face. The origin moves by o_k = o + v t + l (i -
+    i_k), with the lever l and the inward axes i and i_k before and after. A displacement s along the face turns the
+    ring by s / R, as it does not change the ring otherwise.
     """
     lever_m, curvature, time = before.lever_m, before.curvature, np.asarray(time_s)[..., None]
     turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
@@ -245,9 +245,9 @@ class StripePrediction(NamedTuple):
     """dy/dx of the lines."""
     y_wrt_step: Float64[Array, "n step=7"]
     y_wrt_cosine: Float64[Array, "n"]
-    """Of the ray with the normal of the light plane."""
+    """Derivatives by the product of ray and normal of the light plane."""
     depth: Float64[Array, "n"]
-    """At which the rays meet the plane."""
+    """Depth at which the rays meet the ring's plane."""
 
     @property
     def y_wrt_light_normal(self) -> Float64[Array, "n xyz=3"]:
@@ -291,7 +291,7 @@ def predicted_break_points(
 ) -> Float64[Array, "laser edge=2 xyz=3"]:
     """Where the light planes cross the inner and the outer edge, in space; NaN where a plane misses an edge.
 
-    Of the two crossings with each circle, that on the side of the arcs' origin.
+    A plane crosses each circle twice; the crossing on the side of the arcs' origin is returned.
     """
     inward, _, normal = arcs.axes
     direction = np.cross(light_normal, normal)
@@ -322,9 +322,9 @@ class EdgeDistances(NamedTuple):
 
     distance_m: Float64[Array, "n"]
     wrt_step: Float64[Array, "n step=7"]
-    """For fixed rays."""
+    """Derivatives by the ring's step, for fixed rays."""
     wrt_ray: Float64[Array, "n xy=2"]
-    """With respect to x and y of the rays (x, y, 1)."""
+    """Derivatives with respect to x and y of the rays (x, y, 1)."""
 
 
 def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: Float64[Array, "n"]) -> EdgeDistances:
@@ -387,13 +387,13 @@ class Rates(NamedTuple):
     """Motion of the ring: constant rates within a shot, Eq. (8.1)."""
 
     velocity_m_s: Float64[Array, "xyz=3"]
-    """Of the ring's centre."""
+    """Velocity of the ring's centre."""
     rate_rad_s: Float64[Array, "xyz=3"]
     """Angular velocity across the normal."""
 
 
 class MovingRing(NamedTuple):
-    """A ring at one instant, and its motion."""
+    """A ring at one instant, and its rates."""
 
     arcs: RingArcs
     rates: Rates
@@ -430,18 +430,19 @@ class RingView(NamedTuple):
 
 
 class RingPrediction(NamedTuple):
-    """Of a view, with derivatives `wrt_step` by the ring's step at t_0, its rates, and errors of the camera's motion.
+    """What a view shows of a ring, with derivatives by the ring's step at t_0 (`wrt_step`).
 
-    Rates as in `motion_derivatives`; they and the camera's errors have no columns for a ring and a camera at rest.
+    These are followed by derivatives with respect to the rates, as in `motion_derivatives`, and to the errors of the
+    camera's motion; there are no such columns for a ring and a camera at rest.
     """
 
     stripes: StripePrediction
     edges: EdgeDistances
-    """Of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
+    """Distances of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
 
 
 def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
-    """What is seen of the ring `arcs` at the reference time that moves at these rates; `rates` None if it is still."""
+    """The prediction of a view of a ring that is `arcs` at the reference time and moves at `rates` (None: still)."""
     moves = rates is not None or view.camera is not None
     of_samples = of_edges = arcs
     if moves:
@@ -467,10 +468,10 @@ def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingP
 def _linearized_on_edges(
     measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], view: RingView
 ) -> EdgeDistances:
-    """The distances with the visible points' derivatives at the predicted edge, in the direction of their errors.
+    """The distances of visible points, linearised at the predicted edge along the direction of the points' errors.
 
-    Derivatives at the measured points would be correlated with the points' errors, which biases what many shots have
-    in common.
+    Derivatives at the measured points would be correlated with the points' errors, which biases what many shots have in
+    common.
     """
     step = np.zeros((len(rays), 2))
     step[-len(view.visible_step) :] = view.visible_step
@@ -510,7 +511,7 @@ def _at_instants(
 def displacement_increments(rings: RingArcs) -> Float64[Array, "*instant step=7 6"]:
     """Increments (`STEP`) by a small displacement of the camera frame: rotation vector (rad), translation (m).
 
-    P becomes P + turn x P + shift. A displacement along the face is the turn by which the place slides back.
+    P becomes P + turn x P + shift. A displacement along the face is expressed as the turn that slides the origin back.
     """
     axes, origin = rings.axes, rings.origin
     jacobian = np.zeros((*origin.shape[:-1], len(STEP), 6))

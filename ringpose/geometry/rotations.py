@@ -34,7 +34,7 @@ def tilted(normal: Float64[Array, "3"], tilt_rad: Float64[Array, "2"]) -> Float6
 
 
 def cross(a: Float64[Array, "3"], b: Float64[Array, "3"]) -> Float64[Array, "3"]:
-    """np.cross of two vectors, in a tenth of its time."""
+    """Cross product of two vectors; takes a tenth of the time of np.cross."""
     ax, ay, az = a.tolist()
     bx, by, bz = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

@@ -1,6 +1,6 @@
 """The hot loops in C, by stage: each folder contains C sources and the types of their arguments.
 
-Where one module of `ringpose.detect` uses a function, it calls it by itself, in a typed function of its own.
+A kernel that only one module of `ringpose.detect` uses is called there directly, through a typed function.
 
 The arguments are validated in one place, `arguments.c`. There is no fallback in Python: it would be about a hundred
 times slower without any notice.

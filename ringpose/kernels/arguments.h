@@ -9,7 +9,7 @@
 
 enum { MAX_ARGUMENTS = 26, MAX_AXES = 4, MAX_NUMBERS = 20 };
 
-/* Extents of an array that are not numbers: any, or whatever it is, the same wherever the letter stands in a call. */
+/* Symbolic extents of an array: any, or N, M and K, each of which is the same number in all arguments of a call. */
 enum { ANY = -1, N = -2, M = -3, K = -4 };
 
 /* What an argument must be. A name that begins with '>' is that of an array which the kernel fills, one with '?' may be
@@ -25,21 +25,21 @@ typedef struct {
 typedef struct {
     int count;
     Py_buffer view[MAX_ARGUMENTS];             /* `obj` is NULL for what is not an array */
-    double number[MAX_ARGUMENTS][MAX_NUMBERS]; /* of tuples; of a scalar the first */
+    double number[MAX_ARGUMENTS][MAX_NUMBERS]; /* elements of tuples; a scalar is the first */
 } Arguments;
 
-/* 0 and a Python exception if one of them does not fit. */
+/* Checks and opens the arguments of a call; 0 and a Python exception if one of them does not fit. */
 int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Arguments *arguments);
 #define OPEN(tuple, parameter, arguments) \
     open_arguments(tuple, parameter, sizeof(parameter) / sizeof *(parameter), arguments)
 
-/* Releases them and returns the result. */
+/* Releases the arguments and returns the result. */
 PyObject *close_arguments(Arguments *arguments, PyObject *result);
 
 /* Sets a ValueError if the condition is false; returns the condition. */
 int require(int condition, const char *message);
 
-/* A list as bytes, or MemoryError if it was not done; releases it. */
+/* The list as a bytes object, or MemoryError if `done` is 0; releases the list. */
 PyObject *list_bytes(int done, List *list);
 
 /* Number of doubles in a struct of doubles. */

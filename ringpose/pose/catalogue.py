@@ -41,7 +41,7 @@ def likely_ring(posterior: Mapping[str, float], rings: Sequence[Ring]) -> Ring |
 
 
 def _log_density(curvature: float, band_m: float, covariance: Float64[Array, "2 2"], known: KnownRadii) -> float:
-    """Of the measured curvature and width for a ring with these radii."""
+    """Log probability density of the measured curvature and width for a ring with these radii."""
     inner_m, outer_m = known.radius_m.tolist()
     expected = np.array([2.0 / (inner_m + outer_m), outer_m - inner_m])
     wrt_radius = np.array([[-0.5 * expected[0] ** 2, -0.5 * expected[0] ** 2], [-1.0, 1.0]])
@@ -51,7 +51,7 @@ def _log_density(curvature: float, band_m: float, covariance: Float64[Array, "2 
 
 
 def _log_density_of_any(curvature: float, band_m: float, sd: Float64[Array, "2"]) -> float:
-    """Of the measured curvature and width for a ring of any size, integrated over the prior."""
+    """Log probability density of the measured curvature and width for a ring of any size, integrated over the prior."""
     curvature_sd, band_sd = sd.tolist()
     logs = np.linspace(log(1 / RADIUS_TO_M), log(1 / RADIUS_FROM_M), 400)
     likelihood = np.exp(-0.5 * np.minimum(((np.exp(logs) - curvature) / curvature_sd) ** 2, 1400.0))

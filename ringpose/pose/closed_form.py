@@ -29,7 +29,7 @@ from ringpose.types.pose import NoPose, PoseFlag, RingPoints, RingPose
 from ringpose.types.rig import Rig
 
 MILLIMETRES = 1000.0
-"""Per metre."""
+"""Millimetres per metre."""
 
 SINGULAR_BELOW = 1e-3
 """q0: where smallest over largest singular value of the centre's equations falls below it, they are damped.
@@ -48,7 +48,7 @@ the points: all of it at q0, nothing where the equations are singular.
 """
 
 STEP = 1e-6
-"""Of the central differences, in units of the points' largest distance from their mean.
+"""Step of the central differences, in units of the points' largest distance from their mean.
 
 Small against the arc's height even of nearly collinear points (1e-3 of their extent), large against rounding
 (1e-16 of their distance).
@@ -70,7 +70,7 @@ first-order covariance does not show; in-plane methods are not affected.
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClosedForm:
-    """Solutions for a batch of point sets; lengths in metres, camera frame."""
+    """Solutions of the closed form for a batch of point sets; lengths in metres, camera frame."""
 
     normal: Float64[Array, "batch xyz=3"]
     offset_m: Float64[Array, "batch"]
@@ -87,7 +87,7 @@ class PoseCovariance:
     """Covariances of one pose; NaN where the quantity itself is NaN."""
 
     parameters: Float64[Array, "7 7"]
-    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
+    """Covariance of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
     center_m2: Float64[Array, "3 3"]
     grasp_m2: Float64[Array, "3 3"]
 
@@ -175,11 +175,12 @@ def pose_covariance(
 
 
 def prediction_rms_px(form: ClosedForm, points: RingPoints, break_points: BreakPoints, rig: Rig) -> float:
-    """Root mean square distance between seen and predicted break points, in pixels (with distortion).
+    """Root mean square distance between measured and predicted break points, in pixels (with distortion).
 
-    The predicted point is where ring plane, light plane and the sphere of the edge's radius about the centre meet (the
-    ring's circle itself where the centre lies in the plane); where the light plane misses the sphere, the line's
-    point nearest to the centre. NaN if that does not exist in front of the camera. `form` is a batch of one.
+    The predicted point is where ring plane, light plane and the sphere of the edge's radius about the centre meet (on
+    the edge itself if the centre lies in the ring plane). If the light plane misses the sphere, it is the point of the
+    stripe's line that is nearest to the centre. NaN if there is no such point in front of the camera. `form` is a batch
+    of one.
     """
     laser, edge = np.nonzero(points.seen)
     normal, light_normal, seen_m = form.normal[0], rig.lasers.normal[laser], points.position_m[laser, edge]
@@ -346,12 +347,12 @@ def _facing(
 
 
 class Differentiated(NamedTuple):
-    """A solution and its Jacobian."""
+    """A closed-form solution and its Jacobian."""
 
     form: ClosedForm
     """A batch of one."""
     jacobian: Float64[Array, "13 coordinate"]
-    """Of the seven parameters, the centre and the grasp point with respect to x1 y1 z1 x2 ... of the points."""
+    """Derivatives of the seven parameters, the centre and the grasp point by the points' x1 y1 z1 x2 ..."""
 
 
 def differentiated(

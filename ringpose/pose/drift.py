@@ -84,7 +84,7 @@ class DriftMonitor:
         return line, self._reason if cause and cause != before else None
 
     def _flagged(self, line: PoseLine) -> PoseLine:
-        """The line with the flags of a drift that was detected before it."""
+        """The line with the flags of a drift that earlier shots have shown."""
         if not self._reason:
             return line
         flags = line.flags | PoseFlag.RIG_DRIFT
@@ -118,7 +118,7 @@ class DriftMonitor:
             )
 
     def _correct(self, moved: "MovedPlane") -> None:
-        """Measure the next shots with the plane as estimated, with its covariance instead of the calibration's."""
+        """Replace the plane in the rig for the next shots by the estimated plane with its covariance."""
         lasers, laser, given = self.rig.lasers, moved.laser, self._given.lasers
         normal, distance_m = lasers.normal.copy(), lasers.distance_m.copy()
         normal[laser] = tilted(normal[laser], moved.change[:2])
@@ -161,7 +161,7 @@ _PLANE = len(PLANE_PARAMETERS)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovedPlane:
-    """A light plane that has moved, as shots show it."""
+    """The change of a light plane that has moved, as shots show it."""
 
     laser: int
     change: Float64[Array, "parameter=3"]
@@ -202,7 +202,7 @@ class RigEvidence:
         return len(self._rows)
 
     def add(self, evidence: PlaneEvidence) -> bool:
-        """Add the rows of a shot; whether it shows the target at another pose than the last ones, and counts."""
+        """Add the rows of a shot and return whether it counts: one at the pose of a recent shot does not."""
         for normal, place_m in self._poses:
             tilt = np.linalg.norm(normal - evidence.normal)  # the chord of so small an angle
             if tilt < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
@@ -219,9 +219,9 @@ class RigEvidence:
         return True
 
     def chi2_of_planes(self, moved: Sequence[int] = ()) -> Float64[Array, "laser"]:
-        """By how much chi-squared falls if each plane has moved, Eq. (11.2), beside those that have moved anyway.
+        """For each plane, by how much chi-squared falls if it has moved in addition to those in `moved`, Eq. (11.2).
 
-        A drift must show in most shots.
+        A fall above the limit must show in most shots.
         """
         stable, lasers = self._chi2(self._prior_if_moved(moved)), range(len(self.rig.lasers.names))
         chi2 = np.array([stable - self._chi2(self._prior_if_moved([*moved, laser])) for laser in lasers])
@@ -232,7 +232,8 @@ class RigEvidence:
     def moved_laser(self, chi2: Float64[Array, "laser"]) -> tuple[int | None, bool]:
         """The laser whose plane has moved, and whether a rotation of the camera explains the evidence about as well.
 
-        The laser is None if the plane of another one, or the rotation of the camera, explains it better or as well.
+        The laser is None if the plane of another laser, or the rotation of the camera, explains the evidence as well or
+        better.
         """
         worst = int(np.argmax(chi2))
         turned = self._chi2(self.prior) - self._chi2(self._prior_if_camera_turned())
@@ -257,7 +258,7 @@ class RigEvidence:
         return gain @ target, prior - gain @ jacobian @ prior
 
     def columns(self, laser: int) -> Int64[Array, "3"]:
-        """Where the parameters of a light plane stand."""
+        """Indices of a light plane's three parameters among the rig's parameters."""
         columns: Int64[Array, "3"] = self._columns[laser]
         return columns
 
@@ -269,9 +270,9 @@ class RigEvidence:
         return self._all
 
     def _explained_in_most_shots(self, laser: int, moved: Sequence[int]) -> float:
-        """By how much chi-squared falls by the plane's estimated change, without the shots in which it falls most.
+        """By how much the estimated change of a plane reduces chi-squared in the shots but those that it explains best.
 
-        A shot with a wrong stripe may contradict the rig as strongly as a drift does in many shots.
+        A single shot with a wrong stripe may contradict the rig as strongly as a drift does in many shots.
         """
         change, prior = self.posterior([*moved, laser])[0], self._prior_if_moved(moved)
         falls = []
@@ -290,7 +291,7 @@ class RigEvidence:
         return prior
 
     def _prior_if_camera_turned(self) -> Float64[Array, "parameter parameter"]:
-        """The camera turned by r against all light planes together: their normals n become n + r x n."""
+        """Prior covariance if the camera has turned by r against all light planes: their normals n become n + r x n."""
         lasers, bases = self.rig.lasers, light_plane_bases(self.rig)
         root = np.zeros((len(self.parameters), 3))
         for laser, (normal, basis) in enumerate(zip(lasers.normal, bases, strict=True)):
@@ -309,7 +310,7 @@ class RigEvidence:
 def _parameters_and_prior(
     rig: Rig, stability: RigStability
 ) -> tuple[tuple[str, ...], Float64[Array, "parameter parameter"]]:
-    """The rig's parameters, among them those of all light planes, and their covariance."""
+    """Names of the rig's parameters, with those of all light planes, and their covariance."""
     total = total_covariance(rig, stability)
     more = tuple(name for name in total_covariance(rig, TYPICAL_STABILITY).parameters if name not in total.parameters)
     known = len(total.parameters)

@@ -1,8 +1,8 @@
 """The form of the ring over a stream of shots (ringpose-method(7), section 12).
 
-On the arc that one shot sees, a ring that is not round looks like a round one with another radius. Seen from elsewhere
-it has yet another one: the radii of a stream of shots differ by more than their errors. A wave of order k and amplitude
-a changes the radius that a short arc shows by up to (k^2 - 1) a: 8 a for order 3.
+On the arc that one shot sees, a ring that is not round looks like a round ring with another radius, which depends on
+the place of the arc: the radii of a stream of shots differ by more than their errors. A wave of order k and amplitude a
+changes the radius that a short arc shows by up to (k^2 - 1) a: 8 a for order 3.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ MIN_SHOTS = 4
 """Number of shots from which their radii are compared."""
 
 _LIMIT_SIGMAS = sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * log(STREAM_SHOTS))
-"""Of the test after each shot (Bonferroni, as for the planes)."""
+"""Limit of the test after each shot, as a normal quantile (Bonferroni, as for the planes)."""
 
 _EDGES = 2
 
@@ -82,7 +82,7 @@ class FormMonitor:
 def _squared_deviations(
     shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]],
 ) -> list[float]:
-    """Squared deviations of the curvatures from their weighted mean, in their covariances."""
+    """Squared deviations of the curvatures from their weighted mean, each in units of its variance."""
     information = [np.linalg.inv(covariance) for _, covariance in shots]
     weighted = sum(each @ curvature for each, (curvature, _) in zip(information, shots, strict=True))
     mean = np.linalg.solve(np.sum(information, axis=0), weighted)

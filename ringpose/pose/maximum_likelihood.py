@@ -100,9 +100,9 @@ def most_likely_pose(
     """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
     The radii of a catalogue's ring are used if the shot identifies it with high probability. `lasers_on`: which lasers
-    were on in the shot, to report those whose stripe is missing; None if unknown. `rejected`: by the detector.
-    `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial. `judged`:
-    the ring by which the break points were judged, from which the iteration starts.
+    were on in the shot, to report those whose stripe is missing; None if unknown. `rejected`: what the detector has
+    rejected. `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
+    `judged`: the ring by which the break points were judged, from which the iteration starts.
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
 
@@ -144,7 +144,7 @@ def most_likely_pose(
 
 
 def _unusable(measured: Measurements, camera: CameraMotion | None) -> NoPose | None:
-    """Why these measurements cannot be estimated from; None if they can."""
+    """The reason why no ring can be estimated from these measurements; None if it can."""
     if not len(measured.points.x):
         return NoPose.TOO_FEW_BREAK_POINTS
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
@@ -208,7 +208,8 @@ def _result(best: Explanation, source: str) -> PoseResult:
 def _velocity(best: Explanation, found: Quantities, flags: PoseFlag) -> tuple[RingVelocity | None, PoseFlag]:
     """The velocity, with the mean and variance of the prior where the shot does not determine it, and its flags.
 
-    That of the centre depends on its side, and on the radius: within the errors of an unknown radius not linearly.
+    The velocity of the centre depends on the side of the centre, and on the radius: within the errors of an unknown
+    radius not linearly.
     """
     velocity = ring_velocity(best.estimate, found)
     if velocity is None:
@@ -310,9 +311,10 @@ def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
 
 
 def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
-    """Joint covariance; of an inconsistent shot times its reduced chi-squared, plus that of the competing fits.
+    """Joint covariance; for an inconsistent shot it is multiplied by the reduced chi-squared.
 
-    Without redundancy of stripes and break points the visible edges contradict the shot, by their mean square.
+    The outer products of the differences from the competing fits are then added. If stripes and break points have no
+    redundancy, the factor is the mean square of the visible edges' residuals.
     """
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)

@@ -153,11 +153,11 @@ def pose_result(
     camera: CameraMotion | None = None,
     judged: JudgedRing | None = None,
 ) -> PoseResult:
-    """Pose of the ring in the camera frame, or the reason why there is none, with what it assumes and rejected.
+    """Pose of the ring in the camera frame, or the reason why there is none, with its assumptions and rejections.
 
-    Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a
-    catalogue that it may belong to; the paper's methods use neither it nor visible edges, and of the assumptions only
-    the stability of the rig. `lasers_on`: which lasers were on in the shot. `rejected`: what the detector has rejected.
+    Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a catalogue
+    that it may belong to. The paper's methods use neither `known` nor visible edges, and of the assumptions only the
+    stability of the rig. `lasers_on`: which lasers were on in the shot. `rejected`: what the detector has rejected.
     `camera`: its motion by the poses of a robot, which the paper's methods do not use. `judged`: the ring by which the
     break points were judged, from which method `ml` starts.
     """

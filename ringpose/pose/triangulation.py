@@ -32,9 +32,9 @@ def point_covariance(
     laser: Int64[Array, "n"],
     rig: Rig,
 ) -> Float64[Array, "coordinate coordinate"]:
-    """Covariance of the 3 n coordinates x1 y1 z1 x2 ..., to first order; NaN if that of a break point is.
+    """Covariance of the 3 n coordinates x1 y1 z1 x2 ..., to first order; NaN if the covariance of a break point is NaN.
 
-    The errors of break points are independent of each other; those of the rig, where its covariance is known, are
+    The errors of break points are independent of each other; the errors of the rig, where its covariance is known, are
     common to all.
     """
     light_normal = rig.lasers.normal[laser]
@@ -60,7 +60,7 @@ class PointJacobians:
 
     wrt_pixel: Float64[Array, "n xyz=3 xy=2"]
     wrt_camera: Float64[Array, "n xyz=3 parameter"]
-    """In the order of `CAMERA_PARAMETERS`, as many as the camera has."""
+    """Derivatives in the order of `CAMERA_PARAMETERS`, as many as the camera has."""
 
 
 def point_jacobians(

@@ -32,7 +32,7 @@ def seen_lasers(
 ) -> tuple[Mapping[str, LaserState], PoseFlag]:
     """What each laser that was on contributed, and the flags of what should be in view but was not used.
 
-    `rejected`: by the detector and by the explanation.
+    `rejected`: what the detector and the explanation have rejected.
     """
     used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
     used[best.measured.points.laser, best.measured.points.edge] = True
@@ -95,7 +95,7 @@ def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser ed
 
 
 def _share_by_single_stripes(best: Explanation, rig: Rig) -> Float64[Array, "laser"]:
-    """Share of each stripe that one stripe of two predicts in view by itself; 0 with other numbers of stripes.
+    """Share of each stripe that is in view as predicted by each of two stripes alone; 0 with other numbers of stripes.
 
     If one of two stripes does not lie on the ring, their common ring may predict the missing one outside the image.
     """

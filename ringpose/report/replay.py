@@ -38,7 +38,7 @@ class ReplayShot:
     name: str
     stamp_s: float
     jpeg: bytes
-    """Its picture."""
+    """Picture of the shot."""
     line: PoseLine | None = None
     truth: Truth | None = None
     """The truth at the time at which the pose holds."""

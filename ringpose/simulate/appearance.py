@@ -47,7 +47,7 @@ _GRAZING = 1e-6
 
 
 class LaserFrames(NamedTuple):
-    """The frame of a shot in which the detector searches for the stripe of each laser."""
+    """For each laser, the frame of a shot in which the detector searches for its stripe."""
 
     number: Int64[Array, "laser"]
     """Index of that frame in the shot; -1 for a laser that is off in all frames."""
@@ -62,7 +62,7 @@ class LaserFrames(NamedTuple):
 
 
 def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
-    """The frame of each laser in a sequence of laser masks: of those with it on, the one with the fewest lasers."""
+    """For each laser, the frame with the fewest lasers on among the frames of the sequence in which it is on."""
     number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
     subtracted = np.zeros(lasers, dtype=bool)
     for frame, shown, also_on in searched_frames(sequence, lasers):

@@ -58,7 +58,8 @@ def ring_crossings_m(
 ) -> Float64[Array, "laser radius=2 xyz=3"]:
     """Intersections of each light plane with two circles in the plane of the face of an ideal ring, camera frame.
 
-    Of the two with each circle, the one on the side +1 or -1, along the first laser's stripe; NaN if there is none.
+    A plane meets each circle twice; the intersection on side +1 or -1, along the first laser's stripe, is returned, NaN
+    if there is none.
     """
     placement, planes = illuminated.placement, illuminated.planes
     center_m = placement.points_camera(np.array([0.0, 0.0, ring.height_m]))

@@ -62,7 +62,7 @@ class Stripe:
     """The image of one laser's stripe on the ring's face, before the blur by the lens."""
 
     sigma_px: float
-    """Of its section along an image column."""
+    """Sigma of the stripe's section along an image column."""
     peak_e: float
     """Expected electrons at its peak, if the lens did not blur."""
     background_e: float = 0.0
@@ -110,7 +110,7 @@ def image_noise(scene: Scene, *, subtracted: bool) -> ImageNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CenterErrors:
-    """Errors of a stripe's centre in one column."""
+    """Errors of a stripe's centre that is measured in one column."""
 
     speckle_px: float
     """Standard deviation due to speckle, which neighbouring columns share."""
@@ -132,10 +132,11 @@ class CenterErrors:
 
 
 def center_errors(stripe: Stripe, noise: ImageNoise) -> CenterErrors | None:
-    """Errors of the centre by a fit of a Gaussian section, its offset, and a background with a slope.
+    """Errors of a stripe's centre that is fitted in one column.
 
-    As in the detector, rows have the weights of independent noise and speckle. None if the stripe is too faint for the
-    detector, or so bright that too few rows are not saturated.
+    The fit has a Gaussian section, its offset, and a background with a slope. As in the detector, rows are weighted for
+    independent noise and speckle. None if the stripe is too faint for the detector, or so bright that too few rows are
+    not saturated.
     """
     sigma, section, peak_e = _blurred_section(stripe, noise)
     if peak_e < max(MIN_PEAK * noise.full_e, MIN_PEAK_SIGMAS * sqrt(noise.dark_e2)):
@@ -218,9 +219,9 @@ def end_errors_px(
 def edge_step_influence(blur_px: float) -> tuple[Float64[Array, "offset"], float]:
     """Sensitivity of a measured edge's position, for a step of brightness of height 1.
 
-    First, by how many pixels light of 1 at the pixels 1, 2, ... px beyond the edge displaces it; second, its standard
-    deviation if that of each pixel is 1. As in the detector, light beyond the edge is expected to vary, the more the
-    farther it is from the edge.
+    First, by how many pixels light of 1 at the pixels 1, 2, ... px beyond the edge displaces the position; second, the
+    standard deviation of the position if that of each pixel is 1. As in the detector, light beyond the edge is expected
+    to vary, the more the farther it is from the edge.
     """
     width = hypot(blur_px, sqrt(PIXEL_VARIANCE))
     x = np.arange(-EDGE_COLUMNS[0], EDGE_COLUMNS[1] + 1.0)
@@ -235,9 +236,10 @@ def edge_step_influence(blur_px: float) -> tuple[Float64[Array, "offset"], float
 def _width_weights(
     variance: Float64[Array, "end phase"], pooled: int
 ) -> tuple[Float64[Array, "end phase"], Float64[Array, "end phase"]]:
-    """Weight of an end's own width in the one that is used, and the standard deviation due to the other ends.
+    """Weight of an end's own width in the width that is used, and the standard deviation due to the other ends.
 
-    The used one is the weighted mean of the end's own and that of all `pooled` ends, which have a spread of their own.
+    The detector uses the weighted mean of the end's own width and the mean of all `pooled` ends, whose true widths
+    differ.
     """
     information = 1.0 / variance
     others = 1.0 / ((variance + WIDTH_SPREAD**2) / pooled + WIDTH_SPREAD**2)
@@ -261,7 +263,7 @@ def _weighted_fit(
 
 
 def _blurred_section(stripe: Stripe, noise: ImageNoise) -> tuple[float, float, float]:
-    """Sigma of a section on the pixels, the same after the blur, and its peak then."""
+    """Sigma of a section sampled by pixels, before and after the blur by the lens, and its peak (electrons) after."""
     sigma = sqrt(stripe.sigma_px**2 + PIXEL_VARIANCE)
     section = sqrt(sigma**2 + noise.blur_px**2)
     return sigma, section, stripe.peak_e * stripe.sigma_px / section

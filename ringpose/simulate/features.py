@@ -78,7 +78,7 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnShot:
-    """A drawn detection and its truth, whose groups name the outliers."""
+    """A drawn detection and its truth; `groups` of the truth name the outliers."""
 
     detection: Detection
     truth: Truth
@@ -104,7 +104,7 @@ MAX_CHANGE = 0.01
 
 
 def _looks_like(view: RingView, shown: RingView) -> bool:
-    """Whether the errors of a moving ring's features are those of an earlier view."""
+    """Whether a view of a moving ring is so similar to an earlier one that the errors of its features are the same."""
     if view.path is None or (view.path, view.light) != (shown.path, shown.light):
         return False
     moved_m = np.linalg.norm(view.center_m - shown.center_m)
@@ -138,9 +138,9 @@ def draw_detection(
 ) -> DrawnShot:
     """The detection in a shot of one view that begins at `stamp_s`, with its truth.
 
-    Without `common` errors they are drawn for this shot alone; `appearance` is that of this view or of one nearby.
-    Edges are named as they are: a detector may exchange inner and outer edge where the stripes hardly show the ring's
-    curvature.
+    Without `common`, the common errors are drawn for this shot alone; `appearance` is that of this view or of a similar
+    one. Edges have their true names: a detector may exchange inner and outer edge where the stripes hardly show the
+    ring's curvature.
     """
     if common is None:
         common = common_errors(scene, rng, deviations)
@@ -195,7 +195,7 @@ class _Outliers(NamedTuple):
 
 
 def _outliers(deviations: Deviations, picks: Float64[Array, "laser 7"]) -> _Outliers:
-    """Outliers by uniform random numbers."""
+    """The outliers of a shot, chosen by the uniform random numbers `picks`."""
     least_px, most_px = deviations.displaced_px
     nearest_m, farthest_m = deviations.background_m
     displaced = picks[:, :2] < deviations.displaced_share
@@ -220,7 +220,7 @@ def _drawn_points(
     outliers: _Outliers,
     seen: Bool[Array, "laser"],
 ) -> BreakPoints:
-    """Break points and lines with errors by standard normal numbers; the lines in distorted pixels."""
+    """Break points and lines with errors made from standard normal numbers `unit`; the lines in distorted pixels."""
     lasers, left = np.arange(len(seen)), stripes.edge_at_start
     chord_px = stripes.end_px - stripes.start_px
     columns = chord_px[:, 0]
@@ -275,11 +275,11 @@ def _drawn_edges(
     *,
     moving: bool,
 ) -> RingEdgePoints | None:
-    """Points of the visible edges with errors by standard normal numbers `unit`; None if no edge is visible.
+    """Points of the visible edges with errors made from standard normal numbers `unit`; None if no edge is visible.
 
-    As the detector searches for them: of a moving ring in two frames, else in one. Most errors come from what lies
-    beside the edges and are the same in both frames: the stated standard deviations are raised so that two frames of a
-    ring at rest determine it no better than one.
+    As in the detector, the edges of a moving ring are measured in two frames, else in one. Most errors come from what
+    lies beside the edges and are the same in both frames: the stated standard deviations are raised so that two frames
+    of a ring at rest determine the ring no better than one.
     """
     numbers = [appearance.edges.frame]
     dark = [number for number, mask in enumerate(scene.sequence) if not mask]

@@ -31,9 +31,9 @@ class IlluminatedTarget:
 
     target: TargetTables
     placement: Placement
-    """In the middle of the exposure."""
+    """Placement in the middle of the exposure."""
     during: tuple[Placement, ...]
-    """At equal steps of the exposure, an odd number; for a target that hardly moves in it, `placement` alone."""
+    """Placements at equal steps of the exposure, an odd number; `placement` alone if the target hardly moves."""
     planes: LaserPlanes
     laser_light: LaserLight
     light: Light
@@ -102,9 +102,9 @@ def caster_view(
     per_px: Float64[Array, "axis=2 xy=2 pixel"] | None,
     width: int,
 ) -> render.View:
-    """What the ray caster takes: target, placements and light, for camera rays (x, y, 1).
+    """The input of the ray caster: target, placements and light, for camera rays (x, y, 1).
 
-    `per_px` are the derivatives of the rays by the pixel, `width` that of the image in pixels, and `angle_per_px` is
+    `per_px` are the derivatives of the rays by the pixel, `width` is the image's width in pixels, and `angle_per_px`
     the width of a pixel at depth 1.
     """
     planes, laser, light = illuminated.planes, illuminated.laser_light, illuminated.light
@@ -127,7 +127,7 @@ def caster_view(
 
 
 def _sky_numbers(light: Light) -> list[float]:
-    """Irradiance, direction and angular radius of sun and Earth, then of the Earth its lit direction and radiance."""
+    """Irradiance, direction and angular radius of sun and Earth, then the Earth's lit direction and its radiance."""
     sun = light.sun_direction / np.linalg.norm(light.sun_direction)
     of_sun = [light.sun_w_m2, *sun.tolist(), light.sun_diameter_rad / 2]
     if light.earth is None or light.sun_w_m2 == 0.0:

@@ -17,7 +17,7 @@ from ringpose.types.scene import RingView
 from ringpose.types.target import FreeMotion, TargetPath, TimedPoses
 
 RELATIVE_TOLERANCE = 1e-13
-"""Of the integration; over ten minutes at 8 deg/s, energy and angular momentum are kept to 1e-10."""
+"""Tolerance of the integration; over ten minutes at 8 deg/s, energy and angular momentum are kept to 1e-10."""
 
 DIFFERENCE_S = 1e-3
 """Half of the interval of the central differences; their error at 8 deg/s is 1e-9 of the velocity."""

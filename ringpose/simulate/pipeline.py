@@ -63,7 +63,7 @@ def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tu
 
 
 def shot_begins_s(sequence: tuple[int, ...], exposure_s: float) -> Float64[Array, "frame"]:
-    """Begin of each exposure of a shot, in seconds since that of the first."""
+    """Begin of each exposure of a shot, in seconds since the begin of the first exposure."""
     return np.arange(len(sequence)) * (exposure_s + READOUT_S)
 
 
@@ -76,7 +76,7 @@ def moving_frame(
     stamp_s: float,
     seed: tuple[int, ...],
 ) -> Frame:
-    """A frame of a moving target, whose exposure begins `begin_s` after that of its shot."""
+    """A frame of a moving target; its exposure begins `begin_s` after the begin of the shot."""
     illuminated = illuminated_ring(scene, view, (mask,), begin_s + exposure_s / 2, exposure_s)
     return render_view(scene, illuminated, seed).frame(mask, exposure_s, stamp_s)
 

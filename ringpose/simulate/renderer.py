@@ -38,16 +38,16 @@ class RenderedView:
     """Electron rate due to the beacon while it is on."""
 
     def frame(self, lasers: int, exposure_s: float, stamp_s: float) -> Frame:
-        """One exposure with the lasers of the mask on."""
+        """One exposure in which the lasers of the mask are on."""
         image = digitised(self.electrons(lasers, exposure_s, stamp_s), self.sensor, self.generator)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
 
     def frames(self, sequence: Sequence[int], exposure_s: float, stamps_s: Float64[Array, "frame"]) -> list[Frame]:
-        """The exposures of a shot, each with the lasers of its mask on."""
+        """The exposures of a shot; in each, the lasers of its mask are on."""
         return [self.frame(mask, exposure_s, float(stamp)) for mask, stamp in zip(sequence, stamps_s, strict=True)]
 
     def electrons(self, lasers: int, exposure_s: float, began_s: float = 0.0) -> Float32[Array, "row column"]:
-        """Expected electrons of one exposure with the lasers of the mask on."""
+        """Expected electrons of one exposure in which the lasers of the mask are on."""
         return self.electrons_with([lasers >> number & 1 for number in range(len(self.laser))], exposure_s, began_s)
 
     def electrons_with(
@@ -74,7 +74,7 @@ def render_view(
 ) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise.
 
-    `samples`: of every pixel, as in `layers`; by default as many as each needs.
+    `samples` is the number of samples of every pixel, as in `layers`; by default each pixel has as many as it needs.
     """
     generator = np.random.default_rng(seed)
     camera = scene.rig.camera

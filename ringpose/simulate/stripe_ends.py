@@ -175,7 +175,10 @@ def _clipped(
     inside: Bool[Array, "laser edge=2"],
     camera: Camera,
 ) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Int64[Array, "laser"]]:
-    """Left and right ends of the stripes on the face in the image, and the edge of the left one; NaN if not in view."""
+    """Left and right ends of the stripes on the face, clipped to the image, and the edge at the left end.
+
+    NaN for a stripe that is not in view.
+    """
     ends_px = position_px.copy()
     for laser in np.flatnonzero(~inside.all(axis=1) & np.isfinite(position_px).all(axis=(1, 2))):
         share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]

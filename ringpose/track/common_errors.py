@@ -15,12 +15,12 @@ from ringpose.types.pose import PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, ParameterCovariance, PlaneCorrection, Rig, laser_parameters
 
 NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
-"""Of a rig that counts as exact."""
+"""Covariance of a rig that counts as exact."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CommonErrors:
-    """Nuisance parameters of the records, and the root R of their prior covariance R R^T.
+    """Nuisance parameters of the records, and the square root R of their prior covariance R R^T.
 
     The columns of R are independent errors of unit variance.
     """
@@ -61,7 +61,7 @@ def common_errors(
 
 
 def _with_mount(others: CommonErrors, names: tuple[str, ...], mount: Mount) -> CommonErrors:
-    """The errors with those of the mount: its root has one column for each independent error, the last is the delay."""
+    """The errors with those of the mount appended: a column of the root for each independent error, the delay last."""
     of_mount = np.zeros((len(MOUNT_PARAMETERS), len(MOUNT_PARAMETERS)))
     of_mount[:6, :6], of_mount[6, 6] = mount.root, mount.delay_sd_s
     errors = others.root.shape[1]

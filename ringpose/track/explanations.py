@@ -46,7 +46,7 @@ MIN_CURVATURE = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gripper:
-    """How far the ring may be off for the gripper to close on it."""
+    """Largest errors of the ring's pose with which a gripper still closes on it."""
 
     radial_m: float
     """Distance of the true middle of the band from the grasp point."""
@@ -63,7 +63,7 @@ class TrackOptions:
     lost_after_s: float = 3.0
     """Time without a measurement after which the track is given up."""
     motion: MotionPrior = motion_prior()
-    """Of a new track."""
+    """Motion prior of a new track."""
     gripper: Gripper | None = None
     """The gripper whose capture of the ring is predicted."""
 
@@ -137,7 +137,10 @@ def track_after(
 def _contradicted(
     track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions, ratio: float
 ) -> tuple[Track, Fusion]:
-    """As `track_after`, for a measurement with a test ratio above 1: an outlier unless a second one agrees with it."""
+    """The track after a measurement with a test ratio above 1: an outlier unless a second measurement agrees with it.
+
+    Returns the same as `track_after`.
+    """
     gap_s = observed.stamp_s - track.stamp_s
     if gap_s <= options.predict_for_s:
         anew, its_ratio = _continued(track, observed, pushed_with=options.motion)
@@ -225,7 +228,7 @@ def _pruned(track: Track) -> Track:
 
 
 def _evidence(bank: Bank) -> float:
-    """Log evidence over all models, times the probability that the curvature is one that a ring can have."""
+    """Log evidence over all models, including the probability that the curvature is one that a ring can have."""
     from scipy.special import log_ndtr
 
     scores = bank.scores

@@ -85,7 +85,7 @@ class Bank:
     common: Float64[Array, "filter error=14 source"]
     """Sensitivity B to the common errors, which have unit variance."""
     common_root: Float64[Array, "parameter rig_error"]
-    """Root of the prior covariance by which they are defined."""
+    """Root of the prior covariance that defines the common errors."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
     side: int
@@ -130,7 +130,7 @@ class Bank:
 
     @property
     def covariance(self) -> Float64[Array, "filter error=14 error=14"]:
-        """Covariance of the errors."""
+        """Covariance of the states' errors, with the common errors included."""
         covariance: Float64[Array, "filter error error"] = self.own + self.common @ self.common.swapaxes(1, 2)
         return covariance
 
@@ -162,7 +162,7 @@ class Innovation(NamedTuple):
 
 
 def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
-    """The bank after its first measurement, of an explanation with the ring's centre on a side (`Bank.side`)."""
+    """The bank after its first measurement, for an explanation with the ring's centre on side `side` (`Bank.side`)."""
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
     chart, count = observed.chart, len(MODELS.precession)
@@ -201,7 +201,7 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
 def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, float, Float64[Array, "2 2"]]:
     """Curvature and half width of the ring with their covariance, from the radii that the record assumes.
 
-    Where no radius is assumed for an edge, it follows from the half width of the first shot, which is then widened.
+    The radius of an edge for which none is assumed follows from the half width in the first shot, with a wide prior.
     """
     if radius is None:
         return CURVATURE_PRIOR, half_band_m, np.diag([CURVATURE_SD**2, HALF_BAND_SD_M**2])
@@ -221,8 +221,8 @@ def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
     """The bank after a further measurement, and the innovation of the measurement by the bank's prediction.
 
     The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
-    turn of an edge is curvature times velocity. The motion is linearised again about the states before to which the
-    measurement moves them (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
+    turn of an edge is curvature times velocity. The motion is therefore linearised again about the previous states as
+    corrected by the measurement (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
     """
     bank = _with_common_errors_of(bank, observed)
     at, transition, found = _ahead(bank, observed, None)
@@ -264,9 +264,10 @@ def pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank
 def _ahead(
     bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None
 ) -> tuple[Bank, Float64[Array, "filter error=14 error=14"], Innovation]:
-    """The bank at the time of a measurement and in its chart, its transition, and the innovation.
+    """The bank predicted to the time and chart of a measurement, the transition to it, and the innovation.
 
-    Motion and rates are linear about the coordinates `about` of the bank before; None for its own.
+    Motion and rates are linearised about the coordinates `about` of the bank before; None for the bank's own
+    coordinates.
     """
     transported = _transported(bank, observed.stamp_s, observed.chart, about)
     count, found, leader_of = len(bank.coordinates), transported.found, transported.leader_of
@@ -363,7 +364,7 @@ def innovation(
 ) -> Innovation:
     """The measurement less its prediction by each filter of a bank, which is in the chart of the measurement.
 
-    With a `step` the rates are those of the states after that step, about which they are linearised instead.
+    With a `step`, the rates are those of the states after that step, and are linearised about these states.
     """
     remaining = observed.target - bank.coordinates[:, : len(STEP)] @ observed.wrt_step.T
     remaining -= (rates - observed.step_rates) @ observed.wrt_step_rates.T
@@ -396,7 +397,10 @@ def innovation_covariance(
 
 
 def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
-    """The innovation linearised where the measurement moves the states to (iterated filter), for the first ones."""
+    """The innovation linearised where the measurement moves the states to (iterated filter).
+
+    Only the first measurements of a bank are iterated.
+    """
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
         gain = schmidt_gain(bank.own, bank.common, found)
         step = (gain @ found.remaining[..., None])[..., 0]

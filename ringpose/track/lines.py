@@ -129,7 +129,7 @@ def track_line(
 
 
 def validity(track: Track, stamp_s: float, options: TrackOptions) -> Validity:
-    """How far the track may be trusted at an instant, by the age of the newest measurement that was used."""
+    """Validity of a track at an instant, by the age of the newest measurement that was used."""
     if not track.banks:
         return Validity.LOST
     age_s = stamp_s - track.stamp_s
@@ -181,7 +181,7 @@ class _Reported:
         return self._of(np.concatenate([across @ self._jacobian[_GRASP], self.basis @ self._jacobian[_NORMAL]]))
 
     def velocity_covariance(self) -> Float64[Array, "5 5"]:
-        """Covariance of the velocity (x, y, z) and the two rates."""
+        """Covariance of the velocity (x, y, z) and of the two angular velocities across the normal."""
         return self._of(np.concatenate([self._jacobian[_VELOCITY], self.basis @ self._jacobian[_RATES]]))
 
     def pose_covariance(self) -> Float64[Array, "7 7"]:

@@ -36,7 +36,7 @@ class MotionModels(NamedTuple):
     velocity_noise: Float64[Array, "filter"]
     """Power spectral density of the acceleration of the centre (of mass), m^2/s^3 per axis."""
     rate_noise: Float64[Array, "filter"]
-    """Of the angular acceleration, rad^2/s^3 per axis."""
+    """Power spectral density of the angular acceleration, rad^2/s^3 per axis."""
     precession: Bool[Array, "filter"]
     log_prior: Float64[Array, "filter"]
     """Logarithms of their weights before the first measurement."""
@@ -68,8 +68,8 @@ def process_noise(
 ) -> Float64[Array, "filter error=14 error=14"]:
     """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
 
-    With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
-    the origin too.
+    Phi(t) is taken as linear in t. Accelerations are those of the centre of mass and of the angular velocity; the
+    latter moves the origin too.
     """
     gain = np.zeros((len(coordinates), len(ERRORS), 6))
     gain[:, VELOCITY, :3] = np.eye(3)

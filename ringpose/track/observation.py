@@ -79,9 +79,10 @@ class Observation:
         return _chart(self.arcs)
 
     def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
-        """The same observation, described for a ring whose centre lies in the direction `inward`.
+        """The observation, described for a ring whose centre lies in the direction `inward`.
 
-        If this is opposite to the present one, inner and outer edge are exchanged (`RingArcs.with_center_opposite`).
+        If `inward` is opposite to the present direction, inner and outer edge are exchanged
+        (`RingArcs.with_center_opposite`).
         """
         if float(inward @ self.arcs.axes[0]) >= 0.0:
             return self
@@ -165,9 +166,10 @@ def _chart(arcs: RingArcs) -> RingStates:
 
 
 def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Observation:
-    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera.
+    """The observation in the base frame, with errors of the camera's pose, which move the ring with the camera.
 
-    `of_mount`: whether the last common errors are those of the mount, which act within the shot, too.
+    `of_mount`: whether the last common errors are already those of the mount, because they act within the shot, too;
+    both effects are then added.
     """
     origin, axes = camera.rotation @ observed.arcs.origin, observed.arcs.axes @ camera.rotation.T
     from_camera = replace(observed.arcs, origin=origin, axes=axes)  # errors of rotation turn the ring about the camera
@@ -181,7 +183,7 @@ def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Obse
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
-    """From the centre to the place on the face where the shot determines best how far the ring extends.
+    """Vector from the centre to the place on the face where the shot determines best how far the ring extends.
 
     Seen along the ray to a place P, the ring extends farther along e, outward, by e . (dc + offset dt) + dr, as the
     origin of the in-plane coordinates tilts with the plane, less (e . P) / (n . P) times the height doffset - P . dt by

@@ -72,9 +72,9 @@ class _Unused(NamedTuple):
     is_old: bool
     """Whether they are older than the buffer, rather than ahead of this computer's clock."""
     stamp_s: float
-    """Of the last one."""
+    """Stamp of the last one."""
     elapsed_s: float
-    """From the first to the last, with bounded gaps."""
+    """Time from the first to the last, with bounded gaps."""
 
 
 class Tracker:
@@ -160,7 +160,7 @@ class Tracker:
         return None
 
     def _fused(self, line: PoseLine, now_s: float, inflation: float) -> Fusion:
-        """How a record is used."""
+        """Use a record for the track, if it can be used, and return how it was used."""
         measurement, stamp_s, newest_s = line.measurement, line.pose_stamp_s, self.track.stamp_s
         if not_usable := self._not_usable(line, now_s):
             return not_usable
@@ -207,9 +207,10 @@ class Tracker:
     def _leave_out(self, stamp_s: float) -> None:
         """Note the stamp of a record outside the buffer.
 
-        One that is not later than the last, or on the other side of the buffer, is of another clock. If only older ones
-        have come for long enough, the clock was set back, and the track starts anew. Two records, whose stamps may both
-        be wrong, count for no more than half of the time after which a track is lost.
+        A stamp that is not later than the previous one outside the buffer, or on the other side of the buffer, is of
+        another clock. If only records older than the buffer have come for long enough, the clock was set back, and the
+        track starts anew. The time between two records, whose stamps may both be wrong, counts for no more than half of
+        the time after which a track is lost.
         """
         last, is_old, elapsed_s = self._unused, stamp_s < self._base_stamp_s, 0.0
         if last is not None and last.is_old == is_old and stamp_s > last.stamp_s:

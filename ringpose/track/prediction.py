@@ -34,9 +34,10 @@ class PredictedRing:
 
 
 def predicted_ring(track: Track, stamp_s: float, camera: CameraMotion | None = None) -> PredictedRing | None:
-    """The ring of the likeliest explanation; `camera`: of a track in the base frame.
+    """The ring of the likeliest explanation in the camera frame; None if there is no track.
 
-    None if there is no track, or if the robot's poses do not cover the instant.
+    `camera` is the motion of the camera, for a track in the base frame; also None if the robot's poses do not cover the
+    instant.
     """
     if not track.banks:
         return None

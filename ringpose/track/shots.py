@@ -50,7 +50,7 @@ class ShotTracker:
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
-        """Its camera's motion, if it has one, is that within the shots, too."""
+        """The tracker; the motion of its camera, if it has one, is also used within the shots."""
         self._background: Frame | None = None
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None
@@ -138,7 +138,7 @@ class ShotTracker:
             return predicted_ring(track, stamp_s, camera)
 
     def _usable_background(self, shot: Shot, rig: Rig) -> Frame | None:
-        """The newest frame without lasers, unless the ring's edges have moved since, or the exposure is another."""
+        """The newest frame without lasers, unless the ring's edges have moved since, or the exposure has changed."""
         dark, track, stamp_s = self._background, self._tracker.track, shot.measured_at_s
         if dark is None or not track.banks or not np.allclose(shot.exposure_s, dark.exposure_s, rtol=1e-3):
             return None
@@ -151,8 +151,8 @@ class ShotTracker:
 def shared_inflation(number: int) -> float:
     """Factor on the variances of the shot of this number, from 1, with one background; 1 for 0.
 
-    n such shots of a target at rest determine it with the variance (1 + (n - 1) share) / n of a single one. The n-th
-    contributes the difference of the information of n shots to that of n - 1.
+    n such shots of a target at rest determine it with the variance (1 + (n - 1) share) / n of a single one. The
+    information of the n-th shot is the difference between the information of n and of n - 1 shots.
     """
     before = min(number, MAX_SHARING) - 1
     if before < 1:

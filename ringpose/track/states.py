@@ -38,7 +38,7 @@ ERRORS = (*STEP, *MOTION)
 
 VELOCITY, RATE, LEVER = slice(7, 10), slice(10, 13), 13
 RATE_INWARD, RATE_ALONG, RATE_NORMAL = 10, 11, 12
-"""Their indices."""
+"""Indices of these components in `ERRORS`."""
 
 DIFFERENCE = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-5, 1e-6, *[1e-5] * 7])
 """Steps of the central differences by which Jacobians are computed: their error is 1e-9 and less."""
@@ -48,7 +48,7 @@ class RingStates(NamedTuple):
     """A batch of states."""
 
     origin: Float64[Array, "state xyz=3"]
-    """On the middle of the face, in metres."""
+    """Points on the middle of the faces, in metres."""
     axes: Float64[Array, "state 3 xyz=3"]
     """Unit vectors: inward (towards the centre), along the face, and the normal towards the camera."""
     curvature: Float64[Array, "state"]

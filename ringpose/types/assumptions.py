@@ -33,7 +33,7 @@ class RigStability:
 
 
 TYPICAL_STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
-"""Of a rig whose file does not state its own: what temperature does to a light plane and a lens."""
+"""Stability of a rig whose file does not state its own: what temperature does to a light plane and a lens."""
 
 MAX_SPEED_M_S, MAX_RATE_DEG_S = 0.05, 5.0
 """Two standard deviations of the default motion prior: what a dead satellite does."""

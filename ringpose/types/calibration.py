@@ -52,7 +52,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """All checks; the worst grade is that of the result."""
+    """The checks of a result; the worst grade of the checks is the grade of the result."""
 
     findings: tuple[Check, ...]
 
@@ -110,7 +110,7 @@ class LaserView:
 
     @property
     def held_out_rms_m(self) -> float:
-        """Root mean square of the held-out distances; NaN if they are not known."""
+        """Root mean square of the held-out distances; NaN if these are not known."""
         return _rms(self.held_out_m)
 
     @property
@@ -150,7 +150,7 @@ class PlanesCalibration:
     """The light planes and their uncertainty."""
 
     camera: Camera
-    """As given, or refined by the stripes and boards."""
+    """The given camera, or the camera refined by the stripes and boards."""
     planes: LaserPlanes
     covariance: ParameterCovariance | None
     """Joint, over camera and light planes; None for methods without a consistent covariance."""
@@ -192,7 +192,7 @@ class CameraCalibration:
     """The intrinsic parameters and their uncertainty."""
 
     camera: Camera
-    """With the covariance of the intrinsic parameters, marginalised over the poses of the board."""
+    """The camera with the covariance of the intrinsic parameters, marginalised over the poses of the board."""
     rms_px: float
     """Root mean square reprojection error of the corners that were used."""
     sigma_px: float
@@ -273,7 +273,7 @@ class CameraAssessment:
     """A camera calibration with the quantities by which it is assessed."""
 
     calibration: CameraCalibration
-    """With the covariance inflated if the views disagree more than noise explains."""
+    """The calibration, with the covariance inflated if the views disagree more than noise explains."""
     coverage: Coverage
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with

@@ -79,11 +79,11 @@ class BreakPoints:
     stamp_s: Float64[Array, "laser"] | None = None
     """Mid exposure of the frame that shows each laser's stripe; NaN where it was not found, None if unknown."""
     repeated: "BreakPoints | None" = None
-    """The same ends in a frame with several lasers on, at another time; NaN where one was not measured again."""
+    """The break points in a frame with several lasers on, at another time; NaN where one was not measured again."""
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
-        """Which of them were measured."""
+        """Mask of the break points that were measured."""
         seen: Bool[Array, "laser edge=2"] = ~np.isnan(self.position_px[..., 0])
         return seen
 
@@ -169,7 +169,7 @@ class JudgedRing:
     half_band_m: float
     """Half of the outer minus the inner radius."""
     velocity_m_s: Float64[Array, "xyz=3"]
-    """Of the centre."""
+    """Velocity of the centre."""
     rate_rad_s: Float64[Array, "xyz=3"]
     """Angular velocity across the normal."""
     stamp_s: float | None
@@ -184,7 +184,7 @@ class Rejection:
     laser: str | None = None
     edge: Literal["inner", "outer"] | None = None
     chi2: float = math.nan
-    """By how much its rejection reduces chi-squared."""
+    """Decrease of chi-squared by this rejection."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -48,7 +48,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
-    """Frames taken in quick succession, each with its laser mask; the target may move meanwhile."""
+    """Frames taken in quick succession, each with its laser mask; the target may move between them."""
 
     name: str
     images: UInt[Array, "frame row column"]
@@ -79,7 +79,7 @@ class Shot:
 
     @property
     def ambient_changed(self) -> bool:
-        """Whether ambient light changed within the shot, by less than makes `capture` repeat it, as `meta` states."""
+        """Whether ambient light changed, too little for `capture` to repeat the shot, as `meta` states."""
         return "ambient_change_dn" in self.meta
 
     @property

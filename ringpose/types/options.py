@@ -30,7 +30,7 @@ class SegmentMethod(StrEnum):
 
 
 class StripeSource(StrEnum):
-    """What the stripes are extracted from."""
+    """Features from which the stripes are extracted."""
 
     CENTERS = "centers"
     """Ridges, column by column: more accurate, the default."""

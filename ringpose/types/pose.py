@@ -86,7 +86,7 @@ class PlaneEvidence:
     rows: Float64[Array, "row column"]
     """[A, y], in the parameters' own units."""
     normal: Float64[Array, "xyz=3"]
-    """Of the ring, by which shots of the same pose are recognized ..."""
+    """Normal of the ring, by which shots of the same pose are recognized ..."""
     place_m: Float64[Array, "xyz=3"]
     """... and a point of its face."""
 
@@ -195,7 +195,7 @@ class RadiusPrior:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Priors:
-    """What a pose assumes besides the shot itself."""
+    """Prior assumptions of a pose."""
 
     assumptions: Assumptions = Assumptions()
     radius: RadiusPrior | None = None
@@ -209,7 +209,7 @@ class Priors:
 
 
 class LaserState(StrEnum):
-    """What a laser's stripe contributed to a pose."""
+    """Contribution of a laser's stripe to a pose."""
 
     USED = "used"
     PARTLY = "partly"
@@ -227,7 +227,7 @@ class PoseResult:
 
     pose: RingPose | NoPose
     flags: PoseFlag = PoseFlag(0)
-    """Those of the pose, if there is one."""
+    """Flags of the pose, if there is one."""
     remark: str = ""
     """What contradicts the pose, in words; empty if nothing does."""
     stamp_s: float = math.nan
@@ -251,7 +251,7 @@ class RingVelocity:
     rate_rad_s: Float64[Array, "xyz=3"]
     """Perpendicular to the normal; the spin about the normal is not observable."""
     covariance: Float64[Array, "5 5"]
-    """Of velocity x, y, z, rate_1, rate_2."""
+    """Covariance of velocity x, y, z, rate_1, rate_2."""
 
 
 Status = Literal["ok", "degraded", "none"]
@@ -279,7 +279,7 @@ class PoseLine:
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
     plane_evidence: PlaneEvidence | None = None
-    """As in `PoseResult`."""
+    """See `PoseResult`."""
     rig_health: Mapping[str, float] = field(default_factory=dict)
     """Normalised error of each laser's light plane; empty where it was not measured."""
     shots_dropped: int = 0
@@ -312,7 +312,7 @@ class RingPoints:
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
-        """Which of them were measured."""
+        """Mask of the break points that were measured."""
         seen: Bool[Array, "laser edge=2"] = ~(self.position_m != self.position_m).any(axis=-1)
         return seen
 
@@ -326,7 +326,7 @@ class KnownRadii:
     sd_m: Float64[Array, "edge=2"]
     """Standard deviations."""
     tolerance_m: float | None = None
-    """Of the ring's form, by a catalogue; None if it states none, or the user states another one."""
+    """Tolerance of the ring's form by a catalogue; None if it states none, or the user states another one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

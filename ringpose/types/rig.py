@@ -11,7 +11,7 @@ from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.options import DistortionModel
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-"""In the order of OpenCV's Jacobian; a camera with fewer distortion coefficients has the first of them."""
+"""Parameters in the order of OpenCV's Jacobian; a camera with fewer distortion coefficients has the first of them."""
 
 PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
 """Parameters of each light plane."""
@@ -79,7 +79,7 @@ class RobotPoses:
     stamp_s: Float64[Array, "pose"]
     position_m: Float64[Array, "pose xyz=3"]
     rotation: Float64[Array, "pose 3 3"]
-    """From tool to base."""
+    """Rotations from tool to base."""
 
 
 MOUNT_PARAMETERS = (
@@ -110,7 +110,7 @@ class Mount:
 
     @property
     def uncertain(self) -> tuple[str, ...]:
-        """Names of those of `MOUNT_PARAMETERS` that have a variance."""
+        """Names of the parameters in `MOUNT_PARAMETERS` that have a variance."""
         return tuple(name for name, sd in zip(MOUNT_PARAMETERS, np.diag(self.covariance), strict=True) if sd > 0)
 
 
@@ -132,7 +132,7 @@ class PlaneCorrection:
     change: Float64[Array, "parameter=3"]
     """Tilts in radians and distance in metres, relative to the rig's file."""
     covariance: Float64[Array, "parameter=3 parameter=3"]
-    """Of the corrected plane: replaces that of the calibration and the stability."""
+    """Covariance of the corrected plane: replaces that of the calibration and the stability."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,9 +145,9 @@ class Rig:
     stability: RigStability = TYPICAL_STABILITY
     """How far light planes and camera may have moved since the calibration."""
     mount: Mount | None = None
-    """Of the camera on a robot's tool; None if it is not known."""
+    """Mount of the camera on a robot's tool; None if it is not known."""
     moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
-    """By the laser's name; the light planes are the corrected ones."""
+    """Corrections by the laser's name; the light planes are the corrected ones."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""

@@ -44,12 +44,12 @@ class Beacon:
     """A time at which it is switched on, on the clock of the frames' time stamps."""
 
     def share_on(self, begin_s: float, duration_s: float) -> float:
-        """Share of an interval during which it is on."""
+        """Share of an interval during which the lamp is on."""
         begin_s = (begin_s - self.phase_s) % (self.on_s + self.off_s)
         return (self._on_before(begin_s + duration_s) - self._on_before(begin_s)) / duration_s
 
     def _on_before(self, time_s: float) -> float:
-        """Duration for which it was on since the phase, at a time relative to the phase."""
+        """Time for which the lamp was on between `phase_s` and a time that is counted from `phase_s`."""
         cycles, rest_s = divmod(time_s, self.on_s + self.off_s)
         return cycles * self.on_s + min(rest_s, self.on_s)
 
@@ -65,7 +65,7 @@ class Earth:
     """The Earth, lit by the sun, as a sphere of uniform albedo."""
 
     direction: Float64[Array, "xyz=3"]
-    """Towards its centre, camera frame."""
+    """Direction towards the Earth's centre, camera frame."""
     orbit_radius_m: float = GEO_RADIUS_M
     albedo: float = 0.3
 
@@ -268,7 +268,7 @@ class Truth:
     velocity_m_s: Float64[Array, "xyz=3"] | None = None
     """Velocity of the ring's centre, in the camera frame."""
     angular_velocity_rad_s: Float64[Array, "xyz=3"] | None = None
-    """In the camera frame."""
+    """Angular velocity of the target in the camera frame."""
     frames: tuple[TruthFrame, ...] = ()
     """A moving target at each frame of the shot, in chronological order."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)

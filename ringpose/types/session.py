@@ -106,7 +106,7 @@ class Capture:
     laser_count: int | None = None
     """None if only the recording contains it."""
     laser_names: tuple[str, ...] | None = None
-    """From the rig, in the order of the mask's bits; None without a rig."""
+    """Names from the rig, in the order of the mask's bits; None without a rig."""
     sequence: str | None = None
     """None for recorded shots that were imported unchanged."""
     exposure_s: float | None = None

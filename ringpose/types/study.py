@@ -112,7 +112,7 @@ class Study:
     table: str
     """The factor in the columns of the first table."""
     cases: Mapping[str, tuple[Factor, ...]] = field(default_factory=dict)
-    """By their names, the factors that replace those of the same name; the factor `case` names the one of a shot."""
+    """By the name of a case, the factors that it replaces; the factor `case` names the one of a shot."""
     assumed: AssumptionOptions | None = None
     """What the estimator assumes about motion, ring and rig; the distributions of the factors if None."""
     calibrate: bool = False

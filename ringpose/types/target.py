@@ -38,7 +38,7 @@ class Material:
     roughness: float
     """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
     grid: Grid | None = None
-    """On the faces of boxes and panels."""
+    """Grid of lines on the faces of boxes and panels."""
 
 
 MATERIALS: Mapping[str, Material] = {
@@ -70,7 +70,7 @@ class Foil:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Box:
-    """A box with its axes along those of the part frame; its faces are z+, x-, x+, y-, y+, z-."""
+    """A box with axes parallel to those of the part frame; its faces are z+, x-, x+, y-, y+, z-."""
 
     low_m: Float64[Array, "xyz=3"]
     high_m: Float64[Array, "xyz=3"]
@@ -88,10 +88,10 @@ class Gap:
     """A slot with parallel walls across a ring: a pusher's seat, or the room for a bracket."""
 
     angle_rad: float
-    """Of its middle, from the target frame's x axis towards y."""
+    """Angle of the gap's middle, from the target frame's x axis towards y."""
     width_m: float
     depth_m: float
-    """Below the ring's face."""
+    """Depth of the gap below the ring's face."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +102,7 @@ class RingForm:
     axial_m: Float64[Array, "order=3 wave=2"]
 
     def any(self) -> bool:
-        """Whether there is a deviation."""
+        """Whether any deviation is not zero."""
         return bool(self.radial_m.any() or self.axial_m.any())
 
 
@@ -113,7 +113,7 @@ class Part:
     name: str
     shape: Box | Revolution
     materials: tuple[Material, ...]
-    """Of each face; of a ring with gaps, also that of their walls."""
+    """Material of each face; of a ring with gaps, also the material of the gaps' walls."""
     rotation: Float64[Array, "3 3"] = field(default_factory=lambda: np.eye(3))
     translation_m: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
     foil: Foil | None = None
@@ -197,26 +197,26 @@ class FreeMotion:
     """
 
     inertia_kg_m2: Float64[Array, "3 3"]
-    """About the centre of mass, along the axes of the target frame; only ratios matter."""
+    """Inertia about the centre of mass, along the axes of the target frame; only ratios matter."""
     center_of_mass_m: Float64[Array, "xyz=3"]
-    """In the target frame."""
+    """Centre of mass in the target frame."""
     angular_velocity_rad_s: Float64[Array, "xyz=3"]
-    """At the start, along the axes of the target frame."""
+    """Angular velocity at the start, along the axes of the target frame."""
     velocity_m_s: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
-    """Of the centre of mass, in the inertial frame."""
+    """Velocity of the centre of mass, in the inertial frame."""
     camera: TimedPoses | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionPreset:
-    """Angular velocity at the start, and where published the principal moments, along the axes of the target frame."""
+    """A motion: the angular velocity at the start and, if published, the principal moments, in target-frame axes."""
 
     angular_velocity_rad_s: tuple[float, float, float]
     inertia_kg_m2: tuple[float, float, float] | None = None
 
 
 def _rate(degrees_s: float, from_axis_deg: float) -> tuple[float, float, float]:
-    """An angular velocity at an angle from the ring's axis, towards x and a third as much towards y."""
+    """An angular velocity whose axis is tilted from the ring's axis towards x, and a third as much towards y."""
     rate_rad_s, angle_rad = np.radians(degrees_s), np.radians(from_axis_deg)
     across = rate_rad_s * np.sin(angle_rad) / np.sqrt(10.0)
     return float(3 * across), float(across), float(rate_rad_s * np.cos(angle_rad))

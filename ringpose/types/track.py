@@ -11,7 +11,7 @@ from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, RingPose, RingVelocity
 
 
 class Validity(StrEnum):
-    """How far a line may be trusted, by the age of the last measurement that was used."""
+    """Validity of a line: how far it may be trusted, by the age of the last measurement that was used."""
 
     VALID = "valid"
     PREDICTED = "predicted"
@@ -27,7 +27,7 @@ class FusionStatus(StrEnum):
 
     FUSED = "fused"
     FUSED_LATE = "fused_late"
-    """It was older than one used before; the measurements since were used again after it."""
+    """It was older than a measurement used before; the later measurements were then used again after it."""
     PENDING = "pending"
     """After a gap it does not continue the track; a second one that agrees with it starts the track anew."""
     REJECTED_GATE = "rejected_gate"
@@ -71,7 +71,7 @@ class GraspState:
     point_m: Float64[Array, "xyz=3"]
     velocity_m_s: Float64[Array, "xyz=3"]
     covariance: Float64[Array, "6 6"]
-    """Of point and velocity. The point is chosen on the ring: it has no error along the face."""
+    """Covariance of point and velocity. The point is chosen on the ring: it has no error along the face."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,7 +82,7 @@ class NextTick:
     grasp_m: Float64[Array, "xyz=3"]
     normal: Float64[Array, "xyz=3"]
     covariance: Float64[Array, "5 5"]
-    """Of grasp point x, y, z, and the two tilts of the normal."""
+    """Covariance of grasp point x, y, z, and the two tilts of the normal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,7 +105,7 @@ class TrackLine:
     attempts: tuple[Attempt, ...] = ()
     """All measurements since the last line, in the order in which they arrived."""
     measurement_stamp_s: float
-    """Of the newest measurement that was used; NaN without a track."""
+    """Stamp of the newest measurement that was used; NaN without a track."""
     validity: Validity
     frame: PoseFrame | Literal["base"]
     pose: RingPose | None = None

@@ -43,7 +43,7 @@ class AsciiCodec:
         return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The mask of closed relays that the last line of an answer reports; 0 for an acknowledgement."""
+        """The mask of the relays that are closed according to the last line of an answer; 0 for an acknowledgement."""
         lines = received.decode("ascii", "replace").split("\n")
         line = lines[-2].strip() if len(lines) > 1 else ""
         if isinstance(command, Read):

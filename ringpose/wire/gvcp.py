@@ -61,7 +61,7 @@ class Answer:
 
     status: int
     command: int
-    """Of the request."""
+    """Command of the request."""
     number: int
     payload: bytes = b""
 

@@ -77,7 +77,7 @@ class ServedFrame:
     shot: str
     """Name of the shot that it belongs to."""
     step: int
-    """Its place in the shot, from 0."""
+    """Place of the frame in the shot, from 0."""
     lasers: int
     stamp_s: float
     """Start of the exposure: Unix epoch, UTC; with the clock `lockstep` simulated time."""
@@ -107,7 +107,7 @@ class SetLasers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetExposure:
-    """Sets the exposure; None for that of the scene."""
+    """Sets the exposure; None for the exposure that the scene defines."""
 
     exposure_s: float | None
 
@@ -118,7 +118,7 @@ class ServedPose:
 
     center_m: tuple[float, float, float]
     normal: tuple[float, float, float]
-    """Towards the camera; any length above 0."""
+    """Normal towards the camera; any length above 0."""
     roll_rad: float = 0.0
     light: str | None = None
     """Name of a light of the scene; None for that of its first view."""
@@ -344,7 +344,7 @@ def pixels(image: UInt[Array, "row column"]) -> memoryview:
 
 
 def _shot_name(header: Header) -> str:
-    """The name of a shot, which clients use as that of a file."""
+    """The name of a shot, which must be valid as the name of a file."""
     name = header.text("shot")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", name):
         raise header.problem("shot", "must consist of letters, digits and _ . + -, and not begin with a point")

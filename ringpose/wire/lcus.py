@@ -37,7 +37,7 @@ class LcusCodec:
         return self._raw(command, received) or set(range(command.count)) <= set(self._states(received))
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The mask of the relays that an answer reports on."""
+        """The mask of the relays that are on according to an answer."""
         if not isinstance(command, Read):
             return 0
         if self._raw(command, received):

@@ -52,7 +52,7 @@ class ModbusCodec:
         return len(received) >= (5 + (command.count + 7) // 8 if isinstance(command, Read) else 8)
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The mask of the coils that a response reports on; 0 for a write, which is repeated."""
+        """The mask of the coils that are on according to a response; 0 for a write, which is repeated."""
         if len(received) < 5 or crc(received[:-2]) != received[-2:]:
             raise WireError(f"answered {received.hex(' ')}, which is not a valid frame")
         request = self.request(command)

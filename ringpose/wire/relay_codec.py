@@ -71,7 +71,10 @@ class RelayCodec(Protocol):
         """Whether the answer to a command is complete; always true for a command without an answer."""
 
     def on_mask(self, command: Command, received: bytes) -> int:
-        """The relays that an answer to `Read` reports on; 0 for other commands. A rejection raises `WireError`."""
+        """The mask of the relays that are on according to the answer to `Read`; 0 for other commands.
+
+        A rejection of the command raises `WireError`.
+        """
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
         """For the virtual device: the received commands, and the remaining bytes of an incomplete one."""

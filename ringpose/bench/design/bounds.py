@@ -25,7 +25,7 @@ class Bound:
     """Smallest covariances of an unbiased estimator, camera frame, for a ring without motion."""
 
     parameters: Float64[Array, "7 7"]
-    """Of the first seven `MEASURED_PARAMETERS`."""
+    """Covariance of the first seven `MEASURED_PARAMETERS`."""
     center_m2: Float64[Array, "3 3"]
 
     @property
@@ -45,7 +45,7 @@ class Bound:
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """The three standard deviations, keyed by the errors that they bound."""
+        """The three standard deviations of this bound, keyed by the names of the errors that they bound."""
         return {
             "center_m": self.center_sd_m,
             "normal_rad": self.normal_sd_rad,
@@ -58,8 +58,8 @@ def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
 
     None if the features do not determine every parameter of the ring.
 
-    `rig` is the one by which it was measured: its covariance is the prior of the nuisance parameters; those that it
-    does not name count as exact. The prior of the radii is that of the pose.
+    `rig` is the rig by which the ring was measured: its covariance is the prior of the nuisance parameters; parameters
+    that the covariance does not name count as exact. The prior of the radii is that of the pose.
     """
     measurement, priors = line.measurement, line.priors
     if measurement is None or priors is None or priors.regularization is not None:

@@ -44,20 +44,20 @@ SWEPT = ("laser_angle_rad", "baseline_m", "focal_px", "dark_noise_e", "lasers")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """Where the middle of the seen section of the ring's face is, and how the ring is turned."""
+    """A place of the ring: where the middle of the visible section of its face is, and how the ring is turned."""
 
     distance_m: float
-    """Depth of that point."""
+    """Depth of the place in the camera frame."""
     offset_x: float = 0.0
     offset_y: float = 0.0
-    """Its offset from the image centre, as a share of the image's width and height."""
+    """Offset of the place from the image centre, as a share of the image's width and height."""
     pitch_rad: float = 0.0
     yaw_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceResult:
-    """How accurately a rig can measure the ring at a place."""
+    """The accuracy with which a rig can measure the ring at a place."""
 
     place: Place
     stripes: int
@@ -113,7 +113,7 @@ class Design:
         return float(np.median(values)) if values else nan
 
     def full_view_m(self) -> tuple[float, float] | None:
-        """Nearest and farthest distance with all stripes in view at the image centre; None if there is none."""
+        """Nearest and farthest distance at which all stripes are in view at the image centre; None if there is none."""
         lasers = len(self.rig.lasers.names)
         seen = [
             result.place.distance_m
@@ -223,9 +223,9 @@ BEYOND_LEVEL = 0.25
 
 
 def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy=2"]) -> bool:
-    """Whether beyond an end the same laser's stripe on another surface is so near that their sections overlap.
+    """Whether an end's section overlaps with that of the same laser's stripe on another surface, beyond the end.
 
-    Such an end is flagged as unclear, with several times the standard deviation of one that ends in the dark.
+    The detector flags such an end as unclear; its standard deviation is several times that of an end in the dark.
     """
     camera, illuminated = scene.rig.camera, illuminated_ring(scene, scene.views[0], scene.sequence)
     columns = np.arange(-BEYOND_COLUMNS, BEYOND_COLUMNS + 1, 2)

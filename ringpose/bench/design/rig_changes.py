@@ -86,7 +86,7 @@ def with_baseline(rig: Rig, baseline_m: float) -> Rig:
 
 
 def with_lasers(rig: Rig, count: int) -> Rig:
-    """The rig with this number of lasers: light planes spread evenly as far as before, projectors interpolated."""
+    """The rig with this number of lasers: light planes spread evenly over the same range, projectors interpolated."""
     elevation = elevations_rad(rig.lasers)
     order = np.argsort(elevation)
     place = np.linspace(0, len(order) - 1, count) if count > 1 else np.array([(len(order) - 1) / 2])

@@ -37,8 +37,8 @@ Baseline = Callable[[Detection, Rig, KnownRadii], RingPose | NoPose | str]
 def bisectors_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose | NoPose | str:
     """Centre where the perpendicular bisectors of an edge's two chords intersect; mean of both edges.
 
-    As in double-line and earlier structured-light systems (method(7), section 4): with chords that are nearly parallel
-    the intersection is far away. The radii are not used.
+    This is the method of double-line and earlier structured-light systems (method(7), section 4): with chords that are
+    nearly parallel the intersection is far away. The radii are not used.
     """
     found = _points_in_space(detection, rig)
     if not isinstance(found, tuple):
@@ -97,8 +97,8 @@ def points_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose |
 def ellipse_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose | NoPose | str:
     """Pose of the circle of known radius whose image is the ellipse fitted to the visible outer edge.
 
-    Of the two poses that one ellipse allows, the one is taken whose inner circle fits the visible inner edge better,
-    or without one the one that faces the camera more.
+    An ellipse allows two poses. The one whose inner circle fits the visible inner edge better is taken, or, without a
+    visible inner edge, the one that faces the camera more.
     """
     edges = _visible_edges(detection)
     if edges is None:

@@ -46,7 +46,7 @@ Work = Callable[[int], Rows]
 
 
 class Done(NamedTuple):
-    """A finished shot."""
+    """A finished shot with its rows."""
 
     shot: int
     rows: Rows | None
@@ -133,7 +133,7 @@ class _Chunks:
         return [self._indices.popleft() for _ in range(size) if self._indices]
 
     def took(self, shots: int, duration_s: float) -> None:
-        """Adapt the size of chunks to the time that one took."""
+        """Adapt the size of chunks to the time that a chunk took."""
         self._shot_s = 0.5 * (self._shot_s + duration_s / shots)
 
     def killed(self, chunk: list[int]) -> list[int]:

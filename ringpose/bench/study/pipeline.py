@@ -38,7 +38,7 @@ MARGIN_PX = 150
 
 
 def metadata(study: Study, command: str) -> dict[str, Any]:
-    """What identifies the results, and where they come from."""
+    """The data that identify the results of a study, and their provenance."""
     return {
         "ringpose": "study_results/1",
         "title": study.title,
@@ -187,7 +187,7 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
 
 
 def _around_stripes(truth: Truth, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of an image that show the true stripes on the face, and what is beside them; else all."""
+    """Rows and columns of an image around the true stripes on the face, with a margin; all if no stripe is visible."""
     points_px = np.full((1, 2), np.nan) if truth.break_points_px is None else truth.break_points_px.reshape(-1, 2)
     if not np.isfinite(points_px).any():
         return slice(None), slice(None)

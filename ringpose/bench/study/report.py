@@ -89,7 +89,7 @@ def _set_up_text(study: Study) -> str:
 
 
 def _columns(study: Study, rows: Iterable[Row]) -> dict[str, dict[str, np.ndarray]]:
-    """By method: distance, error, bound, and reported standard deviation of the centre; NaN where there is none."""
+    """For each method: distance, error, bound, and reported standard deviation of the centre; NaN for missing ones."""
     stride = max(1, study.shots // MAX_POINTS)
     names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m")
     found: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}
@@ -233,7 +233,7 @@ def _numeric(keys: Sequence[Key]) -> bool:
 
 
 def _positions(keys: Sequence[Key], place: int, count: int) -> np.ndarray:
-    """Values on the axis; methods side by side for texts."""
+    """Places of a factor's values on the axis; if the values are texts, the methods are placed side by side."""
     if _numeric(keys):
         return np.array([float(key[0]) for key in keys])
     return np.arange(len(keys)) + 0.5 * ((place + 0.5) / count - 0.5)
@@ -270,7 +270,7 @@ def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> P
 
 
 def _plain_ticks(axis: Axes) -> None:
-    """Numbers such as 0.5 and 2 on a logarithmic axis of little range, instead of powers of ten."""
+    """Ticks such as 0.5 and 2 on a logarithmic axis of small range, instead of powers of ten."""
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     low, high = axis.get_ylim()
     digits = "23456789" if high < 4 * low else "25"
@@ -309,7 +309,10 @@ def _nees(summary: StudySummary) -> Picture:
 
 
 def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> list[Picture]:
-    """Actual against reported standard deviation of the centre, in bins of the reported one; none of too few shots."""
+    """Actual against reported standard deviation of the centre, in bins of the reported one.
+
+    Nothing is drawn for too few shots.
+    """
     figure = canvas(6.5, 5)
     axis = figure.subplots()
     limits: list[float] = []

@@ -64,17 +64,17 @@ ERROR = "error"
 
 
 class StudyShot(NamedTuple):
-    """A simulated shot with its truth, after those before it in its run."""
+    """A simulated shot with its truth, as the last one of its run of shots."""
 
     setting: Mapping[str, Value]
     scene: Scene
-    """With the rig that measures; the shot itself may have been taken by another one."""
+    """The scene with the rig that measures; the shot itself may have been taken by another one."""
     run: tuple[Shot | Detection, ...]
-    """The shot is the last of them."""
+    """Shots of the run, this one last."""
     truth: Truth
-    """Of the last one."""
+    """Truth of the last shot of the run."""
     simulate_s: float
-    """For all shots of the run."""
+    """Time that the simulation of all shots of the run took."""
 
 
 def study_rows(study: Study, index: int) -> list[Row]:
@@ -113,7 +113,7 @@ def setting_of(study: Study, index: int) -> dict[str, Value]:
 
 
 def _turn(study: Study, index: int) -> int:
-    """What shots with the same drawn values and view have in common."""
+    """The number that shots with the same drawn values and the same random view have in common, for their seeds."""
     return index // study.cells if study.cases else index
 
 
@@ -258,7 +258,7 @@ def measured_line(
 def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
     """Cramér-Rao bounds of the scene's last view without and with known radii; None where the ring is not determined.
 
-    They are those of the break points and edges that an image of this scene shows, without motion.
+    They are the bounds for the break points and edges that an image of this scene shows, without motion.
     """
     if scene.views[-1].path is not None or len(scene.views) > 1:
         scene = replace(scene, views=(replace(scene.views[-1], path=None),))
@@ -269,7 +269,7 @@ def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | No
 
 
 def _radii(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:
-    """The radii of the scene's ring with the prior of the estimator; with `rng`, their errors are drawn from it."""
+    """The radii of the scene's ring as a prior of the estimator; with `rng`, they have errors drawn from that prior."""
     radius_m, sd_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m]), np.full(2, RADIUS_SD_M)
     return KnownRadii(radius_m=radius_m if rng is None else radius_m + sd_m * rng.standard_normal(2), sd_m=sd_m)
 
@@ -320,10 +320,10 @@ class SteadyPath:
     """A `TargetPath` at constant velocity of the ring's centre and constant angular velocity."""
 
     center_m: Float64[Array, "xyz=3"]
-    """Of the ring's face at time 0, as is the rotation."""
+    """Centre of the ring's face in the camera frame at time 0, as is the rotation."""
     rotation: Float64[Array, "3 3"]
     face_m: Float64[Array, "xyz=3"]
-    """That point in the target frame."""
+    """Centre of the ring's face in the target frame."""
     velocity_m_s: Float64[Array, "xyz=3"]
     angular_velocity_rad_s: Float64[Array, "xyz=3"]
 
@@ -363,9 +363,9 @@ def with_run(scene: Scene, run: ShotRun, prior: MotionPrior | None, rng: np.rand
 
 
 def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> PoseLine:
-    """The last of the pose lines with the pose of the track after it.
+    """The last pose line, with the pose of a track through all of the lines instead of its own.
 
-    The track assumes the motion of `prior`; like `ringpose track` it does not take a target for still, and uses its
+    The track assumes the motion of `prior`; like `ringpose track` it never assumes a still target, and uses its
     defaults for a speed or rate of 0.
     """
     options = TrackOptions()

@@ -25,9 +25,9 @@ class Statistics:
     targets: int = 0
     """Shots in which a ring is visible."""
     answers: int = 0
-    """Those of them with a pose."""
+    """Shots in which a ring is visible and that have a pose."""
     available: int = 0
-    """Those of them whose status is `ok`."""
+    """Shots in which a ring is visible and whose status is `ok`."""
     false_poses: int = 0
     """Poses where no ring is visible."""
     failed: int = 0
@@ -93,9 +93,9 @@ class StudySummary:
     """The factors that distinguish the cells."""
     table: str
     cells: Mapping[tuple[str, Key], Statistics]
-    """By method and values of the factors."""
+    """Statistics by method and values of the factors."""
     columns: Mapping[tuple[str, Key], Statistics]
-    """By method and value of the factor `table` alone."""
+    """Statistics by method and value of the factor `table` alone."""
 
     def all(self, method: str) -> Statistics:
         """The statistics of all shots of a method."""
@@ -194,7 +194,7 @@ def factor_text(factor: Factor) -> str:
 def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[str]]:
     """The table in the paper's form: a column for each distance or light, a row for each component of the error.
 
-    The first row is the heading of the columns alone, without one for the labels.
+    The first row is the heading of the columns of values; the column of the row labels has no heading.
     """
     keys, found = wide_columns(summary, method)
     rows = [[value_text(study.table, key[0]) if key else "all" for key in keys]]
@@ -211,7 +211,7 @@ def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[st
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
     """The values of the factor in the columns of the first table, and the statistics of a method for each of them.
 
-    Without such a factor the only key is `()`, that of all shots.
+    Without such a factor the only key is `()`, which stands for all shots.
     """
     keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
     return keys, [summary.columns[method, key] for key in keys]
@@ -259,7 +259,7 @@ def _statistics_cells(each: Statistics) -> list[str]:
 
 
 def failure_rows(summary: StudySummary) -> list[list[str]]:
-    """Method, number of shots and reason of those without a pose, the most frequent first."""
+    """For each method, the reasons why shots have no pose, with the number of shots, the most frequent first."""
     return [
         [method, str(count), reason]
         for method in summary.methods

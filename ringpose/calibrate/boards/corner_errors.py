@@ -153,7 +153,7 @@ def moderated_variances(
 ) -> Float64[Array, "view"]:
     """Moderated variance of each view, from its sum of squared residuals and their degrees of freedom.
 
-    It is the weighted mean of the view's own variance and of that of a prior estimated from all views.
+    It is the weighted mean of the view's own variance and the variance of a prior, which is estimated from all views.
     """
     common = max(float(squares.sum() / degrees_of_freedom.sum()), np.finfo(float).tiny)
     own = np.maximum(squares / degrees_of_freedom, 1e-12 * common)

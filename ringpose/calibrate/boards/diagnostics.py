@@ -93,9 +93,10 @@ def unusable(grey: GreyImage, seen: NoBoard) -> NoBoard | None:
 
 
 def edge_width_px(grey: GreyImage) -> float:
-    """Standard deviation of the blur of the image's steepest edges (contrast over gradient), smoothed by 1 px here.
+    """Standard deviation, in pixels, of the blur of the image's steepest edges: their contrast over their gradient.
 
-    Infinite for an image without contrast.
+    The image is smoothed by 1 px for the gradient; the result includes this blur. Infinite for an image without
+    contrast.
     """
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_PX)
     slope = np.hypot(*(cv2.Sobel(smooth, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0)))

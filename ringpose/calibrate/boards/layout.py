@@ -97,7 +97,7 @@ def outline_m(board: Board) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerLayout:
-    """Agreement of the markers seen with the board, in the board frame fitted to their centres."""
+    """Agreement of the detected markers with the board, in the board frame fitted to their centres."""
 
     misfit: float
     """Median distance of a marker's centre from its position on the board, in sides of a marker."""

@@ -89,9 +89,9 @@ def residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array
 def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
     """The paper's pose: the mean over the poses of the single markers (section 4 of the paper).
 
-    Each marker has two solutions (IPPE). The one with the smaller reprojection error is used, and where the errors are
-    similar, the one whose normal agrees best with that of the marker with the smallest error. Rotations are averaged as
-    matrices and projected to the nearest rotation.
+    Each marker has two solutions (IPPE). The solution with the smaller reprojection error is used. Where the errors are
+    similar, it is the solution whose normal agrees best with that of the marker with the smallest error. Rotations are
+    averaged as matrices and projected to the nearest rotation.
     """
     markers = []
     for marker in np.unique(view.ids // 4):

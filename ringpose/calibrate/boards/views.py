@@ -140,7 +140,10 @@ def _charuco_corners(
 
 
 def board_image(shot: Shot) -> UInt[Array, "row column"]:
-    """The frame with the lasers off; without one, the minimum of all frames, which removes switched stripes."""
+    """The image of a shot in which the board is searched: the frame with the lasers off.
+
+    Without such a frame, the minimum of all frames, which removes switched stripes.
+    """
     dark = dark_image(shot)
     return np.min(shot.images, axis=0) if dark is None else dark
 

@@ -126,7 +126,7 @@ def _opencv_camera(views: Sequence[BoardView], start: Camera, model: CameraModel
 
 
 def undetermined(found: str, remark: str = "") -> DataError:
-    """The error for views that do not determine the camera; the remark is added to the remedy."""
+    """The error to raise if views do not determine the camera; the remark is added to the remedy."""
     remedy = f"add views with the board tilted by 20 to 40 degrees to different sides{remark}"
     return DataError("calibrate-camera", found, remedy)
 

@@ -114,7 +114,7 @@ def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float
 
 
 def _rms_px(board: BoardView, camera: Camera) -> float:
-    """Rms residual of the corners by a camera, with the board's pose fitted."""
+    """Rms residual of the corners of a view with a given camera, in pixels, with the board's pose fitted."""
     return board_pose(board, camera).residual_rms_px
 
 

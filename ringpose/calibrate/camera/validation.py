@@ -73,8 +73,8 @@ def leave_one_out(
 ) -> tuple[tuple[LeftOutView, ...], MapValues]:
     """Results of leaving out each view in turn, and the projection uncertainty that they show (jackknife).
 
-    The uncertainty includes the errors that the corners of a view have in common. There are no results, and it is NaN,
-    if there are too few views.
+    The uncertainty includes the errors that the corners of a view have in common. With too few views, there are no
+    results and the uncertainty is NaN.
     """
     others = cameras_without_one(used, whole, model)
     unknown = np.full(map_points_px(whole.camera).shape[:2], np.nan)
@@ -108,7 +108,10 @@ def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model:
 
 
 def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
-    """Leave-one-out cameras by one Gauss-Newton step from the camera of all views, each view having little weight."""
+    """Leave-one-out cameras, each by one Gauss-Newton step from the camera of all views.
+
+    One step is sufficient where there are many views, each of which has little weight.
+    """
     information, gradient = whole.information.sum(axis=0), whole.gradient.sum(axis=0)
     steps = [
         covariance_of_free(information - own_information, model.free) @ (gradient - own_gradient)
@@ -232,8 +235,8 @@ def _middle_points(camera: Camera) -> Bool[Array, "n"]:
 def known_lens(camera: Camera, corners_px: Float64[Array, "corner xy=2"]) -> Bool[Array, "map_row map_column"]:
     """True at the map's points where the camera's covariance is a valid measure of the projection error.
 
-    Of the rational model only up to the largest distance of a corner from the principal point, as a quotient of
-    polynomials can have a pole beyond; of the polynomial models everywhere.
+    For the polynomial models it is valid everywhere. For the rational model it is valid only up to the largest distance
+    of a corner from the principal point: a quotient of polynomials can have a pole beyond.
     """
     map_px = map_points_px(camera)
     if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:

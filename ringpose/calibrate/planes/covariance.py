@@ -57,7 +57,7 @@ def planes_covariance(
 ) -> ParameterCovariance:
     """Covariance of the camera's parameters (if `given` has a covariance) and of each plane's tilts and distance.
 
-    `information` is that of `joint_information`.
+    `information` is the result of `joint_information`.
     """
     planes = laser_parameters(names)
     count = len(planes)
@@ -112,7 +112,7 @@ def laser_disagreements(data: JointData, state: JointState) -> tuple[float, ...]
 
 
 def _degrees_of_freedom(data: JointData, laser: int) -> int:
-    """Two for each of a laser's stripes, less the parameters of its plane."""
+    """Degrees of freedom of a laser: two for each of its stripes, less the parameters of its plane."""
     return 2 * sum(len(own[laser].ray) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 
 
@@ -201,7 +201,7 @@ def _break_points_m(
 
 
 def of_camera(covariance: ParameterCovariance) -> ParameterCovariance:
-    """The part of a joint covariance that the camera causes: its own, and that of the planes correlated with it."""
+    """The part of a joint covariance that the camera causes: its own, and that of planes correlated with it."""
     plane = np.array(["." in name for name in covariance.parameters])
     camera = covariance.data[np.ix_(~plane, ~plane)]
     regression = covariance.data[:, ~plane] @ np.linalg.pinv(camera, hermitian=True)

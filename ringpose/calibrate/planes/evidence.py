@@ -171,7 +171,10 @@ def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> Stripe
 
 
 def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) -> StripeEvidence:
-    """Of two possible poses of a board, the one whose stripes lie closer to the planes of the unambiguous boards."""
+    """The evidence with one pose for each board: of two possible ones, the pose that fits the light planes better.
+
+    The pose is chosen whose stripes lie closer to the planes of the unambiguous boards.
+    """
     unambiguous = [index for index, each in enumerate(poses) if len(each) == 1]
     if len(unambiguous) == len(poses) or len(unambiguous) < 2:
         return evidence
@@ -184,7 +187,7 @@ def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) 
 
 
 def _planes_of(evidence: StripeEvidence) -> list[FittedPlane | None]:
-    """Each laser's plane by all views; None if they do not determine it."""
+    """Each laser's plane fitted to all views; None if they do not determine it."""
     points = [np.concatenate(evidence.points(laser)) for laser in range(len(evidence.names))]
     planes = [light_plane(own, PlanesMethod.TOTAL_LEAST_SQUARES) if len(own) > 2 else None for own in points]
     return [plane if plane is not None and plane.condition <= MAX_CONDITION else None for plane in planes]

@@ -118,8 +118,8 @@ def joint_data(
 ) -> JointData:
     """The measurements, with the standard deviations of stripe centres estimated from the stripes themselves.
 
-    These are estimated in undistorted pixels: a polynomial of few terms does not follow the distortion across the whole
-    image, and what it leaves would be taken for correlation of neighbours.
+    The standard deviations are estimated in undistorted pixels: a polynomial of few terms does not follow the
+    distortion across the whole image, and the remaining distortion would be taken for correlation of neighbours.
     """
     straight = [[undistorted_pixels(px, camera) for px in view.stripes_px] for view in views]
     length = shared_length([px for view in straight for px in view])
@@ -223,7 +223,10 @@ class _ReducedEquations(NamedTuple):
 
 
 def joint_information(data: JointData, state: JointState) -> Float64[Array, "shared shared"]:
-    """N of Eq. (1): of the planes' parameters (three for each laser) and the camera's, without the camera's prior."""
+    """Matrix N of Eq. (1): information on the planes' parameters (three for each laser), then the camera's.
+
+    The camera's prior is not included.
+    """
     return _reduced_equations(data, state).information
 
 
@@ -260,7 +263,7 @@ def corner_rows(data: JointData, state: JointState, index: int) -> Float64[Array
 
 
 def stripe_rows(data: JointData, index: int, laser: int, stripe: StripeResiduals) -> Float64[Array, "row column"]:
-    """The same of one laser's stripe centres."""
+    """Whitened derivatives P and S of the residuals r of one laser's stripe centres, as in `corner_rows`: [P, S, r]."""
     wrt_planes = np.zeros((len(stripe.residual_px), data.lasers, _PLANE))
     wrt_planes[:, laser] = stripe.wrt_plane
     columns = [stripe.wrt_pose, wrt_planes.reshape(len(wrt_planes), -1), stripe.wrt_camera, stripe.residual_px]
@@ -268,7 +271,10 @@ def stripe_rows(data: JointData, index: int, laser: int, stripe: StripeResiduals
 
 
 def stripes_of(data: JointData, state: JointState, index: int) -> list[tuple[int, StripeResiduals]]:
-    """Lasers that a view shows, with the residuals of their stripes; by the estimated camera if it is free."""
+    """Lasers that a view shows, with the residuals of their stripes.
+
+    Residuals are computed with the estimated camera if it is free.
+    """
     every = data.rays[index]
     if data.free_camera:
         every = tuple(stripe_rays(px, state.camera) for px in data.views[index].stripes_px)

@@ -136,7 +136,7 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
 
 
 def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSolution:
-    """The plane of each laser fitted by itself, with board poses from the corners alone."""
+    """The plane of each laser fitted separately, with board poses from the corners alone."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
     return PlaneSolution(
@@ -185,7 +185,7 @@ def _weighted_fit(
 ) -> tuple[JointData, JointState]:
     """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
-    The board poses it starts from follow outlying corners; those of the robust adjustment do not.
+    Outlying corners displace the board poses at the start of the adjustment, but not those of its robust result.
     """
     corner_px = corner_sigmas_px(evidence.views, evidence.poses, evidence.camera)
     data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)

@@ -132,7 +132,7 @@ def oriented(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Ar
 
 
 def outlying_views(points: Sequence[Points]) -> dict[int, float]:
-    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views."""
+    """Indices of views beside the plane of the others, with their rms distances (m); empty for three or fewer views."""
     seen = [index for index, own in enumerate(points) if len(own)]
     if len(seen) < 4:
         return {}

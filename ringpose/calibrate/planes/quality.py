@@ -25,7 +25,7 @@ class PlanesAssessment:
     calibration: PlanesCalibration
     verdict: Verdict
     paper: PlanesCalibration | None = None
-    """The same views by the paper's method; None if it is not applicable."""
+    """The calibration of the same views by the paper's method; None if it is not applicable."""
     without_board: Sequence[tuple[str, str]] = ()
     """Names of the images that show no board, and the reasons."""
 
@@ -101,9 +101,9 @@ def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
 
 
 def _paper_quality(own: LaserCalibration, paper: LaserCalibration) -> dict[str, Any]:
-    """One entry of the key `quality.paper`: the plane by the paper's method, and how far it lies from the own one.
+    """One entry of the key `quality.paper`: the plane by the paper's method, compared with this calibration's plane.
 
-    The offset is that of the centroid of the laser's points.
+    The offset between the two planes is measured at the centroid of the laser's points.
     """
     centroid = np.concatenate([view.points for view in own.views]).mean(axis=0)
     return {
@@ -160,7 +160,7 @@ def _laser_lines(laser: Mapping[str, Any], deviations: Mapping[str, float]) -> l
 
 
 def _by_distance_text(sd_m: Sequence[float]) -> str:
-    """The known ones of the standard deviations at `DEPTHS_M`, as text; empty if none is known."""
+    """The finite ones among the standard deviations at `DEPTHS_M`, as text; empty if there are none."""
     known = [(z, sd) for z, sd in zip(DEPTHS_M, sd_m, strict=True) if np.isfinite(sd)]
     return ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
 
@@ -182,7 +182,10 @@ def plane_angles(calibration: PlanesCalibration) -> list[dict[str, Any]]:
 
 
 def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
-    """Standard deviation of the angle of two planes: a tilt of a normal towards the other reduces it by as much."""
+    """Standard deviation of the angle between two planes (rad); NaN without covariance.
+
+    A tilt of one normal towards the other reduces the angle by the same amount.
+    """
     covariance = calibration.covariance
     if covariance is None:
         return float("nan")

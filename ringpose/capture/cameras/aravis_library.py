@@ -135,7 +135,7 @@ class Aravis:
         self._library.g_object_set_property(instance, name.encode(), byref(wrapped))
 
     def kind(self, device: int, feature: str) -> str:
-        """`float`, `boolean` or `integer`, as in the names of the functions that get or set a feature."""
+        """Type of a feature, as in the names of the functions that get or set it: `float`, `boolean` or `integer`."""
         node = self._library.arv_device_get_feature(device, feature.encode())
         for kind in ("float", "boolean"):
             if self._library.g_type_check_instance_is_a(node, getattr(self._library, f"arv_gc_{kind}_get_type")()):

@@ -23,7 +23,7 @@ class CameraDriver(Device, Protocol):
     """A camera with a software trigger."""
 
     def describe(self) -> CameraDescription:
-        """Properties of the camera, which must be open."""
+        """Properties of the camera; the camera must be open."""
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """Minimum and maximum of a feature by its SFNC name (`ExposureTime`, in us); None if it has no limits."""

@@ -12,8 +12,9 @@ from ringpose.types.session import MAX_LASERS, Step
 class Recording:
     """Converts recorded shots and images, one by one, to shots with the steps of a sequence.
 
-    Of a shot, the frames with the masks of the steps are selected; it keeps its name. Plain images have no masks: as
-    many consecutive ones as there are steps form a shot with the name of the first one. Without steps nothing changes.
+    From a recorded shot, the frames with the masks of the steps are selected, and its name is kept. Plain images have
+    no masks: as many consecutive images as there are steps form a shot with the name of the first image. Without steps
+    nothing is changed.
     """
 
     def __init__(self, steps: Sequence[Step] | None) -> None:

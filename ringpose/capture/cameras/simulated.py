@@ -41,11 +41,11 @@ class SimulatedCamera(CameraDriver):
         self._exposure_s = exposure_s
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
-        """No limits: the simulated camera accepts any value."""
+        """None: the simulated camera accepts any value."""
         return None
 
     def set(self, feature: str, value: int | float | str) -> None:
-        """Rejected: the settings of the camera are defined in the scene file."""
+        """Raises `DeviceError`: the settings of the camera are defined in the scene file."""
         raise DeviceError("sim:", f"{feature} cannot be set to {value}", "change the scene file")
 
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:

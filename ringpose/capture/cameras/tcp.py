@@ -43,7 +43,7 @@ class TcpCamera(CameraDriver):
         self._remaining = 0
         """Frames that were asked for and have not come."""
         self._exposure_s: float | None = None
-        """As set by this client since it connected."""
+        """Exposure that this client has set since it connected."""
         self._valid_from = 0
         """Number of the first frame with the settings of this client."""
         self._shot = ""
@@ -157,7 +157,10 @@ class TcpCamera(CameraDriver):
         raise DeviceError(self.uri.text, "sends no frames of its sequence", "a client has set its lasers; reset them")
 
     def request(self, header: dict[str, Any]) -> int:
-        """Send a request for a setting; the number of the first frame with it. Frames that come meanwhile are lost."""
+        """Send a request for a setting; returns the number of the first frame with it.
+
+        Frames that arrive before the answer are lost.
+        """
         self._send(header)
         while True:
             answer = self._received()

@@ -170,7 +170,7 @@ class SoftwareTriggeredCamera(CameraDriver):
 
     @abstractmethod
     def _start(self) -> None:
-        """Make it wait for software triggers."""
+        """Prepare the camera to wait for software triggers."""
 
     @abstractmethod
     def _stop(self) -> None:
@@ -190,7 +190,7 @@ class SoftwareTriggeredCamera(CameraDriver):
 
     @abstractmethod
     def _identity(self) -> tuple[str, int, int]:
-        """Name, width and height."""
+        """Name of the camera, width and height of its images."""
 
 
 def mid_stamp_s(before_s: float) -> float:

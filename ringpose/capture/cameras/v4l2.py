@@ -36,7 +36,7 @@ class V4l2Camera(SoftwareTriggeredCamera):
         self._flushed = uri.whole("flush", FLUSHED, MAX_SKIPPED)
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
-        """Unknown: OpenCV does not report the limits."""
+        """None: OpenCV does not report the limits."""
         return None
 
     def set(self, feature: str, value: int | float | str) -> None:

@@ -50,9 +50,9 @@ class LaserDriver(Device, Protocol):
         time.sleep(duration_s)
 
     def abort(self) -> None:
-        """Switch all off at once, called by another thread than the one that switches; commands of that one then fail.
+        """Switch all lasers off at once; commands of the thread that switches them then fail.
 
-        By default nothing happens: the lasers stay on until the end of their shot.
+        It is called by another thread. By default nothing happens: the lasers stay on until the end of their shot.
         """
         return
 

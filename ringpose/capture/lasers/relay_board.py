@@ -95,7 +95,7 @@ class RelayBoard:
             _retried(partial(self._on, laser))
 
     def repeat(self) -> None:
-        """Repeat the commands for what is on."""
+        """Repeat the commands for the lasers that are on."""
         for laser in _members(self.on_mask):
             self._on(laser)
 

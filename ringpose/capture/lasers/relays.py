@@ -32,7 +32,7 @@ PULSES_S = (0.1, 3276.7)
 
 
 def lcus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """Lasers at an LCUS board: `lcus:/dev/ttyUSB0?ch=1,2,3`; one that does not report is read once."""
+    """Lasers at an LCUS board: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not answer is not read again."""
     return WatchdogLasers(_settings(uri, context, {}, read_back="try"))
 
 

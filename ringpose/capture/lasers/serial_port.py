@@ -85,7 +85,7 @@ class SerialPort:
 
     @contextmanager
     def _mapped(self) -> Iterator[None]:
-        """Convert errors: that of termios is not an OSError, and pyserial's has no errno if a cable was pulled."""
+        """Convert errors: termios.error is no OSError, and pyserial's errors have no errno if a cable was pulled."""
         try:
             yield
         except (OSError, termios.error, ValueError) as error:

@@ -26,7 +26,7 @@ class UncontrolledLasers(LaserDriver):
         """Nothing to switch; `reject_switching` ensures that a sequence has the step `all` only."""
 
     def read_mask(self) -> int | None:
-        """Unknown."""
+        """None: it is not known which lasers are on."""
         return None
 
     def close(self) -> None:

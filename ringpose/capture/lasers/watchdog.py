@@ -40,7 +40,8 @@ _START = (
 class WatchdogLasers(LaserDriver):
     """Lasers at a relay board that a watchdog process switches.
 
-    If that process ends unexpectedly, this one opens the port itself, switches off, and every later command fails.
+    If the watchdog process ends unexpectedly, the capture process opens the port itself and switches the lasers off,
+    and every later command fails.
     """
 
     def __init__(self, settings: RelaySettings) -> None:
@@ -62,12 +63,12 @@ class WatchdogLasers(LaserDriver):
 
     @property
     def settle_s(self) -> float:
-        """Relays close within 10 ms; the rest covers contact bounce and the start of the laser."""
+        """Settling time of relays: they close within 10 ms; the rest covers contact bounce and the laser's start."""
         return 0.05
 
     @property
     def longest_on_s(self) -> float:
-        """Time until the watchdog switches off; it receives no command while a frame is exposed."""
+        """Time after which the watchdog switches a laser off; it receives no command while a frame is exposed."""
         return min(self.settings.heartbeat_s, self.settings.on_limit_s)
 
     @property
@@ -150,7 +151,7 @@ class WatchdogLasers(LaserDriver):
         return self._reply(self._number, REPLY_LIMIT_S)
 
     def _reply(self, number: int, limit_s: float) -> str:
-        """The reply to a command; replies to earlier ones, whose wait a signal interrupted, are skipped."""
+        """The reply to a command; late replies to earlier commands, whose wait a signal interrupted, are skipped."""
         ends_s = time.monotonic() + limit_s
         while True:
             replied, _, words = self._line(ends_s).partition(" ")
@@ -182,7 +183,7 @@ class WatchdogLasers(LaserDriver):
         return line.decode()
 
     def _lost(self) -> DeviceError | LaserSafetyError:
-        """The fault that ended the watchdog, once the lasers have been switched off or cannot be."""
+        """The fault that ended the watchdog; waits until the lasers have been switched off or that has failed."""
         if self._has_ended is not None:
             self._has_ended.wait(ENDING_LIMIT_S + self.settings.opening_s)
         return self._fault or self._taken_over()
@@ -239,9 +240,10 @@ def _switch_off(settings: RelaySettings) -> None:
 
 
 def _disable_core_dumps() -> None:
-    """Let a crash end this process at once: its pipes stay open, and the lasers on, while a core is written.
+    """Prevent core dumps, so that a crash ends this process at once.
 
-    A limit of one byte, unlike none, also keeps the kernel from piping the core to a program (core(5)).
+    While a core is written, the pipes stay open and the lasers on. A limit of one byte, unlike none, also keeps the
+    kernel from piping the core to a program (core(5)).
     """
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     if hard != 0:

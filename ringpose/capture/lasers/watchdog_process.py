@@ -108,8 +108,8 @@ class Watchdog:
     """Executes commands line by line and checks, between them, heartbeat, time on and other faults.
 
     Commands are `NUMBER set MASK`, `NUMBER read` and `NUMBER off`. Replies are `NUMBER ok MASK`, `NUMBER ok -` if the
-    board cannot report, `NUMBER err TEXT`, and `NUMBER off TEXT` if the watchdog has switched the lasers off meanwhile.
-    After such an off every command is answered like this until the parent process has sent `set 0` or `off`.
+    board cannot report, `NUMBER err TEXT`, and `NUMBER off TEXT` if the watchdog itself has switched the lasers off.
+    From then on, every command is answered with `off TEXT` until the parent process has sent `set 0` or `off`.
     """
 
     def __init__(

@@ -84,7 +84,7 @@ class _Result(NamedTuple):
 
 
 def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) -> _Result:
-    """Scores of pose records, or those in a table of `bench --json`, or in the results of a study."""
+    """Scores computed from pose records, or read from a report of `bench --json` or from the results of a study."""
     from ringpose.bench.report import recorded_scores
     from ringpose.bench.study.table import scores_of
     from ringpose.files.inputs import holds_records
@@ -110,7 +110,7 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) 
 
 
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
-    """The scores to compare: all, or those of one method of each."""
+    """The scores to compare: all scores, or those of one chosen method of each result."""
     if methods is None:
         return a.scores, b.scores
     words = [word.strip() for word in methods.split(",")]
@@ -149,7 +149,7 @@ def _require_pairs(
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:
-    """The number of shots of the truth, and the shots of which both results, only A, or only B have a record."""
+    """The number of shots of the truth, and the shots for which both results, only A, or only B have a record."""
     lines_a, lines_b = ({score.shot for score in result.scores if score.status != "lost"} for result in (a, b))
     shots = dict.fromkeys(score.shot for score in (*a.scores, *b.scores))
     return {

@@ -163,7 +163,7 @@ def scores_of_lines(
 ) -> "tuple[list[Score], Matching]":
     """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc.
 
-    Shots before `since_s` are left out, and those of the truth whose time is not known.
+    Shots before `since_s`, and shots of the truth whose time is not known, are left out.
     """
     from ringpose.bench.score import matching, scores
     from ringpose.files.rigs import read_rig
@@ -197,8 +197,8 @@ def scores_of_lines(
 def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "list[PoseEstimate]":
     """The pose or track records of the inputs; those that cannot be compared are reported on stderr.
 
-    Track records of instants between measurements have no shot, and are not compared. Those of shots that the truth
-    does not name, as a live camera's, are compared with the truth that is nearest in time.
+    Track records of instants between measurements have no shot, and are not compared. Track records whose shot the
+    truth does not name, as with a live camera, are compared with the truth that is nearest in time.
     """
     from ringpose.bench.score import estimate_of, named_by_stamp
     from ringpose.estimate.pose_errors import truth_at
@@ -243,7 +243,7 @@ def _scores_of_folders(
 ) -> "list[Score]":
     """Scores of data sets, of which this run detects the break points and estimates the poses by every method.
 
-    Of a folder that grows, shots written before `since_s`, or not yet, are left out.
+    In a folder that is still being filled, shots written before `since_s`, and shots not written yet, are left out.
     """
     from ringpose.bench.score import estimate_of, scores
     from ringpose.detect.pipeline import detect

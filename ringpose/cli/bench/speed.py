@@ -80,7 +80,7 @@ def _rows(times_s: dict[str, float]) -> list[dict[str, Any]]:
 def _first_line(words: Sequence[str], bytecode: Path) -> str:
     """Run Python until it writes a line or ends.
 
-    Byte code is kept in a folder of its own from the first run on, as an installation has it: that of an editable
+    Byte code is kept in a folder of its own from the first run on, as in an installation: the byte code of an editable
     installation may be out of date or not writable.
     """
     from subprocess import PIPE, Popen

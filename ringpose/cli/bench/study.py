@@ -107,7 +107,7 @@ def study(
 
 
 def _number_of_worst(keep: str) -> int:
-    """N of `worst:N`."""
+    """The number N in the option value `worst:N`."""
     word, _, number = keep.partition(":")
     if word != "worst" or not number.isdecimal() or not 0 < int(number) <= 1000:
         raise UsageError("--keep", f"is {keep!r}", "give worst:N with N from 1 to 1000")

@@ -98,7 +98,10 @@ class BoardImages:
         return found if isinstance(besides, NoBoard) else besides
 
     def _reject_repeated(self, shot: Shot) -> None:
-        """Reject repeated images, which would reduce the uncertainty, and repeated names of overlay files."""
+        """Reject an image that was read before, and a second overlay of the same name.
+
+        A repeated image would reduce the uncertainty.
+        """
         digest = sha256(shot.images.tobytes()).hexdigest()
         if digest in self.names:
             raise DataError(shot.name, f"is the same image as {self.names[digest]}", "give it once")

@@ -43,7 +43,7 @@ PrintBoard = Annotated[Path | None, file_option("--print-board", meaning="Only d
 def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet: bool) -> None:
     """Draw the board of a board file; where there is no such file, one that fits A4 is written first.
 
-    `usual` is the kind of that board.
+    `usual` is the kind of the board that is written.
     """
     from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages

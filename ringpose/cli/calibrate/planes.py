@@ -197,7 +197,10 @@ def _calibrate(
 
 
 def _report_lasers(stripes: "StripeShots", rig: "Rig", *, quiet: bool) -> None:
-    """Lasers that cannot measure rings; their number if it is small and by the masks alone: one may be dark."""
+    """Report lasers that cannot measure rings, and a small number of lasers if only the masks give it.
+
+    A laser that is missing in the masks may be dark.
+    """
     from ringpose.calibrate.planes.stripes.labels import THREE
     from ringpose.cli import messages
     from ringpose.files.rigs import steep_stripes
@@ -212,7 +215,7 @@ def _report_lasers(stripes: "StripeShots", rig: "Rig", *, quiet: bool) -> None:
 
 
 def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
-    """Compare a rig with shots of a board or the records of a stream; with an output, write it as they show it."""
+    """Compare a rig with shots of a board or the records of a stream; with an output, write the updated rig."""
     from ringpose.calibrate.planes.recheck.update import checked_shots, evidence_lines, moved_lasers
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
@@ -251,7 +254,7 @@ def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | N
 def _board_evidence(
     inputs: list[str], rig_file: Path, rig: "Rig", options: _Inputs, batch: "Batch", *, update: bool
 ) -> "tuple[RigEvidence, list[Path], float]":
-    """Compare each shot of a board with a rig by itself; for an update, what all show about its planes."""
+    """Compare each shot of a board with a rig; for an update, return what all shots together show about its planes."""
     import numpy as np
 
     from ringpose.calibrate.planes.recheck.board_check import rig_check, rig_check_lines
@@ -324,7 +327,7 @@ def _stream_evidence(
 def _write_update(
     evidence: "RigEvidence", moved: list[int], output: Path, files: list[Path], depth_m: float, options: _Inputs
 ) -> None:
-    """Write the rig as the evidence shows it, with the quality of its calibration and what was changed."""
+    """Write the rig updated by the evidence, with the quality of its calibration and a list of the changes."""
     from ringpose.calibrate.planes.recheck.update import change_line, updated_rig
     from ringpose.cli import messages
     from ringpose.files.rigs import calibration_quality, write_rig

@@ -38,7 +38,7 @@ RadiusInner = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class RingOptions:
-    """What is known of the ring, as given; None where it is not."""
+    """What the user states about the ring; None for an option that is not given."""
 
     radius_outer: RadiusOuter = None
     radius_inner: RadiusInner = None
@@ -59,7 +59,7 @@ def known_ring(
 ) -> "KnownRadii | Sequence[Ring] | None":
     """The radii, or the catalogue that the ring belongs to; None if no option is given.
 
-    A given tolerance replaces those of the catalogue.
+    A given tolerance replaces the tolerances of the catalogue.
     """
     if method is not Method.ML and options != RingOptions():
         raise UsageError("--method", f"{method.value} does not use the ring's radii", "use --method ml")

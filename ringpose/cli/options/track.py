@@ -1,4 +1,4 @@
-"""The options of a track, in `ringpose track` and `ringpose pose --track`, and those of how lines are written."""
+"""Options of a track (`ringpose track`, `ringpose pose --track`), and of the format in which lines are written."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -98,7 +98,10 @@ class TrackSettings:
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
-    """The motion of the camera, all of whose poses are read first; `inputs`: the arguments that may also be `-`."""
+    """The motion of the camera, from robot poses that are all read first.
+
+    `inputs` are the arguments of which only one may be `-` together with `robot_poses`.
+    """
     if robot_poses is None:
         return None
     from ringpose.files.records.robot_poses import read_robot_poses
@@ -114,7 +117,10 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
 
 
 def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:
-    """Writes records to stdout; with `newest` a slow reader gets the newest one. Ends with the stack."""
+    """A function that writes records to stdout; with `newest` a slow reader gets the newest one.
+
+    Its thread ends with the stack.
+    """
     from ringpose.files import records
     from ringpose.files.records.newest import NewestWriter
 
@@ -124,7 +130,7 @@ def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]
 def track_writer(
     write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: Batch
 ) -> "Callable[[TrackLine], None]":
-    """Writes lines of a track, and with `verbose` reports what became of each measurement."""
+    """A function that writes lines of a track, and with `verbose` reports what became of each measurement."""
     from ringpose.files.records.ros import ros_messages
     from ringpose.files.records.tracks import track_record
 

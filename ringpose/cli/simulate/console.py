@@ -65,7 +65,7 @@ def console(
 def trajectory_in(content: bytes, name: str) -> "Trajectory":
     """The poses of a file of JSON lines with `center_m` and `normal`, such as truth.jsonl.
 
-    Their times are those of `stamp_s`, or 0.1 s apart if one has none.
+    Their times are taken from `stamp_s`; if a line has no stamp, all poses are 0.1 s apart.
     """
     import numpy as np
 

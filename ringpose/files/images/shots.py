@@ -95,7 +95,7 @@ def checked_shot(shot: Shot, rig: Rig, location: str) -> Shot:
 
 
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
-    """The images; the declared type and size are checked before memory of that size is allocated."""
+    """The images in an archive; the declared type and size are checked before memory of that size is allocated."""
     dtype, shape = archive.declared("images", "u", (None, None, None))
     if dtype.itemsize > 2 or 0 in shape:
         raise archive.problem("images", f"has type {dtype} and {math.prod(shape)} pixels, must be 8 or 16 bits")
@@ -114,7 +114,7 @@ def _masks(archive: Archive, key: str, frames: int) -> UInt8[Array, "frame"]:
 def _times(archive: Archive, frames: int) -> tuple[Float64[Array, "frame"], Float64[Array, "frame"]]:
     """Stamps and exposures, which must fit between the stamps.
 
-    Equal stamps, of frames without own ones, and any order are accepted.
+    Stamps may be in any order; equal stamps, of frames without stamps of their own, are accepted.
     """
     times: list[Float64[Array, "frame"]] = [archive.numbers(key, (frames,)) for key in ("stamp_s", "exposure_s")]
     for key, values in zip(("stamp_s", "exposure_s"), times, strict=True):

@@ -30,7 +30,7 @@ from ringpose.types.detection import (
 SCHEMA = "ringpose/detection/2"
 
 SCHEMA_1 = "ringpose/detection/1"
-"""The version before, which is read but not written; it has no time stamps of features, `lasers_on` and `rejected`."""
+"""The previous version, which is read but not written; it lacks the features' stamps, `lasers_on` and `rejected`."""
 
 PROVENANCE = "provenance"
 """Key of the provenance in an NPZ file, a JSON text."""

@@ -16,11 +16,11 @@ POLL_S = 0.001
 
 
 class NewestWriter:
-    """Writes the newest record whenever the reader has read the one before; those in between are skipped.
+    """Writes the newest record whenever the reader has read the previous one; records in between are skipped.
 
-    `lines_skipped` in each record is their number since the record before. Standard output that is not a pipe takes
-    every record. The pipe's contents are inspected with FIONREAD; where that is not available, a record is written as
-    soon as the pipe has room for it.
+    `lines_skipped` in each record is the number of records skipped since the previous one. Standard output that is not
+    a pipe takes every record. The pipe's contents are inspected with FIONREAD; where that is not available, a record is
+    written as soon as the pipe has room for it.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class NewestWriter:
             raise self._failure
 
     def write(self, record: Mapping[str, Any]) -> None:
-        """Replace the record that waits; raises the error of an earlier one that could not be written."""
+        """Replace the waiting record by this one; raises the error of an earlier record that could not be written."""
         with self._changed:
             if self._failure is not None:
                 raise self._failure

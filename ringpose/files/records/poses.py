@@ -36,7 +36,7 @@ from ringpose.types.rig import PlaneCorrection
 SCHEMA = "ringpose/pose/2"
 
 SCHEMA_1 = "ringpose/pose/1"
-"""The version before, which is read but not written."""
+"""The previous version, which is read but not written."""
 
 STILL = "still"
 """`priors.motion` of a target that is assumed not to move."""
@@ -134,7 +134,7 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
 
 
 def _finite(values: Float64[Array, "..."] | None) -> Float64[Array, "..."] | None:
-    """The array, or None if an element of it is not finite."""
+    """The array, or None if any element of it is not finite."""
     return values if values is not None and np.isfinite(values).all() else None
 
 

@@ -11,7 +11,7 @@ KINDS = ("point", "stripe", "edge", "assignment", "radius")
 
 
 def rejections_in(fields: Fields) -> tuple[Rejection, ...]:
-    """The rejections of a record, without those of a kind that this version does not know; none without the key."""
+    """The rejections of a record; kinds that this version does not support are left out. Empty without the key."""
     if not fields.has("rejected"):
         return ()
     return tuple(

@@ -51,7 +51,7 @@ def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
 
 
 def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:
-    """What a track record has in common with a pose record; its reason is its validity and what became of the shot.
+    """A track record as a pose line, with the keys that both have; its reason states validity and fusion status.
 
     The shot is the newest that was measured, empty for an instant between measurements. A track in the frame of the
     robot's base has no pose here.

@@ -87,7 +87,7 @@ def write_scene_copy(
 
 
 def _motion(view: RingView) -> dict[str, Any] | None:
-    """The motion at the beginning of a view; None of a target that stands still.
+    """The motion at the beginning of a view; None for a target that stands still.
 
     With equal moments of inertia about the ring's centre, the angular velocity remains constant.
     """

@@ -131,7 +131,10 @@ def _target(fields: Fields) -> Target:
 def _inertia_and_center(
     fields: Fields, target: Target, body: Body | None
 ) -> tuple[Float64[Array, "3 3"], Float64[Array, "3"]]:
-    """Those of the parts, if they have masses, or else of a uniform body; those of a motion's own are not needed."""
+    """Inertia and centre of mass of the target: of its parts if they have masses, else of the uniform body.
+
+    Without either, the motion must state its own values or be read from a file; an error is raised otherwise.
+    """
     rings = [] if target.ring is None else [target.ring]
     shells = [
         Part(name="ring", shape=Revolution(profile_m=ring.profile_m), materials=(ring.wall,), mass_kg=ring.mass_kg)

@@ -99,7 +99,10 @@ def _model(fields: Fields) -> Target:
 
 
 def _parts(fields: Fields, keys: Iterable[str], state: str | None = None, mass: str | None = None) -> Target:
-    """The parts in a list that are there in a state; masses may be given for several fillings of the tanks."""
+    """The parts in a list that the target has in a state, and its ring.
+
+    Masses may be given for several fillings of the tanks; `mass` selects one of them.
+    """
     parts, ring, names = [], None, set()
     for entry in fields.each("parts"):
         shape = entry.choice("shape", SHAPES)

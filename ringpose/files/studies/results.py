@@ -167,7 +167,7 @@ def read_results(path: Path) -> tuple[dict[str, Any], Iterator[Row]]:
 
 
 def _holder(lock: Path) -> str:
-    """Process, host and start time in a lock file; `?` for a process or host that it does not name."""
+    """Process, host and start time of a lock file's holder; `?` for a process or host that the file does not name."""
     try:
         lines = lock.read_text(errors="replace").split()
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(lock.stat().st_mtime))

@@ -99,7 +99,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
 
 
 def _alone(fields: Fields, key: str, value: Any) -> Fields:
-    """One of the values of a key as the value of the key, to be read by the methods of `Fields`."""
+    """A mapping in which the key has this single value, so that the methods of `Fields` can read it."""
     return Fields(fields.file, {key: value}, path=fields.path)
 
 
@@ -116,7 +116,7 @@ def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
 
 
 def _assumed(fields: Fields) -> AssumptionOptions:
-    """What the estimator assumes; keys that are not given have the defaults of `ringpose pose`."""
+    """The assumptions of the estimator; keys that are not given have the defaults of `ringpose pose`."""
     largest = {"max_speed_m_s": 10.0, "max_rate_rad_s": 10.0, "ring_tolerance_m": MAX_TOLERANCE_M, "rig_stability": 1e3}
     entry = fields.fields("assume", ("still", *largest))
     still = bool(entry.optional("still", entry.boolean))

@@ -65,7 +65,7 @@ class LitLines(NamedTuple):
 
     lit: UInt[Array, "row column"]
     dark: UInt[Array, "row column"] | None
-    """The same view with these lasers off."""
+    """The view with these lasers off."""
     lines: Float64[Array, "track column=5"]
     """middle_x, middle_y, slope, x_start, x_end, in undistorted pixels."""
 

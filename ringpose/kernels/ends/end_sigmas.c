@@ -210,7 +210,7 @@ static int open_steps(const EdgeFit *fit, const Edge *edge, double *step) {
     return count;
 }
 
-/* By how much less columns tell one place from another than if each erred by itself. */
+/* Factor by which correlated columns distinguish two positions less well than independent ones. */
 static double independent_share(const Columns *columns, const Edge *edge, double place, double correlation) {
     Edge outer = *edge, other = *edge;
     other.position = place;

@@ -50,7 +50,7 @@ typedef struct {
 /* Mean residual variance of columns with noise only, from the lower quartile of columns that may show more. */
 double low_residual_variance(double *residual_variance, size_t n);
 
-/* 1, or 0 if the face has fewer than two columns, or -1 without memory; to be freed in any case. */
+/* Returns 1, 0 if the face has fewer than two columns, -1 without memory; the profile must always be freed. */
 int read_profile(const Images *images, const StripeLine *line, const Lens *lens, const EndParams *params,
                  Profile *profile);
 
@@ -78,7 +78,7 @@ typedef struct {
     double minimum;                 /* lower bound of the variance of a column */
 } Columns;
 
-/* 0 if the columns about index `near` are too few or dark. */
+/* Returns 0 if the columns about index `near` are too few or dark. */
 int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const EndParams *params, Columns *columns);
 
 /* Splits the variance of the columns of every end into noise, shot noise and speckle, with the variances of all ends as
@@ -88,7 +88,7 @@ double estimate_noise_model(Columns *const columns[], size_t ends, const EndPara
 /* Columns per independent column, for a sum of amplitudes, at that speckle correlation. */
 double correlation_length(const Columns *columns, double correlation);
 
-/* The same for the width of an edge (in columns), to which correlated speckle contributes little. */
+/* Columns per independent one for the width of an edge (in columns), to which correlated speckle adds little. */
 double correlation_length_for_width(const Columns *columns, double correlation, double width);
 
 /* Visible share of the stripe in a column at an illuminated share `lit`; saturation hides little of a faint edge. */

@@ -314,7 +314,7 @@ void free_profile(Profile *profile) {
     free(profile->saturated);
 }
 
-/* The line in the image as taken. 1, or 0 if the face has fewer than two columns, or -1 without memory. */
+/* The line in the distorted image. Returns 1, 0 if the face has fewer than two columns, or -1 without memory. */
 static int distort_line(const StripeLine *line, const Lens *lens, const EndParams *params, ptrdiff_t width,
                     Profile *profile) {
     double straight[CURVE_POINTS], x[CURVE_POINTS], y[CURVE_POINTS];
@@ -403,7 +403,7 @@ static void fill_texture(Profile *profile, double expected, const EndParams *par
     profile->background = background / ((double)face * expected * expected);
 }
 
-/* Peak of which clipping leaves the observed amplitude: in the median of some columns of the face. */
+/* Peak of a stripe that has the observed amplitude after clipping: median over some columns of the face. */
 static double unclipped_peak(const Images *images, const Profile *profile, int reach, const Parts *parts,
                              double observed, const EndParams *params) {
     double shown[PEAK_COLUMNS], before = 0;

@@ -298,7 +298,7 @@ typedef struct {
     double uu, uv, vv, ut, vt;
 } Moments;
 
-/* 0 if an arc has no point. */
+/* Returns 0 if an arc has no point. */
 static int moments_of(const End *end, int ends, Moments *m) {
     double count[2] = {0};
     *m = (Moments){.uu = 0};
@@ -536,7 +536,7 @@ typedef struct {
     Best best[MAX_MEMBERS];
 } Found;
 
-/* 0 if there is no memory. */
+/* Returns 0 if there is no memory. */
 static int find(const Track *track, size_t count, const Scene *scene, Found *found) {
     List *all = &found->tracks;
     size_t room = (size_t)scene->lasers * (size_t)scene->candidates->maximum;

@@ -380,7 +380,7 @@ static int join(List *drafts, const Work *work) {
     return 1;
 }
 
-/* 0 if there is no memory. */
+/* Returns 0 if there is no memory. */
 static int find_segments(const Centers *centers, const TrackParams *params, List *tracks) {
     size_t n = centers->n ? centers->n : 1;
     double *memory = malloc(4 * n * sizeof *memory);

@@ -20,7 +20,7 @@ TEXELS = 512
 """Side of a relief."""
 
 MAX_PARTS, MAX_POINTS, MAX_LASERS = 128, 64, 8
-"""Of a target, of a profile, of a rig."""
+"""Maximum numbers of parts of a target, points of a profile, lasers of a rig."""
 
 
 class TargetTables(NamedTuple):
@@ -85,8 +85,9 @@ def render(
 ) -> None:
     """Fill the chosen pixels of the image, or all, with the mean radiance of their samples.
 
-    A single sample is cast at the middle pose; of several, code and stripe are those of the last one. A ray is cast for
-    every sample, but of the samples in a pixel that hit the same surface only one in `step` is shaded.
+    A single sample is cast at the middle pose. If a pixel has several samples, its code and stripe are those of the
+    last one. A ray is cast for every sample, but of the samples in a pixel that hit the same surface only one in `step`
+    is shaded.
     """
     _kernels.render(*view.target, *view[1:], pixels, samples, step, *image)
 

@@ -20,7 +20,7 @@ static const double FAR_M = 100, LIFT_M = 1e-7;
 /* Reach of the rays of the camera. */
 static const double EVERYWHERE_M = 1e9;
 
-/* Shortest way to an intersection that shadows. */
+/* Smallest distance of an intersection that casts a shadow. */
 static const double NEAREST_M = 1e-9;
 
 /* Code of a pixel: surface + 1 in the upper half, then what else changes at edges; laser k has bit k. */
@@ -134,7 +134,7 @@ typedef struct {
     double reach[BLOCK];                 /* and its distance */
 } Beam;
 
-/* Parts of which light may cast a shadow on the hits that are `on`: those near the bundle from their bounding sphere
+/* Parts that may cast a shadow on the hits that are `on`: those near the bundle from their bounding sphere
    towards the light; not a box on which all of them are. `slope` is the change of radius of the bundle with the
    distance. */
 static void may_shade(const Scene *scene, const Hits *hits, const uint8_t *on, Vector towards, double slope, double reach,

@@ -78,8 +78,8 @@ typedef struct {
 typedef struct {
     int count;
     double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK];
-    double least[BLOCK]; /* parameter from which on intersections count */
-    double best[BLOCK];  /* and up to which they do; then that of the nearest intersection */
+    double least[BLOCK]; /* smallest parameter of an intersection that counts */
+    double best[BLOCK];  /* largest one that counts; then that of the nearest intersection */
     double face[BLOCK];
     int32_t part[BLOCK]; /* with the nearest intersection, or EMPTY */
     int32_t own[BLOCK];  /* convex part that the ray leaves, or EMPTY */
@@ -109,7 +109,7 @@ typedef struct {
     double x[BLOCK], y[BLOCK], z[BLOCK], u[BLOCK], v[BLOCK]; /* point, and its place on the face of a box */
     double below[BLOCK];                                     /* depth under the surface without its relief */
     double nx[BLOCK], ny[BLOCK], nz[BLOCK];                  /* normal towards the viewer */
-    double fx[BLOCK], fy[BLOCK], fz[BLOCK];                  /* that without the relief */
+    double fx[BLOCK], fy[BLOCK], fz[BLOCK];                  /* normal without the relief */
     float diffuse[BLOCK], specular[BLOCK], roughness[BLOCK];
 } Hits;
 
@@ -169,7 +169,7 @@ static inline float reflectance(float diffuse, float specular, float roughness, 
     return diffuse / pi + (specular > 0 ? glossy : 0);
 }
 
-/* The same for unit vectors: normal, towards the light, towards the eye. */
+/* A coating's BRDF for unit vectors: normal, towards the light, towards the eye. */
 static inline float brdf(float diffuse, float specular, float roughness, float nx, float ny, float nz, float lx, float ly,
                          float lz, float ex, float ey, float ez) {
     const float sx = lx + ex, sy = ly + ey, sz = lz + ez, square = sx * sx + sy * sy + sz * sz;

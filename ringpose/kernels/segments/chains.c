@@ -127,7 +127,7 @@ static int take_chains(const EdgeArea *area, const Way *way, const List *sorted,
     return 1;
 }
 
-/* Exchanges the pixels around those that have a gradient for others. */
+/* Exchanges the ring of pixels around the region that has a gradient with the values in `other`. */
 static void swap_wall(const EdgeArea *area, int16_t *other) {
     const size_t width = area->width, first = MARGIN - 1, right = width - MARGIN, bottom = area->height - MARGIN;
     for (size_t y = first; y <= bottom; y++) {
@@ -149,7 +149,7 @@ static void restore(const EdgeArea *area, const List *path) {
     }
 }
 
-/* Magnitudes of a wall, in the place of which the right ones are kept meanwhile. */
+/* The most negative magnitude for each pixel of that ring; `swap_wall` keeps the right magnitudes in this memory. */
 static int16_t *make_wall(const EdgeArea *area) {
     const size_t count = 2 * (area->width + area->height);
     int16_t *wall = malloc(count * sizeof *wall);

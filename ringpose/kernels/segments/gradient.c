@@ -25,7 +25,7 @@ typedef struct {
 /* Pixels of a row that are looked at together. */
 enum { BLOCK = 128 };
 
-/* Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows. */
+/* Anchors lie in columns, those of upright edges in rows, whose number is a multiple of this. */
 enum { ANCHOR_SPACING = 8, NO_ANCHORS = INT16_MAX };
 
 /* Smoothed rows that are kept: of a row with anchors, and of the one below, their neighbours as well. */
@@ -141,7 +141,7 @@ static uint8_t orientation(int gx, int gy) {
     return (uint8_t)((left & oblique) | ((2 * upright) & ~oblique));
 }
 
-/* Of the maxima those are anchors that lie across their edge; `from` is the first. */
+/* Keeps as anchors the maxima that lie across their edge; `from` is the first maximum. */
 static void keep_anchors(const Rows *rows, const int16_t *here, size_t row, size_t width, size_t from,
                          Anchors *anchors) {
     const int16_t *up = rows->smooth[(row - 1) % SMOOTH], *level = rows->smooth[row % SMOOTH];

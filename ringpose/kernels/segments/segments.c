@@ -153,7 +153,7 @@ static Moments sum_of(const Moments *a, const Moments *b) {
                      a->xx + b->xx,       a->xy + b->xy, a->yy + b->yy};
 }
 
-/* Both as one line, if all their ends lie beside it. */
+/* Joins both into one line, if all their ends lie near it. */
 static int joined_line(const Board *board, const Growing *line, int32_t near, Growing *joined) {
     const Point far = board->ends[near ^ 1];
     const Point ends[4] = {line->tail, line->tip, board->ends[near], far};
@@ -214,7 +214,7 @@ static int32_t next_end(const Board *board, const Growing *line, Growing *best) 
     return found;
 }
 
-/* Grows at the tip as far as it goes; returns the pixels of the lines that it took. */
+/* Extends the line at its tip as far as possible; returns the number of pixels of the lines joined to it. */
 static int64_t grow(const Board *board, const Piece *pieces, Growing *line) {
     int64_t support = 0;
     Growing longer;

@@ -57,14 +57,14 @@ static void take_ridges(const Ridge *ridges, const int32_t *order, size_t count,
     }
 }
 
-/* Both derivatives in rows of 16 columns. */
+/* Both derivatives in rows of 16 columns, from column x on. */
 static void differentiate(const Measure *how, ptrdiff_t row, size_t x, size_t rows) {
     size_t reach = how->filter->reach;
     load_pixels(how->image, row - (ptrdiff_t)reach, x, rows + 2 * reach, how->patch);
     differentiate_pixels(how->filter, rows * BLOCK, how->patch);
 }
 
-/* How many columns from one on lie so close that their rows are worked on together; the first and last row. */
+/* Number of columns from `first` on whose rows are near enough to be processed together; sets their outermost rows. */
 static size_t neighbours(const Columns *columns, size_t first, int32_t *top, int32_t *bottom) {
     const int32_t *row = columns->row + first, *x = columns->x + first;
     size_t count = columns->count - first, i = 1;
@@ -116,7 +116,7 @@ static int64_t newton_steps(const Measure *how, size_t from, size_t to, Columns 
     return irregular;
 }
 
-/* Moves on to the pixels nearest to a centre. */
+/* Repeats the Newton step from the pixel nearest to the centre, until the centre lies near its pixel. */
 static void step_again(const Measure *how, size_t i, Columns *columns) {
     for (int round = 0; round < ROUNDS && fabs(columns->y[i] - columns->row[i]) > NEAR_PX; round++) {
         double nearest = floor(columns->y[i] + 0.5), last = (double)(how->image->height - 1);
@@ -186,14 +186,14 @@ enum { ROWS = (2 * MAX_REACH + PARTS) / PARTS * PARTS };
 typedef struct {
     size_t reach; /* 0: not yet known */
     double brightness[PHASES][ROWS], offset[PHASES][ROWS];
-    double square; /* sum of the squares of the latter */
+    double square; /* sum of the squares of `offset`, mean over the phases */
 } Weights;
 
 /* ---- weights ---- */
 
 static double phase_offset(size_t phase) { return ((double)phase + 0.5) / PHASES - 0.5; }
 
-/* The factor L of the symmetric, positive equations L L^T, in their lower triangle (Cholesky). */
+/* Cholesky factor L of a symmetric positive matrix L L^T; it replaces the lower triangle. */
 static void factorise(double a[SHAPES][SHAPES]) {
     for (size_t j = 0; j < SHAPES; j++) {
         for (size_t k = 0; k < j; k++)
@@ -203,7 +203,7 @@ static void factorise(double a[SHAPES][SHAPES]) {
     }
 }
 
-/* A row of the inverse of the equations with that factor. */
+/* A row of the inverse of L L^T. */
 static void invert_row(double factor[SHAPES][SHAPES], size_t row, double inverse[SHAPES]) {
     for (size_t i = 0; i < SHAPES; i++) {
         inverse[i] = i == row;
@@ -234,7 +234,7 @@ static double product(const double *inverse, const double *shape) {
     return (inverse[0] * shape[0] + inverse[1] * shape[1]) + (inverse[2] * shape[2] + inverse[3] * shape[3]);
 }
 
-/* Half of the places mirror the others. */
+/* Weights for each position (phase) of the centre in its pixel; half of the positions mirror the others. */
 static void find_weights(double width, double speckle, size_t reach, Weights *weights) {
     double shape[2 * MAX_REACH + 1][SHAPES], brightness[SHAPES], offset[SHAPES];
     size_t last = 2 * reach;
@@ -265,7 +265,7 @@ static double weighted_sum(const double *restrict weight, const double *restrict
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* How far off the centre is that the rows from a pixel on show, at most MAX_STEP; that if they show no stripe. */
+/* Offset of the centre in the rows from a pixel on, limited to MAX_STEP; MAX_STEP if they show no stripe. */
 static double step_from(const Weights *weights, size_t phase, const float *pixel) {
     double row[ROWS];
     size_t rows = 2 * weights->reach + 1;
@@ -276,7 +276,7 @@ static double step_from(const Weights *weights, size_t phase, const float *pixel
     return step < -MAX_STEP ? -MAX_STEP : step < MAX_STEP ? step : MAX_STEP;
 }
 
-/* Moves to the centre near y, in pixels whose first row is `top`. Returns by how much. */
+/* Moves y to the centre near it, in pixels whose first row is `top`; returns the length of the step. */
 static double step_to_center(const Weights *weights, const float *pixel, ptrdiff_t top, double *y) {
     double row = floor(*y + 0.5), place = (*y - row + 0.5) * PHASES;
     size_t phase = place < 1 ? 0 : place < PHASES ? (size_t)place : PHASES - 1;
@@ -285,7 +285,7 @@ static double step_to_center(const Weights *weights, const float *pixel, ptrdiff
     return fabs(step);
 }
 
-/* That centre; no number if there is none. */
+/* The centre near y after one or two steps; NaN if there is none. */
 static double weighted_center(const Weights *weights, const float *pixel, ptrdiff_t top, double y) {
     double step = step_to_center(weights, pixel, top, &y);
     if (step > SHORT_STEP) step = step_to_center(weights, pixel, top, &y);
@@ -310,7 +310,7 @@ static double most_speckled(const Measure *how, Scatter of, const Columns *colum
     return square * (double)columns->count / (precision * MAX_SPECKLE * MAX_SPECKLE);
 }
 
-/* The weights for a column in which noise makes that variance. */
+/* The weights for a column in which noise causes this variance of the centre. */
 static const Weights *weights_of(Weigher *weigher, double variance) {
     double square = variance / weigher->most_speckled;
     size_t level = square < 2 ? 0 : square < 8 ? 1 : square < 32 ? 2 : LEVELS - 1;
@@ -320,7 +320,7 @@ static const Weights *weights_of(Weigher *weigher, double variance) {
     return weights;
 }
 
-/* Columns whose pixels lie in the patch, from the one on that lies leftmost. */
+/* Measures the columns whose pixels lie in the patch; `first` is the leftmost one. */
 static void weight_neighbours(Weigher *weigher, const Columns *columns, size_t first, size_t count, Columns *weighted) {
     double whole = WHOLE_WIDTHS * weigher->how->width, last = (double)weigher->how->image->height - 1 - whole;
     for (size_t i = first; i < first + count; i++) {
@@ -335,15 +335,16 @@ static void weight_neighbours(Weigher *weigher, const Columns *columns, size_t f
     }
 }
 
-/* From the filter's variances to those of the weights. */
+/* Converts variances of the filter's centres to those of the weighted centres. */
 static void turn_variances(Weigher *weigher, Columns *weighted) {
     double norm = weigher->how->filter->slope_norm * weigher->how->peak_per_response;
     for (size_t i = 0; i < weighted->count; i++)
         weighted->variance[i] *= weights_of(weigher, weighted->variance[i])->square / (norm * norm);
 }
 
-/* Centres anew, from those that the filter found, where speckle scatters them so: by weights that suit each column.
-   Columns that show none near by are dropped. Returns how they scatter, over what noise explains of the former. */
+/* Measures the centres again by weighted least squares, from those that the filter found, with weights for the speckle
+   of each column. Columns without a centre near by are dropped. Returns the scatter of the new centres, relative to the
+   variance that noise causes in the filter's centres. */
 static Scatter speckle_weighted_centers(const Measure *how, Scatter of, Columns *columns, Columns *weighted) {
     Weigher weigher = {.how = how, .most_speckled = most_speckled(how, of, columns)};
     size_t reach = (size_t)ceil(REACH_PER_WIDTH * how->width);

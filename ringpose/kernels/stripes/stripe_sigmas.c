@@ -131,7 +131,7 @@ static void raise_between(const double *restrict from, const double *restrict to
     }
 }
 
-/* The same for one column, which may have fewer differences around it. */
+/* Raises the variance of one column near an end of the piece, where the window has fewer differences. */
 static void raise_one(const double *sum, size_t i, size_t lag, size_t count, double piece, double *variance) {
     size_t from = i > lag + SURROUNDINGS ? i - lag - SURROUNDINGS : 0;
     size_t to = i + SURROUNDINGS + 1 > lag ? i + SURROUNDINGS + 1 - lag : 0;

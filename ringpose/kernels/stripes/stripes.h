@@ -35,7 +35,7 @@ typedef struct {
     size_t gap, shortest;      /* columns */
 } StripeParams;
 
-/* For each band its first column, the one after the last, and likewise its rows; NULL for the whole image. */
+/* First column, column after the last, first row, row after the last of each band; NULL for the whole image. */
 typedef struct {
     const int32_t *sides;
     size_t count;
@@ -110,21 +110,21 @@ typedef struct {
 
 /* Scatter of centres by second differences at a near lag, or at a far one if that is much larger. */
 typedef struct {
-    double sum;     /* of their squares over the variance expected from sensor noise */
-    size_t count;   /* of differences */
+    double sum;     /* of the squared differences over the variance expected from sensor noise */
+    size_t count;   /* number of differences */
     size_t lag;     /* columns between the centres */
     int background; /* true for the far lag */
 } Scatter;
 
 Scatter scatter(Columns *columns);
 
-/* The same at a given lag. */
+/* Scatter of centres by second differences at a given lag. */
 Scatter scatter_at(Columns *columns, size_t lag);
 
-/* Mean of those squares (reduced chi-square), shrunk towards `expected`. */
+/* Mean of the terms of `Scatter.sum` (reduced chi-square), shrunk towards `expected`. */
 double excess(Scatter of, double expected);
 
-/* Variance of a centre according to those differences. */
+/* Variance of a centre according to the second differences. */
 double scatter_variance(Columns *columns, Scatter of);
 
 /* A measured piece: its scatter, and that with the filter matched to its width. */

@@ -255,7 +255,7 @@ class RenderedShot:
     truth: Truth
 
     def frame(self, lasers: int, exposure_s: float, stamp_s: float, seed: tuple[int, ...]) -> Frame:
-        """One exposure; the seed is that of its noise."""
+        """One exposure; `seed` is the seed of its noise."""
         rendered = replace(self.rendered, generator=np.random.default_rng(seed))  # several threads expose
         return rendered.frame(lasers, exposure_s, stamp_s)
 
@@ -295,31 +295,31 @@ class MovingShot:
     """A shot of a moving target, of which each frame is rendered at its own time."""
 
     scene: Scene
-    """Its sequence is that of the shot."""
+    """The scene, with the sequence of this shot."""
     view: RingView
     exposure_s: float
     stamp_s: float
-    """Of the first frame."""
+    """Time stamp of the first frame."""
     begins_s: Float64[Array, "frame"]
     """Begin of each exposure since that of the first."""
     truth: Mapping[str, Any]
-    """Its record."""
+    """Record of the shot's truth."""
 
     def frame(self, step: int, seed: tuple[int, ...]) -> Frame:
-        """One exposure; the seed is that of speckle and noise."""
+        """One exposure; `seed` is the seed of speckle and noise."""
         begin_s, mask = float(self.begins_s[step]), self.scene.sequence[step]
         return moving_frame(self.scene, self.view, mask, self.exposure_s, begin_s, self.stamp_s + begin_s, seed)
 
 
 class MotionRuns:
-    """The moving views of a scene by the time of day, or simulated time: run after run, again and again."""
+    """The moving views of a scene at the time of day, or at a simulated time; the runs follow each other and repeat."""
 
     def __init__(self, scene: Scene, views: tuple[RingView, ...]) -> None:
         self._runs = tuple(view for view in views if view.begin_s == 0.0)
         self.duration_s = (scene.shots - 1) * scene.period_s + len(scene.sequence) * (
             max(scene.exposure_s, MAX_DURATION_S) + READOUT_S
         )
-        """For which the motion of a run is known."""
+        """Duration for which the motion of a run is known."""
         self._run, self._began_s = -1, -np.inf
         self._paused_s: float | None = None
 

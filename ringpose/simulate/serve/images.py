@@ -175,7 +175,7 @@ class ImageServer:
             self._expose(self._loop.time(), stamp_s)
 
     async def _expose_by_the_clock(self) -> None:
-        """The frames of a shot follow each other at the rate; where rendering takes longer, the next shot is late."""
+        """Expose the frames of a shot at the given rate; where rendering takes longer, the next shot is late."""
         rate_hz, slot, began_s = self._setup.rate_hz, 0, self._loop.time()
         while True:
             await self._until(lambda: self._in_flight < WORKERS)
@@ -360,7 +360,7 @@ class ImageServer:
 
 
 async def _first_ended(*works: Coroutine[Any, Any, Any]) -> None:
-    """Run until one of them ends, whose error is raised, and cancel the other."""
+    """Run both until one of them ends; its error is raised, and the other is cancelled."""
     tasks = [asyncio.create_task(work) for work in works]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

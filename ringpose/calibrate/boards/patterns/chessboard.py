@@ -107,7 +107,7 @@ def refined_corners(
 
 
 def irregularity(grid: Grid) -> float:
-    """Largest third difference along the rows and columns, in shortest sides of a square.
+    """Largest third difference of corner positions along the rows and columns, in shortest sides of a square.
 
     Perspective and distortion change the squares smoothly; a misplaced column does not.
     """
@@ -166,7 +166,7 @@ def _normalised(patch: Patch, offset: Offsets, sides: _Sides) -> Patch | None:
 
 
 def _in_board_order(image: GreyImage, grid: Grid) -> Grid:
-    """The same corners with x to the right, y down (never mirrored), and the outer top-left square black.
+    """The corners of a grid reordered: x to the right, y down (never mirrored), the outer top-left square black.
 
     A board whose numbers of squares are both odd or both even is symmetric under half a turn: then the first corner is
     the one nearer to the image's top left.

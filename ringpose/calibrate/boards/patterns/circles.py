@@ -148,7 +148,7 @@ def ellipse_offsets(centers_m: Centers, radius_m: float, homography: Float64[Arr
 def seen_offsets(
     points_m: Float64[Array, "corner xyz=3"], points_px: Float64[Array, "corner xy=2"], radius_m: float
 ) -> Float64[Array, "corner xy=2"]:
-    """`ellipse_offsets` of circles with these positions on the board and projected centres, without distortion."""
+    """The `ellipse_offsets` of circles, from their positions on the board and their undistorted projected centres."""
     return ellipse_offsets(points_m[:, :2], radius_m, _homography(points_m[:, :2], points_px))
 
 
@@ -184,7 +184,10 @@ def _middle(
 
 
 def _ink_share(patch: Patch, offset: Offsets, outside: Patch) -> Patch | None:
-    """Share of ink by pixel: measured near the ellipse, else 1 inside and 0 outside; None without visible paper."""
+    """Share of ink in each pixel: measured near the ellipse, elsewhere 1 inside and 0 outside.
+
+    None without visible paper.
+    """
     paper, ink = (outside > EDGE_PX) & (outside < EDGE_PX + PAPER_PX), outside < -EDGE_PX
     if paper.sum() < MIN_LEVEL_PIXELS:
         return None

@@ -161,7 +161,7 @@ class EdgeProfile:
 
 
 class SideSamples(NamedTuple):
-    """Pixels beside a side, by line of pixels across it."""
+    """Pixels beside a side of a marker, arranged in lines of pixels across the side."""
 
     t: Float64[Array, "line"]
     """Position along the side at which the line crosses it."""
@@ -276,7 +276,7 @@ def side_samples(
 ) -> SideSamples | None:
     """Samples of a side's edge; None if too little of it is visible.
 
-    `extent` is the share of the side left out at each end, and the reach across the side in pixels.
+    `extent` has two values: the share of the side left out at each end, and the reach across the side in pixels.
     """
     left_out, reach = extent
     t, across, grey = _pixels(image, side, left_out, reach)
@@ -310,7 +310,7 @@ def side_samples(
 def _pixels(
     image: GreyImage, side: Side, left_out: float, reach: float
 ) -> tuple[Float64[Array, "line"], Float64[Array, "line pixel"], Float64[Array, "line pixel"]]:
-    """By line of pixels across a side: its position along the side, its pixels' distances from it, and their grey.
+    """By line of pixels across a side: position along the side, distances of its pixels from the side, and grey values.
 
     Lines are image columns where the side is nearer to horizontal, else rows. Distances are infinite outside the image.
     """
@@ -336,7 +336,7 @@ def _pixels(
 
 
 def _refitted_side(side: Side, samples: SideSamples, profile: EdgeProfile, left_out: float) -> Side | None:
-    """The side through its edge; each line's offset is one Gauss-Newton step of its distance from the edge."""
+    """The side fitted to its edge: each line of pixels adds one Gauss-Newton step of its distance from the edge."""
     across = np.where(samples.used, samples.across, 0.0)
     slope = np.where(samples.used, profile.slope(across), 0.0)
     residual = np.where(samples.used, profile.share(across) - samples.share, 0.0)
@@ -459,6 +459,6 @@ def _spline(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
 
 
 def _spline_slope(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
-    """Its derivative."""
+    """Derivative of the cubic B-spline `_spline`."""
     outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
     return -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0

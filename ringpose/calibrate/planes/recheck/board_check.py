@@ -37,7 +37,7 @@ class LaserCheck:
 
     name: str
     offset_m: float
-    """Of the stripe's line, at the end or middle where it is largest relative to its limit; NaN without a stripe."""
+    """Distance of the stripe's line, at the end or middle where it is largest relative to its limit; NaN if unseen."""
     limit_m: float
     lies_on: str = ""
     """The other laser on whose plane the stripe lies instead; empty if none."""
@@ -65,7 +65,7 @@ class RigCheck:
 
 
 class BoardMeasurements(NamedTuple):
-    """One view of a board, as a rig sees it."""
+    """Measurements of corners and stripes in one view of a board, with the camera and light planes of a rig."""
 
     data: JointData
     """Corners and stripes of the view, with their standard deviations; the stripes have the labels that the rig gives
@@ -131,8 +131,8 @@ def _laser_check(laser: int, board: BoardMeasurements, rig: Rig) -> LaserCheck:
 def _stripe_check(stripe: int, laser: int, board: BoardMeasurements, rig: Rig) -> LaserCheck:
     """Distance of one laser's stripe from the plane of the same or another laser, and its limit.
 
-    It is that of the straight line fitted to the stripe, at the ends and the middle of the stripe. Its variance is the
-    sum of the parts of the rig, of the board's pose, and of the line.
+    The distance is taken at the ends and the middle of the straight line fitted to the stripe; the worst is returned.
+    Its variance is the sum of the contributions of the rig, of the board's pose, and of the line.
     """
     (view,), (pose,), name = board.data.views, board.state.poses, rig.lasers.names[laser]
     points_px = view.stripes_px[stripe]

@@ -1,7 +1,8 @@
 """Light planes that have moved since the calibration, by board shots or by the records of a stream (method(7), 11).
 
-Both are evidence in the same form: rows A q = y in the errors q of the rig, with everything else of a shot eliminated.
-The rig's parameters are their mean given calibration, stability and evidence, if the moved planes may be anywhere.
+Board shots and records give evidence in the same form: rows A q = y in the errors q of the rig, with the other unknowns
+of a shot eliminated. The updated parameters are their posterior mean, given calibration, stability and evidence, where
+the planes that have moved have a wide prior.
 """
 
 from dataclasses import replace
@@ -50,7 +51,7 @@ def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
 
 
 def _reduced(rows: Float64[Array, "row column"], unknowns: int) -> Float64[Array, "reduced_row reduced_column"]:
-    """Rows equivalent to the given ones for the columns after the first `unknowns`, whose unknowns are eliminated."""
+    """The rows with the first `unknowns` columns eliminated by least squares: equations for the other columns."""
     return np.asarray(np.linalg.qr(rows, mode="r"))[unknowns:, unknowns:]
 
 
@@ -64,9 +65,10 @@ def checked_shots(evidence: RigEvidence, *, boards: bool) -> None:
 
 
 def moved_lasers(evidence: RigEvidence, *, boards: bool) -> list[int] | None:
-    """The lasers whose light planes have moved, none if the rig holds; None if shots of rings do not name one.
+    """The lasers whose light planes have moved, none if the rig holds; None if the evidence of rings does not name one.
 
-    Boards show each plane by itself. Rings show the planes relative to each other: of one plane that has moved.
+    Boards show each plane by itself. Rings show the planes only relative to each other, so that at most one moved plane
+    can be identified.
     """
     chi2 = evidence.chi2_of_planes()
     if not boards:
@@ -83,7 +85,7 @@ def moved_lasers(evidence: RigEvidence, *, boards: bool) -> list[int] | None:
 
 
 def updated_rig(rig: Rig, evidence: RigEvidence, moved: list[int]) -> Rig:
-    """The rig as the evidence shows it, with its covariance; only the planes in `moved` may have moved far."""
+    """The rig with the posterior mean and covariance of its parameters; only planes in `moved` have a wide prior."""
     mean, covariance = evidence.posterior(moved)
     error = dict(zip(evidence.parameters, mean.tolist(), strict=True))
     camera_names, lasers = parameter_names(rig.camera.distortion_model), rig.lasers
@@ -103,7 +105,7 @@ def updated_rig(rig: Rig, evidence: RigEvidence, moved: list[int]) -> Rig:
 
 
 def evidence_lines(evidence: RigEvidence, moved: list[int] | None, depth_m: float) -> list[str]:
-    """For each laser the normalised error of its plane by the evidence, if the planes in `moved` may be anywhere.
+    """A line of text for each laser: the normalised error of its plane, where the planes in `moved` have a wide prior.
 
     `moved` is None if a plane has moved and it is not known which.
     """
@@ -118,6 +120,6 @@ def evidence_lines(evidence: RigEvidence, moved: list[int] | None, depth_m: floa
 
 
 def change_line(name: str, moved: MovedPlane, depth_m: float) -> str:
-    """By how much a plane has moved, and the standard deviation of that."""
+    """A line of text: by how much a plane has moved, and the standard deviation of that change."""
     sd = np.sqrt(np.diag(moved.covariance)).tolist()
     return f"{name} {moved.description(depth_m)}; known to {degrees(hypot(*sd[:2])):.3f} degrees, {1e3 * sd[2]:.2g} mm"

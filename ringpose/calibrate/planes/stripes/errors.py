@@ -110,8 +110,8 @@ def line_modes(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "mode=2 n"
 def center_sigma_px(points_px: Float64[Array, "n xy=2"], length: float) -> float:
     """Standard deviation of a stripe centre, inflated by the correlation length (in centres) of its neighbours.
 
-    With it, centres may be treated as independent. The polynomial takes up more degrees of freedom the longer
-    neighbours are correlated; two more are subtracted for the small number of effective samples (Student's
+    With the inflated value, centres may be treated as independent. The polynomial takes up more degrees of freedom the
+    longer neighbours are correlated; two more are subtracted for the small number of effective samples (Student's
     distribution).
     """
     degrees_of_freedom = max(len(points_px) - (_TERMS + 2) * length, 1.0)

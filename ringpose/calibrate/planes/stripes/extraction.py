@@ -180,7 +180,10 @@ def _lines_at_scale(
     lasers: int,
     shrinking: int,
 ) -> list[StripeLine]:
-    """The lines in a reduced frame, all along rows or all along columns, and one more if it is about as bright."""
+    """The lines of the lasers in a reduced frame, all along rows or all along columns.
+
+    One line more than `lasers` is returned if it is about as bright as they are.
+    """
     small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
     along_rows = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
     dark_columns = None if small_dark is None else np.ascontiguousarray(small_dark.T)

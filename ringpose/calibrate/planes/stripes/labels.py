@@ -273,9 +273,10 @@ def _score(ends: StripeEnds, labels: Labels, planes: Planes) -> float:
 
 
 def _most_common_labels(labels: Labels) -> list[tuple[int, ...]]:
-    """The permutation (plane by laser) that most shots agree with; several if equally many shots agree with each.
+    """The permutation (plane by laser) that most shots agree with; several permutations if equally many shots agree.
 
-    Candidates are the shots that show most stripes; lasers without a stripe get the planes that are left over.
+    Candidates are the labels of the shots that show most stripes; lasers without a stripe get the planes that are left
+    over.
     """
     number = (labels >= 0).sum(axis=1)
     candidates = set()
