@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.nuisance import FORM_SHARE, covariance_root
+from ringpose.estimate.nuisance import FORM_PARAMETERS, FORM_SHARE, covariance_root
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
@@ -30,34 +30,51 @@ class CommonErrors:
     of_mount: bool = False
     """Whether the last errors are those of the camera's mount (`CameraState.displacement_root`)."""
 
+    @property
+    def with_form(self) -> bool:
+        """Whether the amplitudes of the ring's form are among the parameters."""
+        return FORM_PARAMETERS[0] in self.names
+
+    def root_of(self, names: tuple[str, ...]) -> Float64[Array, "some error"]:
+        """The rows of R of some of the parameters."""
+        return self.root if names == self.names else self.root[[self.names.index(name) for name in names]]
+
 
 def common_errors(
-    line: PoseLine, measurement: RingMeasurement, rig: Rig | None, mount: Mount | None = None
+    line: PoseLine,
+    measurement: RingMeasurement,
+    rig: Rig | None,
+    mount: Mount | None = None,
+    form_tolerance_m: float | None = None,
 ) -> CommonErrors:
     """The nuisance parameters of a record, with the priors that it states: calibration, stability, form of the ring.
 
-    Those of the camera's mount have the errors of `mount`. Raises `DataError` if the record needs a rig file or a mount
-    that is not given, or names a parameter without a prior.
+    Those of the camera's mount have the errors of `mount`. `form_tolerance_m`: the tolerance of the ring that other
+    records of the stream assume; None if their measurements have no amplitudes of the form. The larger tolerance
+    counts, since it is the same ring. Raises `DataError` if the record needs a rig file or a mount that is not given,
+    or names a parameter without a prior.
     """
     priors = line.priors or Priors()
     names = tuple(name for name in measurement.nuisance_parameters if name not in MOUNT_PARAMETERS)
+    of_mount = measurement.nuisance_parameters[len(names) :]
+    if form_tolerance_m is not None and FORM_PARAMETERS[0] not in names:
+        names += FORM_PARAMETERS
     if not priors.rig_covariance:
         rig = None
     elif rig is None or rig.covariance is None:
         raise DataError(line.shot, "its priors include the covariance of a rig file", "give that file with --rig")
     assumed = priors.assumptions
+    tolerance_m = max(assumed.ring_tolerance_m, form_tolerance_m or 0.0)
     if priors.moved_planes:  # of the following shots; they change when another plane has moved
-        found = _common_errors(names, assumed.stability, assumed.ring_tolerance_m, rig, priors.moved_planes)
+        found = _common_errors(names, assumed.stability, tolerance_m, rig, priors.moved_planes)
     else:
-        found = _common_errors_of_stream(names, assumed.stability, assumed.ring_tolerance_m, rig)
+        found = _common_errors_of_stream(names, assumed.stability, tolerance_m, rig)
     if isinstance(found, str):
         remedy = "give the output of ringpose pose unchanged"
         raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior", remedy)
     if mount is None and measurement.camera_motion == "robot_poses":
         raise DataError(line.shot, "was measured with robot poses", "give --robot-poses, and --rig with its mount")
-    if mount is None or names == measurement.nuisance_parameters:
-        return found
-    return _with_mount(found, measurement.nuisance_parameters, mount)
+    return found if mount is None or not of_mount else _with_mount(found, (*names, *of_mount), mount)
 
 
 def _with_mount(others: CommonErrors, names: tuple[str, ...], mount: Mount) -> CommonErrors:

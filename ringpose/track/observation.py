@@ -124,7 +124,7 @@ def observation(
         step_rates=step_rates,
         wrt_step=rows[:, POSE] @ wrt_step - wrt_step_rates @ rates_wrt_step,
         wrt_step_rates=wrt_step_rates,
-        wrt_common=rows[:, count:-1] @ common.root,
+        wrt_common=rows[:, count:-1] @ common.root_of(measurement.nuisance_parameters),
         common_root=common.root,
         target=rows[:, -1],
         of_ring=min(len(rows), count),

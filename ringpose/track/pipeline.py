@@ -89,6 +89,8 @@ class Tracker:
         """The motion of the camera, which may be replaced by one with further poses; None if it is not known."""
         self._hash = rig.sha256 if rig is not None else ""
         self._common: CommonErrors | None = None
+        self._form_tolerance_m: float | None = None
+        """The largest tolerance of the ring that a record assumed; None before one with amplitudes of its form."""
         self._base = Track()
         self._base_stamp_s = -float("inf")
         self._base_flags = PoseFlag(0)
@@ -229,13 +231,22 @@ class Tracker:
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None
         mount = None if self.camera is None else self.camera.mount
-        common = common_errors(line, line.measurement, self._rig, mount)
+        common = common_errors(line, line.measurement, self._rig, mount, self._form_tolerance_m)
         if self._common is None or not _alike(self._common, common):
-            if self._common is not None and common.names != self._common.names:
+            if self._common is not None and _without_form(common) != _without_form(self._common):
                 found = "has other nuisance parameters than the records before"
                 raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
             self._common = common
+        if (
+            common.with_form
+        ):  # a record with the flag `ring_form` assumes a larger tolerance than the others, or one at all
+            tolerance_m = 0.0 if line.priors is None else line.priors.assumptions.ring_tolerance_m
+            self._form_tolerance_m = max(tolerance_m, self._form_tolerance_m or 0.0)
         return self._common
+
+
+def _without_form(common: CommonErrors) -> tuple[str, ...]:
+    return tuple(name for name in common.names if not name.startswith("form."))
 
 
 def _alike(first: CommonErrors, second: CommonErrors) -> bool:

@@ -309,7 +309,8 @@ def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(
         shots = [most_likely_pose(face_points_of(scene, 0.3, 0.02, rng), rig, known=radii) for _ in range(30)]
         for common, values in nees.items():
             measured = [each.measurement for each in shots if each.measurement is not None]
-            assert len(measured) >= 28  # one shot in 750 looks contradictory by chance, and has none
+            measured = [each for each in measured if each.nuisance_parameters == PLANES]
+            assert len(measured) >= 28  # one shot in 750 looks contradictory, or out of round, by chance
             values.append(nees_of(*combined(measured, rig, radii, common), scene.ring))
 
     for name, (_, lower, upper) in BANDS.items():

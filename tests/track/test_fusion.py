@@ -9,6 +9,7 @@ from moving_rings import START_S, Pushed, Shots, drawn_motion, record, stream
 from tracked_rings import track_of
 
 from ringpose.errors import DataError
+from ringpose.estimate.nuisance import FORM_PARAMETERS
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track import explanations
 from ringpose.track.explanations import TrackOptions
@@ -311,10 +312,38 @@ def test_an_inconsistent_record_counts_less(records):
     assert covariance_with(inconsistent) > covariance_with(records[3])
 
 
-def with_parameter(line, name: str):
-    """The record with one more nuisance parameter."""
-    root = np.insert(line.measurement.square_root, 12, 0.0, axis=1)
-    return replace(line, measurement=replace(line.measurement, nuisance_parameters=(name,), square_root=root))
+def with_parameters(line, *names: str):
+    """The record with more nuisance parameters, of which its measurement does not depend."""
+    root = np.insert(line.measurement.square_root, 12 * np.ones(len(names), dtype=int), 0.0, axis=1)
+    return replace(line, measurement=replace(line.measurement, nuisance_parameters=names, square_root=root))
+
+
+def out_of_round(line, tolerance_m: float):
+    """The record as one that was explained by a deviation of the ring's form."""
+    priors = replace(line.priors, assumptions=replace(line.priors.assumptions, ring_tolerance_m=tolerance_m))
+    return replace(with_parameters(line, *FORM_PARAMETERS), priors=priors, flags=PoseFlag.RING_FORM)
+
+
+@pytest.mark.parametrize("which", [0, 3], ids=["first", "later"])
+def test_records_with_and_without_the_form_of_the_ring_belong_to_one_track(records, which):
+    form = out_of_round(records[which], 1e-3)
+    tracker, alone = Tracker(None), Tracker(None)
+
+    found = statuses(tracker, [*records[:which], form, *records[which + 1 : 6]])
+
+    assert found == statuses(alone, records[:6])
+    np.testing.assert_allclose(final_state(tracker), final_state(alone), rtol=1e-9, atol=1e-12)
+
+
+def test_the_largest_tolerance_of_the_ring_holds_for_all_records_that_follow(records):
+    lines = [out_of_round(line, tolerance_m) for line, tolerance_m in zip(records, (1e-4, 2e-3, 1e-4), strict=False)]
+    tracker, roots = Tracker(None), []
+    for line in lines:
+        tracker.add(line, NOW_S)
+        roots.append(tracker.track.likeliest.common_root)
+
+    np.testing.assert_allclose(roots[1], 20.0 * roots[0])
+    np.testing.assert_array_equal(roots[2], roots[1])
 
 
 @pytest.mark.parametrize(
@@ -322,7 +351,7 @@ def with_parameter(line, name: str):
     [
         (lambda lines: replace(lines[3], rig="b" * 64), "rig"),
         (lambda lines: replace(lines[3], priors=Priors(rig_covariance=True)), "--rig"),
-        (lambda lines: with_parameter(lines[3], "gravity"), "gravity"),
+        (lambda lines: with_parameters(lines[3], "gravity"), "gravity"),
         (lambda lines: lines[2], "repeats"),
     ],
     ids=["of another rig", "needs the rig file", "unknown nuisance parameter", "repeated"],
