@@ -64,7 +64,7 @@ $(LOWEST)/.installed: pyproject.toml $(KERNELS)
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check 'uv>=0.5'
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --only-binary :all: \
 	  --editable .
-	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python beartype hypothesis pytest
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python beartype hypothesis jsonschema pytest
 	touch $@
 
 test-lowest: $(LOWEST)/.installed
