@@ -75,6 +75,9 @@ def _listed_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
 
 
 def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
+    if path.is_fifo():  # its kind shows only in its contents, which can be read once
+        yield NoInputError(str(path), "is a pipe, must be a file", "give - and the records on standard input")
+        return
     for item in _paths(path, suffixes):
         if not (isinstance(item, Path) and RECORDS_SUFFIX in suffixes and holds_records(item)):
             yield item

@@ -1,5 +1,6 @@
 import gzip
 import io
+import os
 
 import pytest
 
@@ -31,6 +32,15 @@ def test_missing_inputs_are_yielded_as_problems(tmp_path, monkeypatch):
     problems = list(inputs(["", "-", "missing.jsonl"], (".jsonl",)))
 
     assert [type(problem) for problem in problems] == 3 * [NoInputError]
+
+
+def test_a_named_pipe_is_yielded_as_a_problem_without_being_read(tmp_path):
+    os.mkfifo(tmp_path / "records")
+
+    (found,) = inputs([tmp_path / "records"], [".jsonl"])
+
+    assert isinstance(found, NoInputError)
+    assert "pipe" in str(found)
 
 
 def test_an_empty_folder_is_yielded_as_a_problem(tmp_path):
