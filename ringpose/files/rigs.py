@@ -89,7 +89,9 @@ def steep_stripes(lasers: LaserPlanes) -> list[str]:
 def read_mount(path: Path) -> Mount:
     """The key `mount` of a rig.yaml, or of a file with this key alone."""
     fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
-    fields.raw("mount")
+    if not fields.has("mount"):
+        remedy = "give its tool_from_camera, for example by calibrate-planes with --mount (ringpose-conventions(7))"
+        raise fields.problem("mount", "is missing", remedy)
     return _mount(fields)
 
 
