@@ -75,9 +75,6 @@ def _listed_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
 
 
 def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
-    if path.is_fifo():  # its kind shows only in its contents, which can be read once
-        yield NoInputError(str(path), "is a pipe, must be a file", "give - and the records on standard input")
-        return
     for item in _paths(path, suffixes):
         if not (isinstance(item, Path) and RECORDS_SUFFIX in suffixes and holds_records(item)):
             yield item
@@ -125,6 +122,9 @@ def _paths(path: Path, suffixes: tuple[str, ...]) -> Iterator[Path | NoInputErro
         if path.is_dir():
             children = (child for child in path.iterdir() if not child.name.startswith("."))
             files = sorted(child for child in children if child.suffix.lower() in suffixes)
+        elif path.is_fifo() and not holds_records(path):  # its kind shows only in its contents, which can be read once
+            yield NoInputError(str(path), "is a pipe, must be a file", "give - and the records on standard input")
+            return
     except OSError as error:
         name = str(path) if len(str(path)) <= MAX_NAME else f"{str(path)[:60]}..."
         yield NoInputError(name, f"cannot be opened: {(error.strerror or str(error)).lower()}")
