@@ -470,13 +470,13 @@ def predicted_bands(
     shown = project(undistorted_rays(np.array(ends), camera), camera).tolist()
     bands = []
     for (x, y), (other_x, other_y) in shown:
-        left, right = _searched(x, other_x, BEYOND_ENDS_PX, camera.image_width)
-        top, bottom = _searched(y, other_y, BAND_PX, camera.image_height)
+        left, right = _search_range(x, other_x, BEYOND_ENDS_PX, camera.image_width)
+        top, bottom = _search_range(y, other_y, BAND_PX, camera.image_height)
         bands.append((left, right, top, bottom))
     return np.array(bands, dtype=np.int32)
 
 
-def _searched(one: float, other: float, beyond: int, size: int) -> tuple[int, int]:
+def _search_range(one: float, other: float, beyond: int, size: int) -> tuple[int, int]:
     """First and (exclusive) last index of the range between two coordinates, widened and clipped to the image."""
     first, last = (one, other) if one < other else (other, one)
     return min(max(int(first) - beyond, 0), size), min(max(int(last) + beyond + 1, 0), size)

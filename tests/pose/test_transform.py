@@ -1,6 +1,7 @@
 import cv2
 import numpy as np
 import pytest
+from whole_records import square
 
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.transform import pose_in_frame
@@ -27,11 +28,6 @@ def some_pose(rng, **covariances) -> RingPose:
         residual_rms_px=0.1,
         **covariances,
     )
-
-
-def square(rng, size):
-    root = rng.normal(size=(size, size))
-    return root @ root.T
 
 
 def test_vectors_are_moved_and_radii_stay(rng):
