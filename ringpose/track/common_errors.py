@@ -56,7 +56,7 @@ def common_errors(
     """
     priors = line.priors or Priors()
     names = tuple(name for name in measurement.nuisance_parameters if name not in MOUNT_PARAMETERS)
-    of_mount = measurement.nuisance_parameters[len(names) :]
+    of_mount = tuple(name for name in measurement.nuisance_parameters if name in MOUNT_PARAMETERS)
     if form_tolerance_m is not None and FORM_PARAMETERS[0] not in names:
         names += FORM_PARAMETERS
     if not priors.rig_covariance:
