@@ -61,6 +61,9 @@ def run() -> None:
     try:
         raise_signals()
         gc.set_threshold(GARBAGE_FROM)
+        # the matrices of a shot are small: OpenBLAS, loaded with NumPy later, would share them between threads that
+        # mostly wait for each other, which doubles the time of a shot in ambient light
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         for stream in (sys.stdin, sys.stdout):
             if stream is not None:
                 stream.reconfigure(encoding="utf-8", errors="surrogateescape")  # type: ignore[union-attr]

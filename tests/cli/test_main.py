@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -11,6 +12,20 @@ from ringpose.cli.main import COMMANDS, main
 def test_version_is_printed(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"ringpose {version('ringpose')}\n"
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted by Linux's /proc")
+def test_linear_algebra_has_one_thread():
+    code = (
+        "import os, sys; from ringpose.cli import main\n"
+        "sys.argv = ['ringpose', '--version']\n"
+        "try: main.run()\n"
+        "except SystemExit: import numpy; print(len(os.listdir('/proc/self/task')))"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+
+    assert done.stdout.splitlines()[1:] == ["1"]
 
 
 def test_no_words_are_wrong_usage_and_get_the_help(capsys):
