@@ -29,13 +29,14 @@ from ringpose.estimate.hypotheses import (
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.nuisance import FORM_SHARE
-from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior, initial_guess
+from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
 from ringpose.estimate.solver import (
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
     estimate_ring,
     form_jacobian,
+    initial_guess,
     precise_ring,
     ring_residuals,
 )

@@ -1,4 +1,4 @@
-"""The estimation of one shot's ring as a linearised problem: prior, residuals, estimate and initial guess.
+"""The estimation of one shot's ring as a linearised problem: prior, residuals and estimate.
 
 All residuals are in units of their standard deviations, in this order: the lines of the stripes (residual a), the
 break points along their lines (b), the ordinates of break points without a line, the visible edges (c), and the prior
@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.measurements import Measurements, Observations, Points
+from ringpose.estimate.measurements import Points
 from ringpose.geometry.ring import (
     CURVATURE,
-    GENERATORS,
     STEP,
     EdgeDistances,
     Rates,
@@ -256,103 +255,3 @@ def ordinate_scale(
     remainder = yy - 2.0 * slope * xy + slope**2 * xx - cross_covariance**2 / xx
     scale = 1.0 / np.sqrt(np.maximum(remainder, 1e-12 * xx))
     return OrdinateScale(which, cross_covariance / xx / distance_wrt_x[which], scale)
-
-
-# Initial guess
-
-MIN_LENGTH_M = 1e-9
-"""A shorter vector has no direction."""
-
-
-def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
-    """The plane of the stripes, and a ring of typical size on it; None if the plane is not in front of the camera.
-
-    The origin lies on the middle of the face, on the mean ray of the break points.
-    """
-    measured, view = observations.measured, observations.view
-    if not len(measured.points.x):
-        return None
-    try:
-        plane = _plane_of_stripes(observations)
-    except np.linalg.LinAlgError:
-        return None
-    # the stripes on that plane, and the break points on them
-    image_line = view.light_normal - view.light_distance_m[:, None] * plane
-    slope = image_line[:, 0] / -image_line[:, 1]
-    rays = view.rays.copy()
-    rays[:, 1] = slope * rays[:, 0] - image_line[:, 2] / image_line[:, 1]
-    inverse_depth = rays @ plane
-    if not bool((inverse_depth > 0).all()):
-        return None
-    ends = view.ends
-    rays, slope, depth_m = rays[ends:], slope[ends:], 1.0 / inverse_depth[ends:]
-    points_m = depth_m[:, None] * rays
-    # dP/dx of the break points along their stripes, for P = depth r
-    points_wrt_x = depth_m[:, None] * np.column_stack([np.ones_like(slope), slope, np.zeros_like(slope)])
-    points_wrt_x -= (depth_m * (plane[0] + slope * plane[1]))[:, None] * points_m
-
-    normal = -plane / float(np.sqrt(plane @ plane))
-    across = (normal @ GENERATORS).reshape(3, 3)  # across @ v is the cross product of the normal and v
-    outward = _outward_direction(normal, across, measured, points_m, points_wrt_x)
-    mean_ray = rays.mean(axis=0)
-    curvature, half_band_m = _expected_size(measured, points_m @ outward, prior)
-    return RingArcs(
-        origin=mean_ray / float(mean_ray @ plane),
-        axes=np.array([-outward, across @ -outward, normal]),
-        curvature=curvature,
-        half_band_m=half_band_m,
-    )
-
-
-def _plane_of_stripes(observations: Observations) -> Float64[Array, "3"]:
-    """The plane q that fits the stripes: (m . r - d q . r) / (m - d q)_y = 0, linear in q for a fixed denominator."""
-    measured, view = observations.measured, observations.view
-    ends, count = view.ends, len(view.rays)
-    whitening = np.zeros((count, count))
-    whitening[:ends, :ends] = observations.whitening
-    isolated = ends + np.flatnonzero(measured.points.isolated)
-    whitening[isolated, isolated] = 1.0 / np.sqrt(measured.points.covariance[isolated - ends, 1, 1])
-    distance_m = view.light_distance_m
-    cosine = (view.light_normal * view.rays).sum(axis=1)  # m . r
-    plane = np.array([0.0, 0.0, float((cosine / distance_m).sum()) / count])
-    for _ in range(2):
-        denominator = view.light_normal[:, 1] - distance_m * plane[1]
-        rows = whitening @ ((distance_m / denominator)[:, None] * view.rays)
-        matrix = rows.T @ rows
-        matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2  # with a single stripe: a plane that faces the camera
-        plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / denominator)))
-    return plane
-
-
-def _outward_direction(
-    normal: Float64[Array, "3"],
-    across: Float64[Array, "3 3"],
-    measured: Measurements,
-    points_m: Float64[Array, "point 3"],
-    points_wrt_x: Float64[Array, "point 3"],
-) -> Float64[Array, "3"]:
-    """Mean direction from inner towards outer ends, seen from the middles of their stripes."""
-    points = measured.points
-    direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x)) @ points_wrt_x
-    if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
-        direction = across @ (points_m[-1] - points_m[0])
-    if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
-        direction = points_wrt_x[0]
-    direction = direction - (direction @ normal) * normal
-    unit: Float64[Array, "3"] = direction / np.sqrt(direction @ direction)
-    return unit
-
-
-def _expected_size(measured: Measurements, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
-    """Curvature (1/m) of the ring and half the width (m) of its face.
-
-    Both follow from the prior of the radii where it gives them. Otherwise the curvature is that of a typical ring, and
-    the width is the mean distance between the inner and the outer break points, at `outward_m` in radial direction.
-    """
-    inner, outer = (outward_m[measured.points.edge == edge].tolist() for edge in range(2))
-    half_band_m = 0.5 * (sum(outer) / len(outer) - sum(inner) / len(inner)) if inner and outer else EXPECTED_HALF_BAND_M
-    if prior.radii is None or not np.isfinite(prior.radii.radius_m).any():
-        return EXPECTED_CURVATURE, half_band_m
-    inner_m, outer_m = prior.radii.radius_m.tolist()
-    both_known = np.isfinite(outer_m - inner_m)
-    return 1.0 / float(np.nanmean(prior.radii.radius_m)), 0.5 * (outer_m - inner_m) if both_known else half_band_m
