@@ -624,8 +624,9 @@ def rig_jacobian(
         len(wrt_camera), 2, len(errors.parameters)
     )
     ray, edge_ray = rays[: len(laser)], rays[len(laser) :]
-    y_wrt_tilts = (errors.basis[laser] @ stripes.y_wrt_light_normal[:, :, None])[:, :, 0]
-    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance])
+    # m . r = d / depth: the cosine by the tilts is e1 . r and e2 . r, and the distance acts like a cosine of -1 / depth
+    cosine_wrt_tilts = (errors.basis[laser] @ stripes.rays[:, :, None])[:, :, 0]
+    y_wrt_plane = stripes.y_wrt_cosine[:, None] * np.column_stack([cosine_wrt_tilts, -1.0 / stripes.depth])
     predicted_y = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
     sloped = stripes.slope[:, None] * ray[:, 0]
     above = ray[:, 1] - sloped - predicted_y

@@ -249,17 +249,6 @@ class StripePrediction(NamedTuple):
     depth: Float64[Array, "n"]
     """Depth at which the rays meet the ring's plane."""
 
-    @property
-    def y_wrt_light_normal(self) -> Float64[Array, "n xyz=3"]:
-        """Derivatives by the normals of the light planes."""
-        wrt_normal: Float64[Array, "n xyz=3"] = self.rays * self.y_wrt_cosine[:, None]
-        return wrt_normal
-
-    @property
-    def y_wrt_light_distance(self) -> Float64[Array, "n"]:
-        """Derivatives by the distances of the light planes."""
-        return -self.y_wrt_cosine / self.depth
-
 
 def predicted_stripes(
     arcs: RingArcs,

@@ -184,8 +184,9 @@ def test_stripes_have_the_derivatives_of_central_differences_in_x_and_light_plan
     wrt_distance = difference(lambda h: ordinate(x, light, distance_m + h))
     wrt_light = [difference(lambda h, axis=axis: ordinate(x, light + h * axis, distance_m)) for axis in np.eye(3)]
     np.testing.assert_allclose(found.slope, wrt_x, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(found.y_wrt_light_distance, wrt_distance, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(found.y_wrt_light_normal, np.stack(wrt_light, axis=-1), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(-found.y_wrt_cosine / found.depth, wrt_distance, rtol=1e-6, atol=1e-8)
+    expected = np.stack(wrt_light, axis=-1)
+    np.testing.assert_allclose(found.y_wrt_cosine[:, None] * found.rays, expected, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize("rig", ["A", "B"])
