@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
-from time import perf_counter, time
+from time import time
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -37,21 +37,13 @@ from ringpose.cli.options.track import (
     record_writer,
     track_writer,
 )
-from ringpose.cli.pose_jobs import SingleShot, recorded_lines
+from ringpose.cli.pose_jobs import PoseStream, SingleShot, recorded_lines
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN, Method
 
 if TYPE_CHECKING:
-    from ringpose.capture.source import TrackedSequence
-    from ringpose.cli.overlays import PosePictures
-    from ringpose.detect.difference_images import LaserImage
-    from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.pipeline import Tracker
-    from ringpose.types.detection import Detection, Stripes
-    from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
-    from ringpose.types.rig import Rig
 
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
@@ -107,7 +99,7 @@ def pose(
     is_live_robot = camera is not None and robot_poses == STDIN
     motion = None if is_live_robot else camera_motion(robot_poses, rig, inputs)
     single = SingleShot(loaded_rig, channel, method, frame, known, options, motion)
-    stream = _Stream(single, settings.tracker(loaded_rig, options, motion) if track else None)
+    stream = PoseStream(single, settings.tracker(loaded_rig, options, motion) if track else None)
     if is_live_robot:
         from ringpose.cli.live_input import live_camera_motion
 
@@ -172,70 +164,8 @@ def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackS
         raise UsageError("--frame", "tool is not an inertial frame, as a track needs", "leave it out")
 
 
-class _Stream:
-    """Measures shots one after the other: monitors the rig, and with a `tracker` uses the track in the next shot."""
-
-    def __init__(self, single: SingleShot, tracker: "Tracker | None") -> None:
-        from ringpose.pose.drift import DriftMonitor
-        from ringpose.pose.form_monitor import FormMonitor
-
-        tolerance_m = getattr(single.known, "tolerance_m", None)  # of a ring of the catalogue
-        if tolerance_m is not None:
-            single = replace(single, options=replace(single.options, ring_tolerance_m=tolerance_m))
-        self._single, self._tracker = single, tracker
-        self.monitor = DriftMonitor(single.rig, single.rig.stability.scaled(single.options.rig_stability))
-        self.form = FormMonitor()
-        self.pictures: PosePictures | None = None
-        self.sequence: TrackedSequence | None = None
-        self.shots = None
-        self.searched: Callable[[LaserImage], Stripes | None] = lambda _: None
-        """The stripes of a frame that were found before its shot was complete."""
-        self.motion_until: Callable[[float], CameraMotion] | None = None
-        """The motion of the camera up to a stamp, for robot poses that arrive meanwhile."""
-        if tracker is not None:
-            from ringpose.capture import source
-            from ringpose.track.shots import ShotTracker
-
-            self.sequence, self.shots = source.TrackedSequence(), ShotTracker(tracker)
-
-    @property
-    def rig(self) -> "Rig":
-        """The rig, with the light planes that the stream has shown to have moved."""
-        return self.monitor.rig
-
-    def measured(self, source: "Shot | Detection") -> "PoseLine":
-        """The pose line of a shot or detection."""
-        from ringpose.types.image import Shot
-
-        single = replace(self._single, rig=self.rig)
-        if not isinstance(source, Shot):
-            return self._line(single, source, source)
-        if self.motion_until is not None:
-            single = replace(single, camera=self.motion_until(source.mid_exposure_s(-1)))
-            if self._tracker is not None:
-                self._tracker.camera = single.camera
-        start_s = perf_counter()
-        detection = self._detected(source, single)
-        detect_s = perf_counter() - start_s
-        line = self._line(single, source, detection)
-        return replace(line, latency_s=line.latency_s + detect_s, stage_s={"detect": detect_s, **line.stage_s})
-
-    def _detected(self, shot: "Shot", single: SingleShot) -> "Detection":
-        from ringpose.detect.pipeline import detect
-
-        assumptions = single.options.about_shot(single.rig.stability, still=shot.still)
-        if self.shots is not None:
-            return self.shots.detected(shot, single.rig, assumptions, self.searched)
-        return detect(shot, single.rig, assumptions=assumptions, camera=single.camera, searched=self.searched)
-
-    def _line(self, single: SingleShot, source: "Shot | Detection", detection: "Detection") -> "PoseLine":
-        if self.pictures is not None:
-            self.pictures.keep(source, detection)
-        return single.line(detection)
-
-
 def _writer(
-    stream: _Stream,
+    stream: PoseStream,
     write: "Callable[[Mapping[str, Any]], None]",
     output_format: Format,
     brief: bool,
@@ -271,7 +201,7 @@ def _writer(
 
 def _write(
     lines: "Iterator[PoseLine]",
-    stream: _Stream,
+    stream: PoseStream,
     write: "Callable[[PoseLine], None]",
     batch: Batch,
     verbose: bool,

@@ -16,11 +16,9 @@ from ringpose.detect.break_points import MAX_END_SIGMA_PX
 from ringpose.detect.pipeline import detect
 from ringpose.files import records
 from ringpose.files.images.shots import write_shot
-from ringpose.files.inputs import Record
-from ringpose.files.records.detections import detection_record
+from ringpose.files.records.detections import checked_detection, detection_of, detection_record
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
-from ringpose.files.sources import read_source
 from ringpose.pose.pipeline import pose_line
 from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
 from ringpose.types.options import Method, PoseFrame
@@ -74,7 +72,7 @@ def rig_of_shots(rig):
 
 def read_back(detection, rig):
     record = records.parsed_record(records.line_of(detection_record(detection)), "x")
-    return read_source(Record("x", validated(record)), rig, None)
+    return checked_detection(detection_of(validated(record), "x"), rig, "x")
 
 
 def round_trip(line):
@@ -145,7 +143,8 @@ def test_every_admissible_record_is_a_line_that_can_be_read(rig_of_shots, detect
     record = json.loads(detections.read_text().splitlines()[0])
     record["break_points"] = changed(record["break_points"], changes)
 
-    line = pose_line(read_source(Record("x", record), rig_of_shots, None), rig_of_shots, method, PoseFrame.CAMERA)
+    detection = checked_detection(detection_of(record, "x"), rig_of_shots, "x")
+    line = pose_line(detection, rig_of_shots, method, PoseFrame.CAMERA)
 
     assert round_trip(line).status == line.status
     assert (line.status == "none") == (line.pose is None)

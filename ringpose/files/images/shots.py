@@ -62,17 +62,20 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     optional |= {key: _masks(archive, key, frames) for key in _MASKS if key in archive}
     if "frame_id" in archive:
         optional["frame_id"] = archive.integers("frame_id", (frames,))
+    lasers, meta = _masks(archive, "lasers", frames), _meta(archive)
     stamp_s, exposure_s = _times(archive, frames)
     shot = Shot(
         name=archive.path.stem,
         images=images,
-        lasers=_masks(archive, "lasers", frames),
+        lasers=lasers,
         stamp_s=stamp_s,
         exposure_s=exposure_s,
-        meta=_meta(archive),
+        meta=meta,
         **optional,
     )
-    return shot if rig is None else checked_shot(shot, rig, str(archive.path))
+    if rig is not None:
+        _check_masks(shot, rig, str(archive.path))
+    return shot
 
 
 def write_shot(path: Path, shot: Shot, *, force: bool = False) -> None:
@@ -84,14 +87,18 @@ def write_shot(path: Path, shot: Shot, *, force: bool = False) -> None:
 
 def checked_shot(shot: Shot, rig: Rig, location: str) -> Shot:
     """The shot; rejected if its masks or image size do not match the rig. `location` is used in messages."""
+    _check_masks(shot, rig, location)
+    frames, height, width = shot.images.shape
+    check_shot_size(location, frames, width, height, rig.camera)
+    return shot
+
+
+def _check_masks(shot: Shot, rig: Rig, location: str) -> None:
     lasers = len(rig.lasers.names)
     for frame, mask in enumerate(shot.lasers.tolist()):
         if mask >> lasers:
             found = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
             raise DataError(f"{location}: lasers", found, "give the rig that took the shot")
-    frames, height, width = shot.images.shape
-    check_shot_size(location, frames, width, height, rig.camera)
-    return shot
 
 
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:

@@ -17,6 +17,7 @@ from ringpose.files.records.rejections import rejections_in
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import (
+    MAX_OFFSET,
     MAX_SIGMA_PX,
     BreakPoints,
     Detection,
@@ -25,7 +26,9 @@ from ringpose.types.detection import (
     RingEdgePoints,
     Segments,
     Stripes,
+    outside_image,
 )
+from ringpose.types.rig import Camera, Rig
 
 SCHEMA = "ringpose/detection/2"
 
@@ -51,6 +54,9 @@ _PARTS = {
 """Keys of each part, which are the attributes of its type."""
 
 MAX_INTEGER = 2**31
+
+OTHER_RIG = "give the rig with which they were detected"
+"""Remedy for a detection that does not match the rig."""
 
 
 def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
@@ -154,9 +160,26 @@ def _parsed_rejections(archive: Archive, text: object) -> Any:
         raise archive.problem(REJECTED, "is not valid JSON", "give the output of ringpose detect") from None
 
 
-def is_detection(archive: Archive) -> bool:
-    """Whether an archive is a detection, of any version."""
-    return "schema" in archive
+def checked_detection(detection: Detection, rig: Rig, location: str) -> Detection:
+    """The detection; rejected if it does not match the rig. `location` is used in messages."""
+    points = detection.break_points.position_px if isinstance(detection.break_points, BreakPoints) else None
+    for key, of_lasers in (("break_points", points), ("lasers_on", detection.lasers_on)):
+        if of_lasers is not None and len(of_lasers) != len(rig.lasers.names):
+            found = f"has {len(of_lasers)} lasers, the rig has {len(rig.lasers.names)}"
+            raise DataError(f"{location}: {key}", found, OTHER_RIG)
+    _check_positions(detection, rig.camera, location)
+    return detection
+
+
+def _check_positions(detection: Detection, camera: Camera, location: str) -> None:
+    """Reject points farther outside the image than lens distortion can explain (`MAX_OFFSET`)."""
+    width, height = camera.image_width, camera.image_height
+    for part, found in (("break_points", detection.break_points), ("ring_edges", detection.ring_edges)):
+        for key, max_offset in MAX_OFFSET.items():
+            position_px = getattr(found, key, None)
+            if position_px is not None and outside_image(position_px, max_offset, width, height).any():
+                where = f"lies beyond the image of {width} x {height} pixels that the rig's camera has"
+                raise DataError(f"{location}: {part}.{key}", where, OTHER_RIG)
 
 
 def _reason(fields: Fields) -> NoBreakPoints:
