@@ -247,11 +247,11 @@ def flagged_ends(
         rows = np.maximum(np.abs(tracks[:, SLOPE]) * (end - start), 1)
         shared = np.where(clipped, CLIPPED_PHASE / section / rows, 0.0)
         spread = np.maximum(used * (end - start), 1) / math.sqrt(12)
-
-        def line_sigma(at: Float64[Array, "end=2 track"]) -> Float64[Array, "end=2 track"]:
-            """Standard deviation of the line's ordinate."""
-            return np.hypot(middle * np.hypot(1, (at - tracks[:, MIDDLE_X]) / spread), shared)
-
+        straight_x = np.stack([start, end])
+        # standard deviations of the line's ordinate at the measured ends and at its own
+        at_ends, at_own = (
+            np.hypot(middle * np.hypot(1, (at - tracks[:, MIDDLE_X]) / spread), shared) for at in (x, straight_x)
+        )
         inside = (x >= BORDER_PX) & (x <= rig.camera.image_width - 1 - BORDER_PX)
         edge_sigma = np.where(blunt, np.sqrt(np.maximum(along**2 - width**2, 0)), along)
         flags = np.where(saturated > SATURATED_SHARE, int(BreakPointFlag.SATURATED), 0)
@@ -261,8 +261,7 @@ def flagged_ends(
         flags = np.where(inside, flags, int(BreakPointFlag.CLIPPED))
         direction = np.stack([np.ones_like(slope), slope], axis=-1)
         covariance = along[..., None, None] ** 2 * direction[..., None] * direction[..., None, :]
-        covariance[..., 1, 1] += line_sigma(x) ** 2
-    straight_x = np.stack([start, end])
+        covariance[..., 1, 1] += at_ends**2
     straight_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (straight_x - tracks[:, MIDDLE_X])
 
     def of_lasers(values: Array, fill: float = np.nan) -> Array:
@@ -276,7 +275,7 @@ def flagged_ends(
         covariance_px2=of_lasers(np.where(inside[..., None, None], covariance, np.nan)),
         flags=of_lasers(flags, 0),
         straight_px=of_lasers(np.stack([straight_x, straight_y], axis=-1)),
-        straight_sigma_px=of_lasers(line_sigma(straight_x)),
+        straight_sigma_px=of_lasers(at_own),
     )
 
 

@@ -66,7 +66,7 @@ def detect(
     background: Frame | None = None,
     assumptions: Assumptions | None = None,
     camera: CameraMotion | None = None,
-    searched: Callable[[LaserImage], Stripes | None] = lambda _: None,
+    searched: Callable[[LaserImage], Stripes | None] | None = None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
@@ -181,14 +181,15 @@ def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> 
 
 
 def _all_stripes(
-    images: list[LaserImage], source: StripeSource, searched: Callable[[LaserImage], Stripes | None]
+    images: list[LaserImage], source: StripeSource, searched: Callable[[LaserImage], Stripes | None] | None
 ) -> tuple[Stripes, Segments | None]:
     """The stripes of all frames in one record, and the line segments that they were made from, if any."""
     if source is StripeSource.SEGMENTS:
         return _stripes_between_segments(images)
+    early = [None if searched is None else searched(image) for image in images]
     parts = [
-        searched(image) or find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
-        for image in images
+        part or find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
+        for part, image in zip(early, images, strict=True)
     ]
     return _joined([_labelled(part, image) for part, image in zip(parts, images, strict=True)]), None
 

@@ -274,12 +274,12 @@ def measurements_of(
 
 def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lines, Points, bool]:
     """Lines and break points, and whether all of these have a covariance."""
+    laser, edge = np.nonzero(break_points.seen)
     count = len(break_points.position_px)
     stamp_s = np.full(count, np.nan) if break_points.stamp_s is None else break_points.stamp_s
     line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
     has_line = np.isfinite(line_px.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1))
     line_xy = undistorted_rays(line_px[has_line], camera)[..., :2]
-    laser, edge = np.nonzero(break_points.seen)
     xy = undistort(break_points.position_px[laser, edge], camera)
     ends = 2 * len(line_xy)
     wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(np.concatenate([line_xy.reshape(ends, 2), xy]), camera)

@@ -68,7 +68,7 @@ class ShotTracker:
         shot: Shot,
         rig: Rig,
         assumptions: Assumptions,
-        searched: Callable[[LaserImage], Stripes | None] = lambda _: None,
+        searched: Callable[[LaserImage], Stripes | None] | None = None,
     ) -> Detection:
         """What the shot shows, searched near the prediction if there is one, else everywhere.
 
