@@ -6,6 +6,8 @@ with the readers and writers of `ringpose.files`:
 rig = read_rig(Path("rig.yaml"))
 line = pose_line(read_shot(Path("shots/0001.npz"), rig=rig), rig)
 print(line.status, line.pose.center_m, pose_record(line))
+
+Set OPENBLAS_NUM_THREADS=1 in the environment, as the commands do: the matrices of a shot are too small for threads.
 """
 
 from collections.abc import Sequence
