@@ -31,7 +31,8 @@ def live_lines(
 ) -> "Iterator[Iterator[PoseLine]]":
     """Pose lines of a live camera: after each measurement, the latest shot is measured next.
 
-    A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block the lasers
+    A shot that is lost to changing ambient light has a line, too. A bad shot ends the stream, as all that follow would
+    be bad for the same reason. At the end of the block the lasers
     are off and the devices closed.
     """
     from ringpose.capture.latest_frame import NewestShots
@@ -42,7 +43,7 @@ def live_lines(
         line = measure(checked_shot(live.shot, rig, request.camera))
         return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
-    source = source_of(request, batch)
+    source = source_of(replace(request, yields_lost=True), batch)
     with ExitStack() as stack:
         for device in source.devices:
             stack.enter_context(device)
