@@ -87,6 +87,7 @@ def detect(
         lasers_on=(np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1,
         still=shot.still,
         ambient_changed=shot.ambient_changed,
+        rig=rig.sha256,
     )
     images = [] if shot.is_lost else laser_images(shot, len(rig.lasers.names), background)
     if not images:

@@ -27,6 +27,8 @@ def read_source(item: Input, rig: Rig, channel: str | None) -> Shot | Detection:
 
 
 def _checked_detection(detection: Detection, rig: Rig, location: str) -> Detection:
+    if detection.rig and rig.sha256 and detection.rig != rig.sha256:
+        raise DataError(location, f"is of another rig ({detection.rig:.12}, not {rig.sha256:.12})", _OTHER_RIG)
     points = detection.break_points.position_px if isinstance(detection.break_points, BreakPoints) else None
     for key, of_lasers in (("break_points", points), ("lasers_on", detection.lasers_on)):
         if of_lasers is not None and len(of_lasers) != len(rig.lasers.names):

@@ -211,6 +211,8 @@ class Detection:
     """Whether ambient light changed within the shot, as the shot states."""
     advice: str = ""
     """What would improve the shot, such as a shorter exposure; empty if nothing is known."""
+    rig: str = ""
+    """SHA-256 of the rig file with which the break points were found; empty if unknown."""
 
     @property
     def found(self) -> bool:

@@ -174,7 +174,7 @@ def scores_of_lines(
     names = Counter(truth.shot for truth in truths)
     if twice := [name for name, count in names.items() if count > 1]:
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
-    estimates = _estimates_in(inputs, truths, batch)
+    estimates = _estimates_in(inputs, truths, "" if rig is None else read_rig(rig).sha256, batch)
     if since_s > -inf:
         estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
@@ -194,8 +194,10 @@ def scores_of_lines(
     return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched
 
 
-def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "list[PoseEstimate]":
+def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Batch) -> "list[PoseEstimate]":
     """The pose or track records of the inputs; those that cannot be compared are reported on stderr.
+
+    Records of another rig than that of the SHA-256 `rig` are rejected, unless it is empty.
 
     Track records of instants between measurements have no shot, and are not compared. Track records whose shot the
     truth does not name, as with a live camera, are compared with the truth that is nearest in time.
@@ -219,6 +221,9 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "li
                 raise DataError(item.location, "is in the base frame", "track without --robot-poses")
             if tracked and not line.shot:
                 continue
+            if rig and line.rig and line.rig != rig:
+                found = f"is of another rig ({line.rig:.12}, not {rig:.12})"
+                raise DataError(item.location, found, "give the rig of the poses, or leave out --rig")
             estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
             if tracked and estimate.shot not in by_shot:
                 unnamed.append(estimate)

@@ -70,6 +70,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "ring_edges": _part("ring_edges", detection.ring_edges),
         "ring": _part("ring", detection.ring),
         REJECTED: detection.rejected,
+        "rig": detection.rig or None,
     }
     if full:
         record |= {"stripes": _part("stripes", detection.stripes), "segments": _part("segments", detection.segments)}
@@ -104,6 +105,7 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         ambient_changed=fields.boolean("ambient_changed") if fields.has("ambient_changed") else False,
         advice=str(fields.raw("advice")) if fields.has("advice") else "",
         rejected=rejections_in(fields),
+        rig=fields.optional("rig", fields.text) or "",
     )
 
 
