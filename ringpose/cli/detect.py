@@ -1,6 +1,7 @@
 """`ringpose detect`: images or shots -> break points."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -9,20 +10,22 @@ from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Batch, Jobs
 from ringpose.cli.options.assumptions import Assumed
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, file_option
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from ringpose.files.inputs import Input
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import BreakPoints, Detection
     from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
 
+OptionalRig = Annotated[
+    Path | None,
+    file_option("--rig", meaning="The calibrated rig (rig.yaml); required without --segments-only."),
+]
 Output = Annotated[
     str, typer.Option("--output", "-o", metavar="DIR", help="Write one NPZ a shot into this folder; - writes records.")
 ]
@@ -46,7 +49,7 @@ Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments i
 def detect(
     *,
     inputs: Inputs,
-    rig: OptionalRigFile = None,
+    rig: OptionalRig = None,
     output: Output = "-",
     overlay: Overlay = None,
     segments_only: SegmentsOnly = False,

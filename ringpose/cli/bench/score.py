@@ -16,9 +16,9 @@ from ringpose.cli.options.common import (
     CsvFile,
     Force,
     JsonFile,
-    OptionalRigFile,
     PoseFrame,
     Quiet,
+    file_option,
     number_option,
 )
 from ringpose.cli.progress import with_progress
@@ -34,6 +34,10 @@ DEFAULT_GROUPS = ("distance_m", "light")
 TruthFiles = Annotated[
     list[Path] | None,
     typer.Option("--truth", metavar="FILE", help="Ground truth (truth.jsonl); may be given again."),
+]
+OptionalRig = Annotated[
+    Path | None,
+    file_option("--rig", meaning="The rig of the pose lines; with data sets: measure with this rig instead."),
 ]
 By = Annotated[
     str | None,
@@ -54,7 +58,7 @@ def bench(
         typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
     ],
     truth: TruthFiles = None,
-    rig: OptionalRigFile = None,
+    rig: OptionalRig = None,
     by: By = None,
     method: Annotated[
         list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
@@ -159,10 +163,16 @@ def _since_s(text: str) -> float:
 
 
 def scores_of_lines(
-    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: Batch, since_s: float = -inf
+    inputs: list[str],
+    truth_files: list[Path],
+    rig: Path | None,
+    batch: Batch,
+    since_s: float = -inf,
+    any_rig: bool = False,
 ) -> "tuple[list[Score], Matching]":
     """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc.
 
+    Records of another rig than `rig` are rejected, unless `any_rig` is set.
     Shots before `since_s`, and shots of the truth whose time is not known, are left out.
     """
     from ringpose.bench.score import matching, scores
@@ -174,7 +184,8 @@ def scores_of_lines(
     names = Counter(truth.shot for truth in truths)
     if twice := [name for name, count in names.items() if count > 1]:
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
-    estimates = _estimates_in(inputs, truths, "" if rig is None else read_rig(rig).sha256, batch)
+    own_rig = "" if rig is None or any_rig else read_rig(rig).sha256
+    estimates = _estimates_in(inputs, truths, own_rig, batch)
     if since_s > -inf:
         estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}

@@ -11,7 +11,6 @@ from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.cli.options.common import (
     Force,
     ImageChannel,
-    OptionalBoard,
     OptionalInputs,
     OptionalOutput,
     Overlay,
@@ -34,7 +33,14 @@ if TYPE_CHECKING:
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""
 
-CameraFile = Annotated[Path | None, file_option("--camera", meaning="The calibrated camera (camera.yaml).")]
+BoardFile = Annotated[
+    Path | None,
+    file_option("--board", meaning="The board file: kind and sizes; required unless a stream is checked (--check)."),
+]
+CameraFile = Annotated[
+    Path | None,
+    file_option("--camera", meaning="The calibrated camera (camera.yaml); required without --check and --update."),
+]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
     bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
@@ -97,7 +103,7 @@ class _Inputs(NamedTuple):
 
 @app.command("calibrate-planes", cls=CommandWithModes)
 def calibrate_planes(
-    board: OptionalBoard = None,
+    board: BoardFile = None,
     inputs: OptionalInputs = None,
     camera: CameraFile = None,
     output: OptionalOutput = None,

@@ -51,8 +51,10 @@ ClockOption = Annotated[
     Clock, typer.Option("--clock", help="Of --images: the time of day, or simulated time that waits for the clients.")
 ]
 RateOption = Annotated[
-    float,
-    typer.Option("--rate", metavar="HZ", min=1e-3, max=1e4, callback=finite, help="Of --images: frames a second."),
+    float | None,
+    typer.Option(
+        "--rate", metavar="HZ", min=1e-3, max=1e4, callback=finite, help="Of --images: frames a second; default: 5."
+    ),
 ]
 SecretFile = Annotated[
     Path | None,
@@ -68,13 +70,16 @@ ImageWidth = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
+RATE_HZ = 5.0
+"""Frames that are served a second, if --rate is not given."""
+
 
 def serve(
     scene: SceneArgument = None,
     scene_option: SceneOption = None,
     images: Images = None,
     clock: ClockOption = Clock.WALL,
-    rate: RateOption = 5.0,
+    rate: RateOption = None,
     secret_file: SecretFile = None,
     truth: TruthFile = None,
     width: ImageWidth = None,
@@ -107,12 +112,11 @@ def serve(
             from ringpose.simulate.serve.preview import preview
 
             read = preview(read, width)
-        serve_images(read, images, clock, rate, secret_file, truth, force=force, verbose=verbose)
+        serve_images(read, images, clock, rate or RATE_HZ, secret_file, truth, force=force, verbose=verbose)
         return
-    if clock is not Clock.WALL or secret_file is not None or truth is not None or width is not None:
-        raise UsageError(
-            "--clock, --secret-file, --truth, --width", "are of use with --images only", "add --images URI"
-        )
+    if clock is not Clock.WALL or not all(option is None for option in (rate, secret_file, truth, width)):
+        found = "are of use with --images only"
+        raise UsageError("--clock, --rate, --secret-file, --truth, --width", found, "add --images URI")
     setup = Setup(
         address=_loopback("127.0.0.1" if camera is None else camera),
         relay=relay,
