@@ -91,14 +91,12 @@ def _lines_by_shot(
 
     lines: dict[str, PoseLine] = {}
     for file in map(str, files):
-        no_lines = DataError(file, f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
-        items = list(named([file], (RECORDS_SUFFIX,)))
-        if not items:
-            raise no_lines
-        for item in batch.valid_inputs(items):
+        for item in batch.valid_inputs(named([file], (RECORDS_SUFFIX,))):
             with batch.guarded():
                 if not isinstance(item, Record):
-                    raise no_lines if item.exists() else NoInputError(str(item), "does not exist")
+                    if not item.exists():
+                        raise NoInputError(file, "does not exist")
+                    raise DataError(file, f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
                 line = line_of(item.values, item.location)
                 if line.shot in lines and kind == "pose":
                     raise DataError(item.location, f"is a second pose line of the shot {line.shot}", "give one run")

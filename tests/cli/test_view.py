@@ -99,9 +99,9 @@ def test_names_in_a_replay_are_not_taken_for_markup(rig, picture, tmp_path):
     [
         (["--html", "v.html", "--poses", "missing"], 66, "missing"),
         (["--html", "v.html", "--tracks", "missing"], 66, "missing"),
-        (["--html", "v.html", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no pose lines"),
-        (["--html", "v.html", "--poses", "dark.jsonl", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no pose"),
-        (["--html", "v.html", "--tracks", "empty.jsonl"], 65, "empty.jsonl: holds no track lines"),
+        (["--html", "v.html", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no record"),
+        (["--html", "v.html", "--poses", "dark.jsonl", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no record"),
+        (["--html", "v.html", "--tracks", "empty.jsonl"], 65, "empty.jsonl: holds no record"),
         (["--html", "v.html", "--tracks", "poses.jsonl"], 65, "schema"),
         (["--html", "v.html", "--tracks", "tracks.jsonl"], 65, "--tracks"),
         (["--html", "v.html", "--truth", "other.jsonl"], 65, "--truth"),
