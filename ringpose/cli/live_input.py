@@ -54,17 +54,16 @@ def live_lines(
         yield map(line_of, newest)
 
 
-def live_camera_motion(rig: Path) -> "Callable[[float], CameraMotion]":
+def live_camera_motion(rig: Path, batch: "Batch") -> "Callable[[float], CameraMotion]":
     """A function of a stamp that returns the motion of the camera up to it.
 
-    It waits for the robot's poses, which arrive on standard input.
+    It waits for the robot's poses, which arrive on standard input; the batch reports bad ones.
     """
-    from ringpose.cli import messages
     from ringpose.files.records.robot_poses import RobotPoseStream
     from ringpose.files.rigs import read_mount
     from ringpose.geometry.camera_motion import CameraMotion
 
-    mount, stream = read_mount(rig), RobotPoseStream(messages.error)
+    mount, stream = read_mount(rig), RobotPoseStream(batch.report)
     later_s = mount.delay_s + mount.delay_sd_s  # errors of the delay are taken by differences of one standard deviation
     return lambda stamp_s: CameraMotion(poses=stream.until(stamp_s + later_s, PATIENCE_S), mount=mount)
 
