@@ -71,8 +71,10 @@ def detect(
     from ringpose.files.records.detections import DetectionSink
     from ringpose.files.rigs import read_rig
 
-    if rig is None and not segments_only:
-        raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    if segments_only and (track or stripes is not StripeSource.CENTERS):
+        raise UsageError("--segments-only", "searches no stripes", "leave out --track and --stripes")
+    if not segments_only:
+        _check_search(rig, method)
     if track and jobs > 1:
         raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
     loaded_rig = None if rig is None else read_rig(rig)
@@ -102,6 +104,14 @@ def detect(
             if not (detection.found or segments_only):
                 batch.record_status(NO_POSE)
     batch.finish()
+
+
+def _check_search(rig: Path | None, method: SegmentMethod) -> None:
+    """Options of a search for break points: a rig, and none of a search for segments."""
+    if rig is None:
+        raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    if method is not SegmentMethod.REFINED:
+        raise UsageError("--method", "is of use with --segments-only only", "add it, or leave --method out")
 
 
 @dataclass(slots=True, kw_only=True)

@@ -90,6 +90,7 @@ def test_a_client_with_the_secret_file_is_admitted(serve_images, capsys):
         (["--images", "tcp://127.0.0.1:0"], 2, "SCENE"),
         (["--images", "tcp://127.0.0.1:0", "scene.yaml", "--scene", "scene.yaml"], 2, "SCENE"),
         (["--images", "tcp://127.0.0.1:0", "scene.yaml", "--relay", "lcus"], 2, "--relay"),
+        (["--images", "tcp://127.0.0.1:0", "scene.yaml", "--move", "never"], 2, "--move"),
         (["scene.yaml", "--clock", "lockstep"], 2, "--images"),
         (["scene.yaml", "--rate", "5"], 2, "--images"),
         (["--images", "tcp://127.0.0.1:0", "scene.yaml", "--secret-file", "missing"], 66, "missing"),

@@ -9,10 +9,10 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.cli.options.common import (
+    CalibrationOutput,
     Force,
     ImageChannel,
     OptionalInputs,
-    OptionalOutput,
     Overlay,
     Quiet,
     Report,
@@ -106,7 +106,7 @@ def calibrate_planes(
     board: BoardFile = None,
     inputs: OptionalInputs = None,
     camera: CameraFile = None,
-    output: OptionalOutput = None,
+    output: CalibrationOutput = None,
     method: MethodName = PlanesMethod.JOINT,
     free_camera: FreeCamera = False,
     laser_names: LaserNames = None,

@@ -80,7 +80,9 @@ def check_report(report: Path | None, force: bool) -> None:
 
 _OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
 OutputFile = Annotated[Path, _OUTPUT]
-OptionalOutput = Annotated[Path | None, _OUTPUT]
+CalibrationOutput = Annotated[
+    Path | None, file_option("--output", "-o", meaning="Where the result is written; required to calibrate.")
+]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]

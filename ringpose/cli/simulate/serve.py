@@ -70,6 +70,9 @@ ImageWidth = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
+AFTER_S = 1.0
+"""Pause between frames after which the next view is shown, if --after is not given."""
+
 RATE_HZ = 5.0
 """Frames that are served a second, if --rate is not given."""
 
@@ -87,7 +90,7 @@ def serve(
     relay: RelayOption = Relay.NONE,
     show: ShowOption = ServedTarget.RING,
     move: MoveOption = AdvancePolicy.PAUSE,
-    after: After = 1.0,
+    after: After = AFTER_S,
     warm_up: WarmUp = 0.0,
     fault: FaultTexts = None,
     log: Log = None,
@@ -105,9 +108,10 @@ def serve(
         raise UsageError("SCENE", "is missing" if scene is None else "is given twice", "name one scene file")
     read = read_scene(next(each for each in (scene, scene_option) if each is not None))
     if images is not None:
-        if camera is not None or relay is not Relay.NONE or fault or log is not None:
-            found = "excludes --camera, --relay, --fault and --log, which are of the network camera"
-            raise UsageError("--images", found, "leave them out")
+        of_device = (camera, relay, show, move, after, warm_up, fault or None, log)
+        if of_device != (None, Relay.NONE, ServedTarget.RING, AdvancePolicy.PAUSE, AFTER_S, 0.0, None, None):
+            names = "--camera, --relay, --show, --move, --after, --warm-up, --fault and --log"
+            raise UsageError("--images", f"excludes {names}, which are of the network camera", "leave them out")
         if width is not None:
             from ringpose.simulate.serve.preview import preview
 
