@@ -5,6 +5,7 @@ from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot, shot_of
 from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in, detection_of, is_detection
+from ringpose.files.rigs import reject_other_rig
 from ringpose.types.detection import MAX_OFFSET, BreakPoints, Detection, outside_image
 from ringpose.types.image import Shot
 from ringpose.types.rig import Camera, Rig
@@ -27,8 +28,7 @@ def read_source(item: Input, rig: Rig, channel: str | None) -> Shot | Detection:
 
 
 def _checked_detection(detection: Detection, rig: Rig, location: str) -> Detection:
-    if detection.rig and rig.sha256 and detection.rig != rig.sha256:
-        raise DataError(location, f"is of another rig ({detection.rig:.12}, not {rig.sha256:.12})", _OTHER_RIG)
+    reject_other_rig(detection.rig, rig.sha256, location, _OTHER_RIG)
     points = detection.break_points.position_px if isinstance(detection.break_points, BreakPoints) else None
     for key, of_lasers in (("break_points", points), ("lasers_on", detection.lasers_on)):
         if of_lasers is not None and len(of_lasers) != len(rig.lasers.names):

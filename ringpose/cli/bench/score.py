@@ -219,6 +219,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Bat
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records import tracks
     from ringpose.files.records.poses import pose_line_of, recorded_status
+    from ringpose.files.rigs import reject_other_rig
 
     by_shot = {truth.shot: truth for truth in truths}
     estimates, unnamed = [], []
@@ -232,9 +233,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Bat
                 raise DataError(item.location, "is in the base frame", "track without --robot-poses")
             if tracked and not line.shot:
                 continue
-            if rig and line.rig and line.rig != rig:
-                found = f"is of another rig ({line.rig:.12}, not {rig:.12})"
-                raise DataError(item.location, found, "give the rig of the poses, or leave out --rig")
+            reject_other_rig(line.rig, rig, item.location, "give the rig of the poses, or leave out --rig")
             estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
             if tracked and estimate.shot not in by_shot:
                 unnamed.append(estimate)

@@ -298,10 +298,11 @@ def _stream_evidence(
     import numpy as np
 
     from ringpose.cli import messages
-    from ringpose.errors import NO_POSE, DataError, UsageError
+    from ringpose.errors import NO_POSE, UsageError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.poses import pose_line_of
+    from ringpose.files.rigs import reject_other_rig
     from ringpose.pose.drift import CONTRADICTORY, RigEvidence, evidence_for_file
 
     evidence, depths, shots, contradictory = RigEvidence(rig, rig.stability), [], 0, 0
@@ -312,10 +313,7 @@ def _stream_evidence(
             )
         with batch.guarded():
             line = pose_line_of(item.values, item.location)
-            if line.rig and line.rig != rig.sha256:
-                raise DataError(
-                    item.location, "is of another rig file", "give the rig by which the stream was measured"
-                )
+            reject_other_rig(line.rig, rig.sha256, item.location, "give the rig by which the stream was measured")
             shots += 1
             contradictory += bool(line.flags & CONTRADICTORY)
             found = evidence_for_file(line)
