@@ -3,7 +3,7 @@
     RingposeError
       UsageError            2   wrong usage
       DataError            65   the contents of a file or record are invalid
-      NoInputError         66   an input does not exist or cannot be opened
+      NoInputError         66   an input does not exist or cannot be opened, or standard input is empty
       DeviceError          69   a camera or laser board is absent or fails
       LaserSafetyError     70   a laser that should be off may be on
       CannotCreateError    73   an output exists already, or its folder cannot be written
@@ -45,7 +45,7 @@ class DataError(RingposeError):
 
 
 class NoInputError(RingposeError):
-    """An input does not exist or cannot be opened."""
+    """An input does not exist or cannot be opened, or standard input is empty."""
 
     status = 66
 

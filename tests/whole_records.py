@@ -185,6 +185,7 @@ def full_detection(rng: np.random.Generator, centers: int = 50) -> Detection:
         ring_edges=ring_edges(rng),
         lasers_on=np.array([True, False, True]),
         rejected=(Rejection(what="stripe", laser="middle", chi2=41.5), Rejection(what="assignment")),
+        rig="5b" * 32,
     )
 
 

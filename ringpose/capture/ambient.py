@@ -6,7 +6,7 @@ in many blocks, with the same sign in all of them.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -87,6 +87,11 @@ def same_ambient_light(images: UInt[Array, "frame row column"], full_dn: int) ->
         for one, other in combinations(range(len(images)), 2):
             same[one, other] = same[other, one] = _broad_change_dn(blocks[one] - blocks[other], full_dn) == 0.0
     return same
+
+
+def lost_shot(shot: Shot, change: AmbientChange) -> Shot:
+    """The shot, whose `meta` states that it is lost to this change."""
+    return replace(shot, meta={**shot.meta, "ambient_change_dn": change.size_dn, "lost": True})
 
 
 def lost_attempts_dn(meta: Mapping[str, Any]) -> list[float]:

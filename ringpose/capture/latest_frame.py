@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import TypeVar
 
-from ringpose.capture.ambient import lost_attempts_dn
 from ringpose.detect.difference_images import LaserImage
 from ringpose.types.arrays import Array
 from ringpose.types.detection import Stripes
@@ -17,11 +16,11 @@ from ringpose.types.image import Frame, Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveShot:
-    """A shot with data about its acquisition: lost shots, time of completion."""
+    """A shot with data about its acquisition: skipped shots, time of completion."""
 
     shot: Shot
     dropped: int
-    """Number of shots since the previous one that were skipped, or lost to changing ambient light."""
+    """Number of shots since the previous one that were skipped."""
     taken_s: float
     """Time of its completion (`time.perf_counter`)."""
 
@@ -80,8 +79,7 @@ class NewestShots:
                 if shot is None:
                     break
                 with self._changed:
-                    skipped = self._dropped + 1 if self._waiting is not None else 0
-                    self._dropped = skipped + len(lost_attempts_dn(shot.meta))
+                    self._dropped = self._dropped + 1 if self._waiting is not None else 0
                     self._waiting = LiveShot(shot=shot, dropped=self._dropped, taken_s=time.perf_counter())
                     self._changed.notify()
         except BaseException as failure:  # raised again where the shots are consumed
@@ -93,7 +91,7 @@ class NewestShots:
 
 
 def _live_shot(shot: Shot) -> LiveShot:
-    return LiveShot(shot=shot, dropped=len(lost_attempts_dn(shot.meta)), taken_s=time.perf_counter())
+    return LiveShot(shot=shot, dropped=0, taken_s=time.perf_counter())
 
 
 MAX_SEARCHED = 8

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.capture.ambient import AmbientChange, same_ambient_light
+from ringpose.capture.ambient import AmbientChange, lost_shot, same_ambient_light
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.exposure import ExposureControl
 from ringpose.capture.hdr import merged_brackets
@@ -76,8 +76,10 @@ class Procedure:
     """Time from switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
     """Whether every commanded laser must be seen in the images of a shot."""
+    yields_lost: bool = False
+    """Whether a shot that is lost to changing ambient light is yielded (`Shot.is_lost`), instead of taken again."""
     report: Callable[[str], None] = lambda _: None
-    """Receives a message when the camera is lost."""
+    """Receives a message when the camera is lost, and at the first shot that is lost to changing ambient light."""
     on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
     """Receives each frame as soon as it has arrived, unless several exposures are merged, and its saturation value."""
 
@@ -132,6 +134,9 @@ class _Sequencer:
         self._control = self._exposure_control() if procedure.is_exposure_auto else None
         self._was_slow = False
         """Whether the last shot needed a longer settling time."""
+        self._lost: list[AmbientChange] = []
+        """The changes of ambient light in the attempts that were lost in a row, up to now."""
+        self._is_loss_reported = False
 
     def choose_steps(self) -> None:
         """Choose the steps of the next shot, if that is wanted."""
@@ -139,21 +144,16 @@ class _Sequencer:
             self._steps = self._procedure.choose(self._procedure.steps)
 
     def shot(self, name: str) -> Shot:
-        """Take shots until one passes all checks, and return it.
+        """Take shots until one passes all checks, and return it; with `yields_lost` also one that is lost.
 
         The last problem is raised after `TRIES` attempts that failed because of camera or lasers, or after `MAX_LOST`
-        attempts that were lost to changing ambient light.
+        attempts in a row that were lost to changing ambient light.
         """
-        problem, failures, wrong = DeviceError("lasers", "no shot could be taken"), 0, 0
-        lost: list[AmbientChange] = []
-        while failures < TRIES and len(lost) < MAX_LOST:
+        problem, failures, wrong, attempts = DeviceError("lasers", "no shot could be taken"), 0, 0, 0
+        while failures < TRIES and len(self._lost) < MAX_LOST:
+            attempts += 1
             try:
-                if not failures and not lost:  # reconnecting arms the camera, too
-                    with _camera_errors():
-                        self._camera.arm(self._procedure.exposure_s)
-                self._measure_settle()
-                self._await_changes(len(lost))
-                shot = self._well_exposed(name, self._settle_after_s(wrong))
+                shot = self._attempt(name, wrong, is_first=attempts == 1)
             except LasersWentOff as error:
                 self._lasers.set_mask(0)
                 problem, failures = error, failures + 1
@@ -164,17 +164,37 @@ class _Sequencer:
                 continue
             checked, found = self._checker.checked(shot)
             if found is None:
-                return self._completed(checked, wrong, lost, is_first=not failures and not lost)
+                return self._completed(checked, wrong, is_first=not failures and not self._lost)
             if isinstance(found, AmbientLightChanged):
-                lost += found.changes
-                problem = AmbientLightChanged(lost, self._checker.never_seen(shot, len(lost)))
+                self._lost += found.changes
+                problem = AmbientLightChanged(self._lost, self._checker.never_seen(shot, len(self._lost)))
+                self._report_loss(name, problem)
+                if self._procedure.yields_lost and len(self._lost) < MAX_LOST:
+                    return lost_shot(shot, found.changes[0])
             else:
                 problem, failures, wrong = found, failures + 1, wrong + 1
         if isinstance(problem, MissingLasers):
             self._checker.reject_stripe_in_dark(problem.lasers)
         raise problem
 
-    def _completed(self, shot: Shot, wrong: int, lost: Sequence[AmbientChange], *, is_first: bool) -> Shot:
+    def _attempt(self, name: str, wrong: int, *, is_first: bool) -> Shot:
+        """A shot whose lasers and ambient light are not checked yet, after so many attempts with wrong lasers."""
+        if is_first:  # reconnecting arms the camera, too
+            with _camera_errors():
+                self._camera.arm(self._procedure.exposure_s)
+        self._measure_settle()
+        self._await_changes(len(self._lost))
+        return self._well_exposed(name, self._settle_after_s(wrong))
+
+    def _report_loss(self, name: str, problem: AmbientLightChanged) -> None:
+        """Report the first shot that is lost: a camera beside a lamp that flashes may lose many, for long."""
+        if not self._is_loss_reported:
+            again = "" if self._procedure.yields_lost else " and taken again"
+            found = f"{problem.location} {problem.found}; {problem.remedy}"
+            self._procedure.report(f"{name}: lost{again}: {found} (reported once)")
+        self._is_loss_reported = True
+
+    def _completed(self, shot: Shot, wrong: int, *, is_first: bool) -> Shot:
         """The accepted shot; its `meta` lists the changes of ambient light in lost attempts, for `lost_attempts_dn`.
 
         A longer settling time is kept for later shots if two shots in a row needed one; a single shot may have been
@@ -185,9 +205,9 @@ class _Sequencer:
         if wrong and self._was_slow:
             self._settle_s = self._settle_after_s(wrong)
         self._was_slow = wrong > 0
-        if not lost:
+        sizes_dn, self._lost = [change.size_dn for change in self._lost], []
+        if not sizes_dn or self._procedure.yields_lost:
             return shot
-        sizes_dn = [change.size_dn for change in lost]
         return replace(shot, meta={**shot.meta, "attempts_lost": {"ambient_changed": sizes_dn}})
 
     def _well_exposed(self, name: str, settle_s: float) -> Shot:

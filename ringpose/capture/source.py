@@ -56,8 +56,10 @@ class CaptureRequest:
     """Names of the rig's lasers; None where no rig is given."""
     rig: Rig | None = None
     """Rig of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
+    yields_lost: bool = False
+    """Whether shots that are lost to changing ambient light are yielded (`Procedure.yields_lost`)."""
     report: Callable[[str], None] = lambda _: None
-    """Receives a message when the camera is lost."""
+    """Receives messages about the capture (`Procedure.report`)."""
     on_frame: Callable[[Frame, int], None] = lambda _frame, _saturation_dn: None
     """Receives each frame as soon as it has arrived, and its saturation value (`Procedure.on_frame`)."""
 
@@ -168,6 +170,7 @@ def device_source(
         rig=request.rig,
         settle_s=None if settle_s == "auto" else settle_s,
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not request.allow_missing,
+        yields_lost=request.yields_lost,
         report=request.report,
         on_frame=request.on_frame,
     )

@@ -49,6 +49,8 @@ def _recorded(pattern: str, request: CaptureRequest, batch: Batch) -> Source:
         raise UsageError("--lasers", f'"{request.lasers}" cannot light what is recorded', "leave it out")
     if request.exposure_s is not None or any(step.exposure for step in request.steps or ()):
         raise UsageError("--exposure", "what is recorded has been exposed", "leave it out")
+    if request.settle_s is not None or request.allow_missing:
+        raise UsageError("--settle, --allow-unseen", "the lasers of what is recorded were switched", "leave them out")
     items = batch.valid_inputs(inputs([STDIN], SHOT_SUFFIXES) if pattern == STDIN else _matching_inputs(pattern))
     first = next(items, None)  # read before the session is created: a source without any input leaves none behind
     if first is None:

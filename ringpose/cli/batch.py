@@ -1,5 +1,7 @@
 """Batches of inputs: an invalid input is reported on stderr and skipped, and the highest exit status is returned."""
 
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -28,16 +30,31 @@ MAX_UNNAMED = 20
 random data has many lines."""
 
 
+_RECORD = re.compile(r"(?P<file>.+?):\d+(: (?P<key>.+))?")
+"""Location of a record, `file:line` or `file:line: key`."""
+
+
 class Batch:
     """The highest exit status of the inputs processed so far."""
 
     def __init__(self) -> None:
         self.status = 0
         self._in_a_row, self._unreported = 0, 0
+        self._records: Counter[tuple[str, str]] = Counter()
+        """Number of records with the same finding in the same key, by their file and the finding."""
 
-    def _report(self, problem: DataError | NoInputError) -> None:
-        """Report a problem on stderr; a file that exists is always named."""
+    def report(self, problem: DataError | NoInputError) -> None:
+        """Report a problem on stderr; a file that exists is always named.
+
+        A finding that the records of one file share is reported for the first of them, and counted at the end.
+        """
         self.record_status(problem.status)
+        record = _RECORD.fullmatch(problem.location)
+        if record is not None:
+            finding = record["file"], ": ".join(filter(None, [record["key"], problem.found]))
+            self._records[finding] += 1
+            if self._records[finding] > 1:
+                return
         self._in_a_row += 1
         is_line = isinstance(problem, NoInputError) or problem.location.startswith("standard input")
         if self._in_a_row > MAX_UNNAMED and is_line:
@@ -61,13 +78,13 @@ class Batch:
             yield
             self._report_count()
         except (DataError, NoInputError) as problem:
-            self._report(problem)
+            self.report(problem)
 
     def valid_inputs(self, items: "Iterable[Input | Problem]") -> "Iterator[Input]":
         """Yield the inputs in order; report those that are errors on stderr."""
         for item in items:
             if isinstance(item, DataError | NoInputError):
-                self._report(item)
+                self.report(item)
             else:
                 yield item
 
@@ -97,4 +114,7 @@ class Batch:
     def finish(self) -> None:
         """Exit the command with the highest status."""
         self._report_count()
+        for (file, found), count in self._records.items():
+            if count > 1:
+                messages.echo(f"{file}: the same in {count - 1} further records: {found}")
         raise typer.Exit(self.status)

@@ -10,7 +10,7 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import ImageChannel, OptionalRigFile, Quiet, Verbose, finite
+from ringpose.cli.options.common import ImageChannel, Quiet, Verbose, file_option, finite
 from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
@@ -41,6 +41,13 @@ CameraUri = Annotated[
         "--camera", metavar="URI", help="files:FOLDER, files:-, sim:SCENE.yaml, aravis:ADDRESS, ... (manual)."
     ),
 ]
+OptionalRig = Annotated[
+    Path | None,
+    file_option(
+        "--rig",
+        meaning="The rig of the lasers, not required: checks and names them, directs --exposure auto.",
+    ),
+]
 SessionFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The session; session-<UTC time> if not given.")
 ]
@@ -65,7 +72,7 @@ def capture(
     camera: CameraUri,
     shots: ShotOptions,
     rate: Rate = None,
-    rig: OptionalRigFile = None,
+    rig: OptionalRig = None,
     still: HeldStill = False,
     output: SessionFolder = None,
     force: ReplaceSession = False,

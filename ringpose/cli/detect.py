@@ -1,6 +1,7 @@
 """`ringpose detect`: images or shots -> break points."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -9,20 +10,22 @@ from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Batch, Jobs
 from ringpose.cli.options.assumptions import Assumed
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
+from ringpose.cli.options.common import Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, file_option
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from ringpose.files.inputs import Input
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import BreakPoints, Detection
     from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
 
+OptionalRig = Annotated[
+    Path | None,
+    file_option("--rig", meaning="The calibrated rig (rig.yaml); required without --segments-only."),
+]
 Output = Annotated[
     str, typer.Option("--output", "-o", metavar="DIR", help="Write one NPZ a shot into this folder; - writes records.")
 ]
@@ -46,7 +49,7 @@ Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments i
 def detect(
     *,
     inputs: Inputs,
-    rig: OptionalRigFile = None,
+    rig: OptionalRig = None,
     output: Output = "-",
     overlay: Overlay = None,
     segments_only: SegmentsOnly = False,
@@ -68,8 +71,10 @@ def detect(
     from ringpose.files.records.detections import DetectionSink
     from ringpose.files.rigs import read_rig
 
-    if rig is None and not segments_only:
-        raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    if segments_only and (track or stripes is not StripeSource.CENTERS):
+        raise UsageError("--segments-only", "searches no stripes", "leave out --track and --stripes")
+    if not segments_only:
+        _check_search(rig, method)
     if track and jobs > 1:
         raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
     loaded_rig = None if rig is None else read_rig(rig)
@@ -99,6 +104,14 @@ def detect(
             if not (detection.found or segments_only):
                 batch.record_status(NO_POSE)
     batch.finish()
+
+
+def _check_search(rig: Path | None, method: SegmentMethod) -> None:
+    """Options of a search for break points: a rig, and none of a search for segments."""
+    if rig is None:
+        raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    if method is not SegmentMethod.REFINED:
+        raise UsageError("--method", "is of use with --segments-only only", "add it, or leave --method out")
 
 
 @dataclass(slots=True, kw_only=True)

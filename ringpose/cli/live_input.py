@@ -31,7 +31,8 @@ def live_lines(
 ) -> "Iterator[Iterator[PoseLine]]":
     """Pose lines of a live camera: after each measurement, the latest shot is measured next.
 
-    A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block the lasers
+    A shot that is lost to changing ambient light has a line, too. A bad shot ends the stream, as all that follow would
+    be bad for the same reason. At the end of the block the lasers
     are off and the devices closed.
     """
     from ringpose.capture.latest_frame import NewestShots
@@ -42,7 +43,7 @@ def live_lines(
         line = measure(checked_shot(live.shot, rig, request.camera))
         return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
-    source = source_of(request, batch)
+    source = source_of(replace(request, yields_lost=True), batch)
     with ExitStack() as stack:
         for device in source.devices:
             stack.enter_context(device)
@@ -53,17 +54,16 @@ def live_lines(
         yield map(line_of, newest)
 
 
-def live_camera_motion(rig: Path) -> "Callable[[float], CameraMotion]":
+def live_camera_motion(rig: Path, batch: "Batch") -> "Callable[[float], CameraMotion]":
     """A function of a stamp that returns the motion of the camera up to it.
 
-    It waits for the robot's poses, which arrive on standard input.
+    It waits for the robot's poses, which arrive on standard input; the batch reports bad ones.
     """
-    from ringpose.cli import messages
     from ringpose.files.records.robot_poses import RobotPoseStream
     from ringpose.files.rigs import read_mount
     from ringpose.geometry.camera_motion import CameraMotion
 
-    mount, stream = read_mount(rig), RobotPoseStream(messages.error)
+    mount, stream = read_mount(rig), RobotPoseStream(batch.report)
     later_s = mount.delay_s + mount.delay_sd_s  # errors of the delay are taken by differences of one standard deviation
     return lambda stamp_s: CameraMotion(poses=stream.until(stamp_s + later_s, PATIENCE_S), mount=mount)
 

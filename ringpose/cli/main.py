@@ -6,6 +6,7 @@ are imported only after the signal handlers are installed, so that an interrupt 
 
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -101,9 +102,15 @@ def _command(arguments: list[str]) -> int:
             sys.stderr.write(error.format_message().rstrip() + "\n")
             return UsageError.status
         path = getattr(getattr(error, "ctx", None), "command_path", "ringpose")
-        raise UsageError("", error.format_message().rstrip("."), f"see {path} --help") from None
+        found = re.sub(r"a valid (int|float)( range)?\b", _number_kind, error.format_message().rstrip("."))
+        raise UsageError("", found, f"see {path} --help") from None
     except typer.Abort:
         return 128 + signal.SIGINT
+
+
+def _number_kind(found: re.Match[str]) -> str:
+    """What Typer calls a valid int or float, with or without range."""
+    return "a whole number" if found[1] == "int" else "a number"
 
 
 def _output_failed(error: OSError) -> int:

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING
 
+from ringpose.cli import messages
 from ringpose.cli.options.common import check_report
-from ringpose.errors import DataError
+from ringpose.errors import DataError, RingposeError
 from ringpose.files import atomic
 from ringpose.files.io import write_page
 
@@ -46,7 +48,10 @@ REPORT_WIDTH_PX = 900
 
 
 class PosePictures:
-    """Overlays and report of `ringpose pose`; a picture is drawn after the line of its shot has been written."""
+    """Overlays and report of `ringpose pose`; a picture is drawn after the line of its shot has been written.
+
+    The report is written at the end of the `with` block, also after an interrupt, which is how a live measurement ends.
+    """
 
     def __init__(self, rig: "Rig", folder: Path | None, report: Path | None, *, force: bool) -> None:
         check_report(report, force)
@@ -57,6 +62,19 @@ class PosePictures:
         self._lines: list[PoseLine] = []
         self._worst: list[tuple[tuple[int, float], int, Picture]] = []
         """Badness, number and picture of the worst shots, the worst first."""
+
+    def __enter__(self) -> "PosePictures":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._write_report()
+        except RingposeError as problem:
+            if error is None:
+                raise
+            messages.error(problem)  # the error that ended the block is reported, too
 
     def keep(self, source: "Shot | Detection", detection: "Detection") -> None:
         """Keep the shot and its detection for the picture of the next line."""
@@ -76,8 +94,7 @@ class PosePictures:
         if self._report is not None:
             self._lines.append(replace(line, measurement=None, plane_evidence=None, priors=None))
 
-    def finish(self) -> None:
-        """Write the report."""
+    def _write_report(self) -> None:
         if self._report is None:
             return
         from ringpose.report.poses import pose_report

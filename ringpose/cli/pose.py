@@ -103,7 +103,7 @@ def pose(
     if is_live_robot:
         from ringpose.cli.live_input import live_camera_motion
 
-        stream.motion_until = live_camera_motion(rig)
+        stream.motion_until = live_camera_motion(rig, batch)
     lines: AbstractContextManager[Iterator[PoseLine]]
     if camera is None:
         lines = nullcontext(recorded_lines(inputs or [], single, jobs, batch, lambda: stream.rig, stream.measured))
@@ -121,8 +121,7 @@ def pose(
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures
 
-            stream.pictures = PosePictures(loaded_rig, overlay, report, force=force)
-            stack.callback(stream.pictures.finish)  # also after an interrupt, which is how a live measurement ends
+            stream.pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
         write = _writer(stream, record_writer(stack, newest), output_format, brief, verbose, batch)
         _write(stack.enter_context(lines), stream, write, batch, verbose, quiet)
     batch.finish()
@@ -131,7 +130,7 @@ def pose(
 def _check_source(inputs: list[str] | None, camera: str | None, shots: ShotOptions) -> None:
     """Shots come either from files or from a camera."""
     if not inputs and camera is None:
-        raise UsageError("", "there is nothing to measure", "name an INPUT, or give --camera and --lasers")
+        raise UsageError("", "there is nothing to measure", "name an INPUT, or give --camera")
     if inputs and camera is not None:
         raise UsageError("--camera", f"and the input {inputs[0]} exclude each other", "leave one of them out")
     if camera is not None and camera.startswith("files:"):

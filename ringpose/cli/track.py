@@ -12,7 +12,7 @@ from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
-from ringpose.cli.options.common import OptionalRigFile, Quiet, Verbose, number_option
+from ringpose.cli.options.common import Quiet, Verbose, file_option, number_option
 from ringpose.cli.options.track import (
     Format,
     Newest,
@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     from ringpose.types.track import Attempt, TrackLine
 
 
+OptionalRig = Annotated[
+    Path | None,
+    file_option("--rig", meaning="The rig of the records; required if it has a covariance, and with --robot-poses."),
+]
+
+
 @app.command()
 @with_option_groups
 def track(
@@ -43,7 +49,7 @@ def track(
             help="Files of pose records (.jsonl), or folders of these; - reads records or names from standard input.",
         ),
     ],
-    rig: OptionalRigFile = None,
+    rig: OptionalRig = None,
     rate: Annotated[
         float | None, number_option("--rate", "HZ", "Lines a second, by this computer's clock.", 0.01, 1000)
     ] = None,
@@ -94,7 +100,7 @@ class _Records:
             try:
                 attempt = self._tracker.add(line, now_s)
             except DataError as problem:
-                raise DataError(f"{item.location}: {problem.location}", problem.found, problem.remedy) from problem
+                raise DataError(item.location, problem.found, problem.remedy) from problem
             if line.pose is not None and line.measurement is None:
                 self._report_once(f"{item.location}: has no measurement", "leave out --brief of ringpose pose")
             age_s = now_s - attempt.stamp_s

@@ -59,8 +59,8 @@ def view(
     loaded_rig = read_rig(rig)
     truths = {} if truth is None else {each.shot: each for each in read_truths(truth)}
     batch = Batch()
-    lines = _lines_by_shot(poses or [], batch, pose_line_of, "pose")
-    tracked = _lines_by_shot(tracks or [], batch, pose_line_of_track, "track")
+    lines = _lines_by_shot(poses or [], loaded_rig, batch, pose_line_of, "pose")
+    tracked = _lines_by_shot(tracks or [], loaded_rig, batch, pose_line_of_track, "track")
     shots = []
     for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.guarded():
@@ -83,23 +83,23 @@ def view(
 
 
 def _lines_by_shot(
-    files: list[Path], batch: Batch, line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
+    files: list[Path], rig: "Rig", batch: Batch, line_of: "Callable[[Mapping[str, Any], str], PoseLine]", kind: str
 ) -> "dict[str, PoseLine]":
     """The line of each shot; invalid ones are reported by the batch."""
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
+    from ringpose.files.rigs import reject_other_rig
 
     lines: dict[str, PoseLine] = {}
     for file in map(str, files):
-        no_lines = DataError(file, f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
-        items = list(named([file], (RECORDS_SUFFIX,)))
-        if not items:
-            raise no_lines
-        for item in batch.valid_inputs(items):
+        for item in batch.valid_inputs(named([file], (RECORDS_SUFFIX,))):
             with batch.guarded():
                 if not isinstance(item, Record):
-                    raise no_lines if item.exists() else NoInputError(str(item), "does not exist")
+                    if not item.exists():
+                        raise NoInputError(file, "does not exist")
+                    raise DataError(file, f"holds no {kind} lines", f"give the .jsonl output of ringpose {kind}")
                 line = line_of(item.values, item.location)
+                reject_other_rig(line.rig, rig.sha256, item.location, "give the rig of the poses")
                 if line.shot in lines and kind == "pose":
                     raise DataError(item.location, f"is a second pose line of the shot {line.shot}", "give one run")
                 if line.shot:  # a track also has lines of instants without a shot

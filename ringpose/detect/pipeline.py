@@ -83,12 +83,13 @@ def detect(
     nothing = Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
-        break_points=NoBreakPoints.NO_LASER_FRAME,
+        break_points=NoBreakPoints.AMBIENT_CHANGED if shot.is_lost else NoBreakPoints.NO_LASER_FRAME,
         lasers_on=(np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1,
         still=shot.still,
         ambient_changed=shot.ambient_changed,
+        rig=rig.sha256,
     )
-    images = laser_images(shot, len(rig.lasers.names), background)
+    images = [] if shot.is_lost else laser_images(shot, len(rig.lasers.names), background)
     if not images:
         return nothing
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)

@@ -50,8 +50,10 @@ def reject_existing(path: Path, force: bool) -> None:
     """
     try:
         path.parent.stat()
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise CannotCreateError(str(path), "is a folder, a device or a pipe, not a file", "choose another output")
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+            raise CannotCreateError(str(path), f"is {kind}, must be a file", "choose another output")
     except FileNotFoundError as error:
         if not path.parent.is_dir():
             raise output_error(path, error) from error
@@ -74,6 +76,8 @@ def make_folder(path: Path) -> Path:
     """The folder, created if necessary."""
     try:
         path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise CannotCreateError(str(path), "is not a folder, must be one", "choose another output") from error
     except OSError as error:
         raise output_error(path, error) from error
     return path

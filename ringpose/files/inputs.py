@@ -42,8 +42,8 @@ def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator
     """Yield the inputs in the given order; a folder yields its files with one of the suffixes, sorted by name.
 
     A `.jsonl` or `.jsonl.gz` file yields its records if `.jsonl` is among the suffixes. `-` reads stdin line by line;
-    each line is the name of a file or folder, or a JSON record. An invalid input is yielded as its error, so that the
-    caller's batch can report it and continue.
+    each line is the name of a file or folder, or a JSON record. An invalid input, or a source without any, is yielded
+    as its error, so that the caller's batch can report it and continue.
     """
     suffixes = tuple(suffixes)
     for argument in arguments:
@@ -56,8 +56,10 @@ def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator
 
 
 def path_of_input(item: Input) -> Path:
-    """The path of an input that must be a file; a record is rejected."""
+    """The path of an input that must be a shot or image; a record, and a file of records, is rejected."""
     if isinstance(item, Path):
+        if holds_records(item):
+            raise DataError(str(item), "is a file of records", "give shots or images")
         return item
     raise DataError(item.location, "is a record", "give the name of a shot or image")
 
@@ -66,12 +68,16 @@ def _listed_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     if sys.stdin is None:
         yield NoInputError("standard input", "is closed")
         return
+    is_empty = True
     for number, line in enumerate(lines(), start=1):
         text = line.strip()
+        is_empty = is_empty and not text
         if text.startswith("{"):
             yield _record(text, f"standard input:{number}")
         elif text:
             yield from _opened(Path(line.rstrip("\r\n")), suffixes)
+    if is_empty:
+        yield NoInputError("standard input", "is empty", "give names or records, one a line")
 
 
 def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
@@ -79,10 +85,14 @@ def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
         if not (isinstance(item, Path) and RECORDS_SUFFIX in suffixes and holds_records(item)):
             yield item
             continue
+        is_empty = True
         try:
             for number, line in enumerate(_lines(item), start=1):
                 if line.strip():
+                    is_empty = False
                     yield _record(line, f"{item}:{number}")
+            if is_empty:
+                yield DataError(str(item), "holds no record", "give one record a line")
         except (NoInputError, DataError) as problem:
             yield problem
 

@@ -28,6 +28,9 @@ _TOLERANCE = 1e-9
 MAX_LENGTH_M = 5.0
 """Longest plausible length on a rig or board; a larger number is probably in millimetres."""
 
+MAX_STAMP_S = 4_102_444_800.0
+"""Latest plausible stamp: the year 2100. A larger number is probably in milliseconds, or smaller parts of a second."""
+
 CHARACTERISTIC_KEYS = {
     "camera_matrix": "a camera",
     "camera": "a rig",
@@ -184,6 +187,13 @@ class Fields:
         if abs(longest) > limit_m:
             raise self.problem(key, f"is {longest:g}", "give metres; this looks like millimetres")
 
+    def stamp_s(self, key: str) -> float:
+        """A stamp in seconds, at most `MAX_STAMP_S`."""
+        stamp_s = self.number(key)
+        if stamp_s > MAX_STAMP_S:
+            raise self.problem(key, *late_stamp(stamp_s))
+        return stamp_s
+
     def fields(self, key: str, known: Iterable[str] | None = None) -> "Fields":
         """The mapping at a key."""
         return Fields(self.file, self.raw(key), known, self._below(key))
@@ -276,3 +286,8 @@ def checked_covariance(fields: Fields, key: str, data: Float64[Array, "n n"]) ->
     if len(data) and np.linalg.eigvalsh(correlation).min() < -_TOLERANCE * len(data):
         raise fields.problem(key, "is not positive semidefinite")
     return (data + data.T) / 2
+
+
+def late_stamp(stamp_s: float) -> tuple[str, str]:
+    """Finding and remedy for a stamp later than `MAX_STAMP_S`."""
+    return f"is {stamp_s:.6g}, which is after the year 2100", "give seconds, not milliseconds or nanoseconds"

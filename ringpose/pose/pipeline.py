@@ -76,12 +76,13 @@ def pose_line(
         detected_s = perf_counter()
         stage_s["detect"] = detected_s - start_s
     points = source.break_points
+    ambient = PoseFlag.AMBIENT_CHANGED if source.ambient_changed else PoseFlag(0)
     if not isinstance(points, BreakPoints):
         return PoseLine(
             shot=source.shot,
             stamp_s=source.stamp_s,
             pose=None,
-            flags=PoseFlag.ASSIGNMENT_AMBIGUOUS if points in CONTRADICTED else PoseFlag(0),
+            flags=(PoseFlag.ASSIGNMENT_AMBIGUOUS if points in CONTRADICTED else PoseFlag(0)) | ambient,
             reason="; ".join(filter(None, [points.value, source.advice])),
             frame=frame,
             lasers=unused_lasers(rig, source.lasers_on, points not in WITHOUT_STRIPES),
@@ -103,7 +104,6 @@ def pose_line(
         source.ring,
     )
     rejected = result.rejected or source.rejected
-    ambient = PoseFlag.AMBIENT_CHANGED if source.ambient_changed else PoseFlag(0)
     pose, velocity = result.pose, result.velocity
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
         from ringpose.pose.transform import pose_in_frame, velocity_in_frame
@@ -196,8 +196,9 @@ WITHOUT_STRIPES = (
     NoBreakPoints.IMAGE_DARK,
     NoBreakPoints.IMAGE_SATURATED,
     NoBreakPoints.NO_STRIPE,
+    NoBreakPoints.AMBIENT_CHANGED,
 )
-"""Reasons of shots in which no stripe was found."""
+"""Reasons of shots in which no stripe was found or searched."""
 
 CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)
 """Reasons of shots whose stripes fit no ring as the rig and the lasers' masks assign them."""

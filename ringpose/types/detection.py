@@ -57,6 +57,7 @@ class NoBreakPoints(Enum):
     CONTRADICTED_MASKS = "the stripes fit a ring only if assigned to other lasers than by the masks; check the wiring"
     CONTRADICTED_RIG = "most stripes would lie behind the camera; the images are of another rig, or upside down"
     AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
+    AMBIENT_CHANGED = "ambient light changed within the shot, so that its frames cannot be compared"
     NOT_SOUGHT = "break points were not searched for"
 
 
@@ -210,6 +211,8 @@ class Detection:
     """Whether ambient light changed within the shot, as the shot states."""
     advice: str = ""
     """What would improve the shot, such as a shorter exposure; empty if nothing is known."""
+    rig: str = ""
+    """SHA-256 of the rig file with which the break points were found; empty if unknown."""
 
     @property
     def found(self) -> bool:

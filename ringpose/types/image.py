@@ -79,8 +79,13 @@ class Shot:
 
     @property
     def ambient_changed(self) -> bool:
-        """Whether ambient light changed, too little for `capture` to repeat the shot, as `meta` states."""
+        """Whether ambient light changed within the shot, as `meta` states."""
         return "ambient_change_dn" in self.meta
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether ambient light changed so much that its frames cannot be compared, as `meta` of a live shot states."""
+        return self.meta.get("lost") is True
 
     @property
     def measured_at_s(self) -> float:

@@ -12,6 +12,13 @@ from ringpose.types.session import parsed_sequence
 IN_TURN = "off,1,2,3,off"
 
 
+def lost_in(scene, lost):
+    """Takes shots of which those that are lost are yielded, into a list."""
+    procedure = Procedure(steps=parsed_sequence(IN_TURN), settle_s=0.05, must_see=True, yields_lost=True)
+    for shot in captured_shots(scene, scene, procedure, map(str, range(20))):
+        lost.append(shot)
+
+
 def shots_of(scene, count=3, sequence=IN_TURN, settle_s=0.05, must_see=True):
     procedure = Procedure(steps=parsed_sequence(sequence), settle_s=settle_s, must_see=must_see)
     return list(captured_shots(scene, scene, procedure, map(str, range(count))))
@@ -106,6 +113,28 @@ def test_light_that_changes_in_every_shot_ends_the_capture_and_is_named(rng):
 
     assert "settle" not in str(caught.value)
     assert not isinstance(caught.value, LaserSafetyError)
+
+
+def test_a_live_shot_that_is_lost_is_yielded_and_states_it(rng):
+    scene, shots = BlinkingScene(rng, on_s=1.0, off_s=1.0, phase_s=100.15), []
+
+    lost_in(scene, shots)
+
+    assert [shot.name for shot in shots] == [str(number) for number in range(20)]
+    assert 0 < sum(shot.is_lost for shot in shots) < 20
+    for shot in shots:
+        assert shot.is_lost == (len({bool(scene.is_on(stamp_s)) for stamp_s in shot.stamp_s}) > 1)
+    assert lost_of(shots) == 0
+
+
+def test_ten_live_shots_lost_in_a_row_end_the_measurement(rng):
+    shots = []
+
+    with pytest.raises(DeviceError, match=r"ambient light: changed .* 10 shots"):
+        lost_in(BlinkingScene(rng, on_s=0.2, off_s=0.2), shots)
+
+    assert len(shots) == 9
+    assert all(shot.is_lost and shot.ambient_changed for shot in shots)
 
 
 def test_a_surface_that_moves_in_steady_light_loses_no_shot(rng):

@@ -51,15 +51,6 @@ class Bursts:
             self.taken.acquire()
 
 
-def test_shots_lost_to_changing_light_are_counted_as_dropped():
-    spoiled = replace(shot("a"), meta={"attempts_lost": {"ambient_changed": [30.0, -29.0]}})
-
-    with NewestShots(iter([spoiled])) as newest:
-        (live,) = newest
-
-    assert live.dropped == 2
-
-
 def test_a_fast_consumer_gets_every_shot():
     bursts = Bursts()
 

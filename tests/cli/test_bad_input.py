@@ -1,5 +1,6 @@
 """Each kind of bad input is one line on stderr and its status, and does not stop the rest of a batch."""
 
+import io
 import json
 
 import numpy as np
@@ -54,6 +55,16 @@ BAD = {
         lambda folder, picture: npz(folder / "bad.npz", stamp_s=np.array([1, np.nan])),
         65,
         "stamp_s: has a number that is not finite",
+    ),
+    "stamps in milliseconds": (
+        lambda folder, picture: npz(folder / "bad.npz", stamp_s=np.array([1.7e12, 1.7e12 + 100.0])),
+        65,
+        "stamp_s: is 1.7e+12, which is after the year 2100; give seconds",
+    ),
+    "no frame": (
+        lambda folder, picture: npz(folder / "bad.npz", images=np.zeros((0, *SIZE), np.uint8)),
+        65,
+        "images: has 0 frames",
     ),
     "fourth laser": (
         lambda folder, picture: npz(folder / "bad.npz", lasers=np.array([0, 8], np.uint8)),
@@ -115,3 +126,75 @@ def test_unwritable_output_is_one_line(picture, run, folder):
 
     assert (status, out) == (73, [])
     assert message.startswith(f"ringpose: {folder}/ringpose: cannot be written: ")
+
+
+@pytest.mark.parametrize("words", [["detect"], ["pose"], ["pose", "--jobs", 2]])
+def test_an_empty_standard_input_is_no_input(rig, run, monkeypatch, words):
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
+
+    status, out, (message,) = run(*words, "-", "--rig", rig)
+
+    assert (status, out) == (66, [])
+    assert message.startswith("ringpose: standard input: is empty")
+
+
+@pytest.mark.parametrize("command", ["pose", "track"])
+def test_a_file_without_a_record_is_one_line(rig, run, tmp_path, command):
+    (tmp_path / "empty.jsonl").touch()
+
+    status, out, (message,) = run(command, tmp_path / "empty.jsonl", "--rig", rig)
+
+    assert (status, out) == (65, [])
+    assert "empty.jsonl: holds no record" in message
+
+
+def test_records_of_another_kind_are_reported_once_and_counted(rig, detections, run):
+    status, out, (first, counted) = run("track", detections, "--rig", rig)
+
+    assert (status, out) == (65, [])
+    assert first.startswith(f"ringpose: {detections}:1: schema: ")
+    assert counted.startswith(f"ringpose: {detections}: the same in 2 further records: schema: ")
+
+
+def test_findings_that_differ_are_reported_each(rig, detections, run):
+    first, second, third = map(json.loads, detections.read_text().splitlines())
+    changes = {"labelled": 1}, {"labelled": 1}, {"flags": 1}
+    records = [
+        each | {"break_points": each["break_points"] | change}
+        for each, change in zip((first, second, third), changes, strict=True)
+    ]
+    detections.write_text("".join(json.dumps(each) + "\n" for each in records))
+
+    messages = run("pose", detections, "--rig", rig).messages
+
+    assert [message.removeprefix(f"ringpose: {detections}").split(": ")[:2] for message in messages] == [
+        [":1", "break_points.labelled"],
+        [":3", "break_points.flags"],
+        ["", "the same in 1 further records"],
+    ]
+
+
+def test_a_file_of_records_is_no_shot(rig, detections, run):
+    status, _, (message,) = run("detect", detections, "--rig", rig)
+
+    assert status == 65
+    assert "is a file of records" in message
+
+
+@pytest.mark.parametrize("option", ["--output", "--overlay"])
+def test_a_file_where_a_folder_is_needed_is_named_as_such(picture, run, tmp_path, option):
+    (tmp_path / "file").touch()
+
+    status, _, (message,) = run("detect", picture("a.png"), "--segments-only", option, tmp_path / "file")
+
+    assert status == 73
+    assert "file: is not a folder" in message
+
+
+def test_a_session_in_place_of_a_file_is_refused(picture, run, tmp_path):
+    (tmp_path / "file").touch()
+
+    status, _, (message,) = run("capture", "--camera", f"files:{picture('a.png')}", "--output", tmp_path / "file")
+
+    assert status == 73
+    assert "file: is not a folder" in message

@@ -1,6 +1,7 @@
 """`ringpose bench`, on poses that are off by known amounts."""
 
 import csv
+import hashlib
 import io
 import json
 import math
@@ -50,6 +51,18 @@ def poses() -> str:
 def report_of(capsys, *words: str) -> tuple[int, dict]:
     status = main(["bench", *words, "--truth", "truth.jsonl", "--json", "-"])
     return status, json.loads(capsys.readouterr().out)
+
+
+def test_poses_of_another_rig_than_the_one_given_are_rejected(capsys, rig):
+    write_truths("truth.jsonl", [truth_of(shot=shot) for shot in "ab"])
+    own = hashlib.sha256(rig.read_bytes()).hexdigest()
+    lines = [PoseLine(shot=s, stamp_s=0.0, pose=pose_off_by(0.0), rig=r) for s, r in (("a", own), ("b", "5b" * 32))]
+    write_lines("poses.jsonl", lines)
+
+    status, report = report_of(capsys, "poses.jsonl", "--rig", str(rig))
+
+    assert status == 65
+    assert report["groups"][-1]["outcomes"]["lost"] == 1
 
 
 @pytest.mark.parametrize("name", ["poses.jsonl", "-"])

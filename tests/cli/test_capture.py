@@ -166,6 +166,8 @@ def test_without_an_output_the_folder_is_named_by_the_time(run):
         (["--camera", "files:in", "--lasers", ""], 2, '"" names no device'),
         (["--camera", "files:in", "--sequence", 5000 * "9"], 2, "a step is off, all, or laser numbers"),
         (["--camera", "files:in", "--sequence", "1@" + 5000 * "9" + "s"], 2, "has no exposure after its @"),
+        (["--camera", "files:in", "--settle", "0.1"], 2, "--settle"),
+        (["--camera", "files:in", "--allow-unseen"], 2, "--allow-unseen"),
         (["--camera", "files:in", "--settle", "soon"], 2, '"soon"; it is auto, or seconds from 0 to 10'),
         (["--camera", "files:in", "--settle", "-1"], 2, '"-1"; it is auto, or seconds from 0 to 10'),
         (["--camera", "files:in", "--settle", "nan"], 2, '"nan"; it is auto, or seconds from 0 to 10'),

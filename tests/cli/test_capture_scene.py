@@ -94,23 +94,41 @@ def test_shots_that_a_beacon_spoils_are_taken_again_and_counted(capture, scene):
     """The beacon changes 5 ms after the beginning of each shot, of which one lasts for 12 ms."""
     scene(*blinking("on_s: 0.05, off_s: 0.05, phase_s: 1767225600.005"))
 
-    status, out, (message,) = capture("--exposure", 0.0005)
+    status, out, (first, message) = capture("--exposure", 0.0005)
 
     shots = [read_shot(Path(name)) for name in out]
     assert status == 0
     assert [shot.name for shot in shots] == ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"]
+    assert "z0500_p00_dim: lost and taken again: ambient light" in first
     assert "ambient light: 3 shots were lost" in message
-    assert "settle" not in message
+    assert "settle" not in first + message
     for shot in shots:
         assert len(shot.meta["attempts_lost"]["ambient_changed"]) == 1
         assert abs(float(shot.images[0].mean()) - float(shot.images[-1].mean())) < 0.5
 
 
-def test_light_that_changes_in_every_shot_ends_the_capture_with_one_line(capture, scene):
+def test_light_that_changes_in_every_shot_ends_the_capture_and_is_reported_from_the_first_on(capture, scene):
     scene(*blinking("on_s: 0.006, off_s: 0.006"))
 
-    status, out, (message,) = capture("--exposure", 0.0005)
+    status, out, (first, message) = capture("--exposure", 0.0005)
 
     assert (status, out) == (69, [])
+    assert "z0500_p00_dim: lost and taken again: ambient light" in first
     assert "ambient light: changed within each of 10 shots" in message
-    assert "settle" not in message
+    assert "settle" not in first + message
+
+
+@pytest.mark.parametrize("words", [[], ["--track"]])
+def test_a_live_shot_in_which_light_changes_is_a_line_without_a_pose(scene, run, words):
+    scene(*blinking("on_s: 0.006, off_s: 0.006"))
+
+    found = run("pose", "--camera", "sim:scene.yaml", "--rig", "rig.yaml", "--exposure", 0.0005, *words)
+
+    assert found.status == 3
+    assert found.records[-1]["shot"] == "z0500_p02_dim"
+    for record in found.records:
+        assert (record["status"], record["pose"]) == ("none", None)
+        assert "ambient light" in record["reason"]
+        assert words or record["flags"] == ["ambient_changed"]
+    (message,) = found.messages
+    assert "z0500_p00_dim: lost: ambient light" in message

@@ -127,3 +127,18 @@ def test_rendered_shot_has_six_break_points(shared_data, run, shot):
     assert found.status == 0
     points = found.records[0]["break_points"]["position_px"]
     assert np.isfinite(np.array(points, dtype=float)).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["--rig", "rig.yaml", "--method", "length"], "--method"),
+        (["--segments-only", "--stripes", "segments"], "--stripes"),
+        (["--segments-only", "--track"], "--track"),
+    ],
+)
+def test_options_that_would_be_ignored_are_wrong_usage(run, words, option):
+    status, out, (message,) = run("detect", "a.png", *words)
+
+    assert (status, out) == (2, [])
+    assert option in message

@@ -43,6 +43,8 @@ def test_no_words_are_wrong_usage_and_get_the_help(capsys):
         (["nonsense"], "ringpose: No such command 'nonsense'; see ringpose --help\n"),
         (["pose"], "see ringpose pose --help\n"),
         (["pose", "-", "--rig"], "ringpose: Option '--rig' requires an argument; see ringpose --help\n"),
+        (["detect", "-", "--jobs", "1.5"], "'1.5' is not a whole number; see ringpose detect --help\n"),
+        (["track", "-", "--rate", "x"], "'x' is not a number; see ringpose track --help\n"),
         (["pose", "-", "--rig", "rig.yaml", "--method", "guess"], "see ringpose pose --help\n"),
         (["detect", "a.png"], "ringpose: --rig is missing; give --rig FILE, or --segments-only for any image\n"),
     ],

@@ -108,6 +108,21 @@ def test_detection_without_break_points_of_another_number_of_lasers_is_refused(p
     assert "none.jsonl:1: lasers_on: has 2 lasers, the rig has 3" in message
 
 
+@pytest.mark.parametrize("output", ["-", "found"])
+def test_detections_are_measured_with_their_own_rig_only(run, pose, rig, picture, tmp_path, output):
+    black, detections = picture("black.png"), tmp_path / "found.jsonl"
+    found = run("detect", black, "--rig", rig, "--output", output if output == "-" else tmp_path / output)
+    detections.write_text("\n".join(found.out))
+    inputs = [detections if output == "-" else tmp_path / output]
+    assert pose(inputs=inputs).status == 3
+    rig.write_text(rig.read_text() + "\n# calibrated again\n")
+
+    status, out, (message,) = pose(inputs=inputs)
+
+    assert (status, out) == (65, [])
+    assert "is of another rig" in message
+
+
 @pytest.mark.parametrize(("key", "limit_px"), [("position_px", 1281.0), ("face_start_px", 7041.0)])
 def test_detection_beside_the_rigs_image_is_refused(pose, detections, tmp_path, key, limit_px):
     records = [json.loads(line) for line in detections.read_text().splitlines()]

@@ -108,7 +108,7 @@ def test_planes_that_have_moved_are_estimated_from_shots_of_a_board(plane_folder
     ("words", "status", "named"),
     [
         (["--check", "rig.yaml", "stream.jsonl"], 65, "--brief"),
-        (["--check", "other.yaml", "stream.jsonl"], 65, "stream.jsonl:1: is of another rig file"),
+        (["--check", "other.yaml", "stream.jsonl"], 65, "stream.jsonl:1: is of another rig"),
         (["--check", "rig.yaml", "shot.npz"], 2, "--board"),
         (["--update", "rig.yaml", "stream.jsonl"], 2, "--output"),
         (["--update", "rig.yaml", "--output", "new.yaml", "--camera", "c.yaml", "stream.jsonl"], 2, "--camera"),

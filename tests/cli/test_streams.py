@@ -217,6 +217,15 @@ def test_full_disk_in_a_batch_leaves_what_was_finished(started, picture, tmp_pat
     assert detection_in(Archive(tmp_path / "out" / "a.npz")).shot == "a"
 
 
+def test_a_full_disk_names_the_overlay_as_well_as_the_report(started, rig, detections, tmp_path):
+    words = ["pose", detections, "--rig", rig, "--overlay", tmp_path / "drawn", "--report", tmp_path / "r.html"]
+    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))) as process:
+        _, said = process.communicate(timeout=DEADLINE_S)
+
+    assert process.returncode == 74
+    assert [line.split(": ")[1] for line in said.splitlines()] == [f"{tmp_path}/r.html", f"{tmp_path}/drawn/a.png"]
+
+
 def test_progress_goes_to_a_terminal_and_leaves_the_records_alone(started, rig, detections):
     terminal, end = pty.openpty()
     with started("pose", detections, "--rig", rig, stderr=end, env={**os.environ, "TERM": "xterm"}) as process:

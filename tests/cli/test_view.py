@@ -99,10 +99,11 @@ def test_names_in_a_replay_are_not_taken_for_markup(rig, picture, tmp_path):
     [
         (["--html", "v.html", "--poses", "missing"], 66, "missing"),
         (["--html", "v.html", "--tracks", "missing"], 66, "missing"),
-        (["--html", "v.html", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no pose lines"),
-        (["--html", "v.html", "--poses", "dark.jsonl", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no pose"),
-        (["--html", "v.html", "--tracks", "empty.jsonl"], 65, "empty.jsonl: holds no track lines"),
+        (["--html", "v.html", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no record"),
+        (["--html", "v.html", "--poses", "dark.jsonl", "--poses", "empty.jsonl"], 65, "empty.jsonl: holds no record"),
+        (["--html", "v.html", "--tracks", "empty.jsonl"], 65, "empty.jsonl: holds no record"),
         (["--html", "v.html", "--tracks", "poses.jsonl"], 65, "schema"),
+        (["--html", "v.html", "--poses", "rig.jsonl"], 65, "another rig"),
         (["--html", "v.html", "--tracks", "tracks.jsonl"], 65, "--tracks"),
         (["--html", "v.html", "--truth", "other.jsonl"], 65, "--truth"),
         (["--html", "there.html"], 73, "there.html"),
@@ -115,6 +116,8 @@ def test_what_cannot_be_shown_is_reported(rig, picture, tmp_path, monkeypatch, c
     (tmp_path / "empty.jsonl").touch()
     pose = {"schema": "ringpose/pose/2", "shot": "dark", "stamp_s": 0.0, "frame": "camera", "flags": []}
     (tmp_path / "dark.jsonl").write_text(json.dumps(pose | {"reason": "dark", "status": "none", "pose": None}))
+    record = pose | {"reason": "dark", "status": "none", "pose": None, "rig": "5b" * 32}
+    (tmp_path / "rig.jsonl").write_text(json.dumps(record))
     (tmp_path / "poses.jsonl").write_text('{"schema": "ringpose/pose/2", "shot": "dark"}\n')
     track = {"schema": "ringpose/track/1", "shot": "other", "stamp_s": 0.0, "validity": "lost", "fusion_status": "none"}
     (tmp_path / "tracks.jsonl").write_text(json.dumps(track | {"frame": "camera", "pose": None, "velocity": None}))

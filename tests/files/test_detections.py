@@ -87,6 +87,7 @@ def test_detection_is_read_as_it_was_written(rng, there_and_back):
     assert same(after.ring_edges, before.ring_edges)
     np.testing.assert_array_equal(after.lasers_on, before.lasers_on)
     assert [str(each) for each in after.rejected] == [str(each) for each in before.rejected]
+    assert after.rig == before.rig
 
 
 def test_detection_without_time_stamps_is_read_without(rng, there_and_back):
@@ -103,13 +104,13 @@ def test_version_1_is_read_without_time_stamps(rng):
     record = record_of(detection_record(full_detection(rng))) | {"schema": "ringpose/detection/1"}
     for part in ("break_points", "stripes", "segments"):
         del record[part]["stamp_s"]
-    del record["lasers_on"], record["rejected"]
+    del record["lasers_on"], record["rejected"], record["rig"]
 
     after = detection_of(record, "x")
 
     assert after.found
     unknown = after.break_points.stamp_s, after.stripes.stamp_s, after.lasers_on
-    assert (unknown, after.rejected) == ((None,) * 3, ())
+    assert (unknown, after.rejected, after.rig) == ((None,) * 3, (), "")
 
 
 def test_unknown_keys_are_ignored(rng):

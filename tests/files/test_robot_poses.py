@@ -14,7 +14,7 @@ def arriving(monkeypatch, stamps_s, failure=None):
 
     def inputs(*_):
         for number, stamp_s in enumerate(stamps_s, start=1):
-            pose = {"position_m": [stamp_s, 0.0, 0.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+            pose = {"position_m": [min(stamp_s, 9.0), 0.0, 0.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
             yield Record(f"-:{number}", {"stamp_s": stamp_s, "base_from_tool": pose})
         if failure is not None:
             raise failure
@@ -30,6 +30,16 @@ def test_poses_that_arrived_are_given_and_bad_ones_reported(monkeypatch):
 
     np.testing.assert_array_equal(poses.stamp_s, [1.0, 2.0, 3.0])
     assert ["-:3" in str(problem) for problem in reported] == [True]
+
+
+def test_poses_stamped_in_milliseconds_are_reported_with_the_unit(monkeypatch):
+    reported = []
+    arriving(monkeypatch, [1.0, 2.0, 1.7e12])
+
+    poses = RobotPoseStream(reported.append).until(10.0, 60.0)
+
+    np.testing.assert_array_equal(poses.stamp_s, [1.0, 2.0])
+    assert ["give seconds" in str(problem) for problem in reported] == [True]
 
 
 def test_a_failure_of_standard_input_is_raised_where_poses_are_needed(monkeypatch):

@@ -8,7 +8,7 @@ import typer
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
-from ringpose.cli.options.common import STDOUT, Force, JsonFile, OptionalRigFile, number_option
+from ringpose.cli.options.common import STDOUT, Force, JsonFile, file_option, number_option
 from ringpose.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -25,7 +25,9 @@ def compare(
     ],
     b: Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")],
     truth: TruthFiles = None,
-    rig: OptionalRigFile = None,
+    rig: Annotated[
+        Path | None, file_option("--rig", meaning="The rig of the pose lines, for the arc that the stripes span.")
+    ] = None,
     by: By = None,
     methods: Annotated[
         str | None,
@@ -52,7 +54,7 @@ def compare(
     if a == b == STDOUT:
         raise UsageError("", "both results are read from standard input", "write one of them into a file")
     batch = Batch()
-    result_a, result_b = (_read(name, truth, rig, batch) for name in (a, b))
+    result_a, result_b = (_read(name, truth, rig, batch, any_rig=allow_other_rig) for name in (a, b))
     if result_a.truths and result_b.truths and result_a.truths != result_b.truths:
         raise DataError(b, f"was scored against another truth than {a}", "score both against one truth")
     paired = pairs(*_of_methods(result_a, result_b, methods))
@@ -83,8 +85,11 @@ class _Result(NamedTuple):
     """SHA-256 of the truth files."""
 
 
-def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) -> _Result:
-    """Scores computed from pose records, or read from a report of `bench --json` or from the results of a study."""
+def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch, *, any_rig: bool) -> _Result:
+    """Scores computed from pose records, or read from a report of `bench --json` or from the results of a study.
+
+    `any_rig`: whether the records may be of another rig than `rig`.
+    """
     from ringpose.bench.report import recorded_scores
     from ringpose.bench.study.table import scores_of
     from ringpose.files.inputs import holds_records
@@ -103,7 +108,7 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch) 
         return _Result(name, recorded_scores(fields), list(fields.texts("truths")))
     if not truths:
         raise UsageError("", f"{name} holds pose records, which need a truth", "give --truth FILE")
-    scores, _ = scores_of_lines([name], truths, rig, batch)
+    scores, _ = scores_of_lines([name], truths, rig, batch, any_rig=any_rig)
     if all(score.status == "lost" for score in scores):
         raise DataError(name, "has no pose line of a shot of the truth", "give poses of the same data set")
     return _Result(name, scores, sorted(map(sha256, truths)))

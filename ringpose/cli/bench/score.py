@@ -16,9 +16,9 @@ from ringpose.cli.options.common import (
     CsvFile,
     Force,
     JsonFile,
-    OptionalRigFile,
     PoseFrame,
     Quiet,
+    file_option,
     number_option,
 )
 from ringpose.cli.progress import with_progress
@@ -34,6 +34,10 @@ DEFAULT_GROUPS = ("distance_m", "light")
 TruthFiles = Annotated[
     list[Path] | None,
     typer.Option("--truth", metavar="FILE", help="Ground truth (truth.jsonl); may be given again."),
+]
+OptionalRig = Annotated[
+    Path | None,
+    file_option("--rig", meaning="The rig of the pose lines; with data sets: measure with this rig instead."),
 ]
 By = Annotated[
     str | None,
@@ -54,7 +58,7 @@ def bench(
         typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
     ],
     truth: TruthFiles = None,
-    rig: OptionalRigFile = None,
+    rig: OptionalRig = None,
     by: By = None,
     method: Annotated[
         list[Method] | None, typer.Option("--method", help="Method for data sets; may be given again; default: all.")
@@ -159,10 +163,16 @@ def _since_s(text: str) -> float:
 
 
 def scores_of_lines(
-    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: Batch, since_s: float = -inf
+    inputs: list[str],
+    truth_files: list[Path],
+    rig: Path | None,
+    batch: Batch,
+    since_s: float = -inf,
+    any_rig: bool = False,
 ) -> "tuple[list[Score], Matching]":
     """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc.
 
+    Records of another rig than `rig` are rejected, unless `any_rig` is set.
     Shots before `since_s`, and shots of the truth whose time is not known, are left out.
     """
     from ringpose.bench.score import matching, scores
@@ -174,7 +184,8 @@ def scores_of_lines(
     names = Counter(truth.shot for truth in truths)
     if twice := [name for name, count in names.items() if count > 1]:
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
-    estimates = _estimates_in(inputs, truths, batch)
+    own_rig = "" if rig is None or any_rig else read_rig(rig).sha256
+    estimates = _estimates_in(inputs, truths, own_rig, batch)
     if since_s > -inf:
         estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
@@ -194,8 +205,10 @@ def scores_of_lines(
     return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched
 
 
-def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "list[PoseEstimate]":
+def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Batch) -> "list[PoseEstimate]":
     """The pose or track records of the inputs; those that cannot be compared are reported on stderr.
+
+    Records of another rig than that of the SHA-256 `rig` are rejected, unless it is empty.
 
     Track records of instants between measurements have no shot, and are not compared. Track records whose shot the
     truth does not name, as with a live camera, are compared with the truth that is nearest in time.
@@ -206,6 +219,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "li
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records import tracks
     from ringpose.files.records.poses import pose_line_of, recorded_status
+    from ringpose.files.rigs import reject_other_rig
 
     by_shot = {truth.shot: truth for truth in truths}
     estimates, unnamed = [], []
@@ -219,6 +233,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: Batch) -> "li
                 raise DataError(item.location, "is in the base frame", "track without --robot-poses")
             if tracked and not line.shot:
                 continue
+            reject_other_rig(line.rig, rig, item.location, "give the rig of the poses, or leave out --rig")
             estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
             if tracked and estimate.shot not in by_shot:
                 unnamed.append(estimate)

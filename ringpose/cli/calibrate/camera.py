@@ -8,10 +8,10 @@ from ringpose.cli.app import app
 from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.cli.options.common import (
     BoardFile,
+    CalibrationOutput,
     Force,
     ImageChannel,
     OptionalInputs,
-    OptionalOutput,
     Overlay,
     Quiet,
     Report,
@@ -35,7 +35,7 @@ CameraName = Annotated[str, typer.Option("--camera-name", metavar="NAME", help="
 def calibrate_camera(
     board: BoardFile,
     inputs: OptionalInputs = None,
-    output: OptionalOutput = None,
+    output: CalibrationOutput = None,
     distortion_model: Model = DistortionModel.PLUMB_BOB,
     fix_k3: FixK3 = False,
     zero_tangential: ZeroTangential = False,

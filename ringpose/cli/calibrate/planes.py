@@ -9,11 +9,10 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.cli.options.common import (
+    CalibrationOutput,
     Force,
     ImageChannel,
-    OptionalBoard,
     OptionalInputs,
-    OptionalOutput,
     Overlay,
     Quiet,
     Report,
@@ -34,7 +33,14 @@ if TYPE_CHECKING:
 USUAL_DISTANCE_M = 0.5
 """Distance at which motions of planes are given in millimetres where the shots show none."""
 
-CameraFile = Annotated[Path | None, file_option("--camera", meaning="The calibrated camera (camera.yaml).")]
+BoardFile = Annotated[
+    Path | None,
+    file_option("--board", meaning="The board file: kind and sizes; required unless a stream is checked (--check)."),
+]
+CameraFile = Annotated[
+    Path | None,
+    file_option("--camera", meaning="The calibrated camera (camera.yaml); required without --check and --update."),
+]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
     bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
@@ -97,10 +103,10 @@ class _Inputs(NamedTuple):
 
 @app.command("calibrate-planes", cls=CommandWithModes)
 def calibrate_planes(
-    board: OptionalBoard = None,
+    board: BoardFile = None,
     inputs: OptionalInputs = None,
     camera: CameraFile = None,
-    output: OptionalOutput = None,
+    output: CalibrationOutput = None,
     method: MethodName = PlanesMethod.JOINT,
     free_camera: FreeCamera = False,
     laser_names: LaserNames = None,
@@ -292,10 +298,11 @@ def _stream_evidence(
     import numpy as np
 
     from ringpose.cli import messages
-    from ringpose.errors import NO_POSE, DataError, UsageError
+    from ringpose.errors import NO_POSE, UsageError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.poses import pose_line_of
+    from ringpose.files.rigs import reject_other_rig
     from ringpose.pose.drift import CONTRADICTORY, RigEvidence, evidence_for_file
 
     evidence, depths, shots, contradictory = RigEvidence(rig, rig.stability), [], 0, 0
@@ -306,10 +313,7 @@ def _stream_evidence(
             )
         with batch.guarded():
             line = pose_line_of(item.values, item.location)
-            if line.rig and line.rig != rig.sha256:
-                raise DataError(
-                    item.location, "is of another rig file", "give the rig by which the stream was measured"
-                )
+            reject_other_rig(line.rig, rig.sha256, item.location, "give the rig by which the stream was measured")
             shots += 1
             contradictory += bool(line.flags & CONTRADICTORY)
             found = evidence_for_file(line)

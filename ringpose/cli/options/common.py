@@ -60,12 +60,8 @@ PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is co
 _INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line.")
 Inputs = Annotated[list[str], _INPUTS]
 OptionalInputs = Annotated[list[str] | None, _INPUTS]
-_RIG = file_option("--rig", meaning="The calibrated rig (rig.yaml).")
-RigFile = Annotated[Path, _RIG]
-OptionalRigFile = Annotated[Path | None, _RIG]
-_BOARD = file_option("--board", meaning="The board file: its kind and its sizes.")
-BoardFile = Annotated[Path, _BOARD]
-OptionalBoard = Annotated[Path | None, _BOARD]
+RigFile = Annotated[Path, file_option("--rig", meaning="The calibrated rig (rig.yaml).")]
+BoardFile = Annotated[Path, file_option("--board", meaning="The board file: its kind and its sizes.")]
 Overlay = Annotated[
     Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
 ]
@@ -84,7 +80,9 @@ def check_report(report: Path | None, force: bool) -> None:
 
 _OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
 OutputFile = Annotated[Path, _OUTPUT]
-OptionalOutput = Annotated[Path | None, _OUTPUT]
+CalibrationOutput = Annotated[
+    Path | None, file_option("--output", "-o", meaning="Where the result is written; required to calibrate.")
+]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]

@@ -23,7 +23,12 @@ from ringpose.cli.simulate.serve import serve
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Folder for rig, shots, truth and calibration views."),
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="DIR",
+        help="Folder for rig, shots, truth and calibration views; required without --features.",
+    ),
 ]
 Count = Annotated[
     int | None,

@@ -51,8 +51,10 @@ ClockOption = Annotated[
     Clock, typer.Option("--clock", help="Of --images: the time of day, or simulated time that waits for the clients.")
 ]
 RateOption = Annotated[
-    float,
-    typer.Option("--rate", metavar="HZ", min=1e-3, max=1e4, callback=finite, help="Of --images: frames a second."),
+    float | None,
+    typer.Option(
+        "--rate", metavar="HZ", min=1e-3, max=1e4, callback=finite, help="Of --images: frames a second; default: 5."
+    ),
 ]
 SecretFile = Annotated[
     Path | None,
@@ -68,13 +70,19 @@ ImageWidth = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
+AFTER_S = 1.0
+"""Pause between frames after which the next view is shown, if --after is not given."""
+
+RATE_HZ = 5.0
+"""Frames that are served a second, if --rate is not given."""
+
 
 def serve(
     scene: SceneArgument = None,
     scene_option: SceneOption = None,
     images: Images = None,
     clock: ClockOption = Clock.WALL,
-    rate: RateOption = 5.0,
+    rate: RateOption = None,
     secret_file: SecretFile = None,
     truth: TruthFile = None,
     width: ImageWidth = None,
@@ -82,7 +90,7 @@ def serve(
     relay: RelayOption = Relay.NONE,
     show: ShowOption = ServedTarget.RING,
     move: MoveOption = AdvancePolicy.PAUSE,
-    after: After = 1.0,
+    after: After = AFTER_S,
     warm_up: WarmUp = 0.0,
     fault: FaultTexts = None,
     log: Log = None,
@@ -100,19 +108,19 @@ def serve(
         raise UsageError("SCENE", "is missing" if scene is None else "is given twice", "name one scene file")
     read = read_scene(next(each for each in (scene, scene_option) if each is not None))
     if images is not None:
-        if camera is not None or relay is not Relay.NONE or fault or log is not None:
-            found = "excludes --camera, --relay, --fault and --log, which are of the network camera"
-            raise UsageError("--images", found, "leave them out")
+        of_device = (camera, relay, show, move, after, warm_up, fault or None, log)
+        if of_device != (None, Relay.NONE, ServedTarget.RING, AdvancePolicy.PAUSE, AFTER_S, 0.0, None, None):
+            names = "--camera, --relay, --show, --move, --after, --warm-up, --fault and --log"
+            raise UsageError("--images", f"excludes {names}, which are of the network camera", "leave them out")
         if width is not None:
             from ringpose.simulate.serve.preview import preview
 
             read = preview(read, width)
-        serve_images(read, images, clock, rate, secret_file, truth, force=force, verbose=verbose)
+        serve_images(read, images, clock, rate or RATE_HZ, secret_file, truth, force=force, verbose=verbose)
         return
-    if clock is not Clock.WALL or secret_file is not None or truth is not None or width is not None:
-        raise UsageError(
-            "--clock, --secret-file, --truth, --width", "are of use with --images only", "add --images URI"
-        )
+    if clock is not Clock.WALL or not all(option is None for option in (rate, secret_file, truth, width)):
+        found = "are of use with --images only"
+        raise UsageError("--clock, --rate, --secret-file, --truth, --width", found, "add --images URI")
     setup = Setup(
         address=_loopback("127.0.0.1" if camera is None else camera),
         relay=relay,

@@ -76,6 +76,8 @@ class SessionWriter:
 
     def __enter__(self) -> None:
         is_free = self._is_free()
+        if self.folder.exists() and not self.folder.is_dir():
+            raise CannotCreateError(str(self.folder), "is not a folder, must be one", "choose another --output")
         if not is_free and self._existing == "refuse":
             remedy = "add --append to go on with it, or --force to replace it"
             raise CannotCreateError(str(self.folder), "exists already", remedy)

@@ -1,6 +1,5 @@
 """Shots: one NPZ file each, or a plain image as a shot of one frame."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.images.codecs import IMAGE_SUFFIXES, check_shot_size, read_image
 from ringpose.files.npz import Archive, write_archive
-from ringpose.files.schema import Fields
+from ringpose.files.schema import MAX_STAMP_S, Fields, late_stamp
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.rig import Rig
@@ -21,6 +20,9 @@ _REQUIRED = ("images", "lasers", "stamp_s", "exposure_s")
 _TIMES = ("device_stamp_s", "gain_db")
 _MASKS = ("seen_lasers", "read_lasers")
 _KEYS = (*_REQUIRED, *_TIMES, "frame_id", *_MASKS, "meta")
+
+MAX_EXPOSURE_S = 60.0
+"""Longest plausible exposure; a larger number is probably in milliseconds."""
 
 MAX_EXPOSURE = 5.0
 """Maximum exposure as a share of the time between two frames: 1, and a margin for stamps of a busy host."""
@@ -104,9 +106,11 @@ def _check_masks(shot: Shot, rig: Rig, location: str) -> None:
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
     """The images in an archive; the declared type and size are checked before memory of that size is allocated."""
     dtype, shape = archive.declared("images", "u", (None, None, None))
-    if dtype.itemsize > 2 or 0 in shape:
-        raise archive.problem("images", f"has type {dtype} and {math.prod(shape)} pixels, must be 8 or 16 bits")
     frames, height, width = shape
+    if 0 in shape:
+        raise archive.problem("images", f"has {frames} frames of {width} x {height} pixels, must have one or more")
+    if dtype.itemsize > 2:
+        raise archive.problem("images", f"has type {dtype}, must have 8 or 16 bits")
     check_shot_size(str(archive.path), frames, width, height, None if rig is None else rig.camera)
     return archive.loaded("images").astype(dtype.newbyteorder("="), copy=False)
 
@@ -128,6 +132,11 @@ def _times(archive: Archive, frames: int) -> tuple[Float64[Array, "frame"], Floa
         if values.min() < 0:
             raise archive.problem(key, f"is {values.min():g} in frame {values.argmin()}, must not be negative")
     stamp_s, exposure_s = times
+    if stamp_s.max() > MAX_STAMP_S:
+        raise archive.problem("stamp_s", *late_stamp(stamp_s.max()))
+    if exposure_s.max() > MAX_EXPOSURE_S:
+        found = f"is {exposure_s.max():g} in frame {exposure_s.argmax()}, must be at most {MAX_EXPOSURE_S:g}"
+        raise archive.problem("exposure_s", found, "give seconds; this looks like milliseconds")
     apart_s = np.diff(np.sort(stamp_s))
     least_s, longest_s = apart_s[apart_s > 0].min(initial=np.inf), exposure_s.max()
     if longest_s > MAX_EXPOSURE * least_s:

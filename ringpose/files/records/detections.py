@@ -14,6 +14,7 @@ from ringpose.files import atomic, records
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.records.rejections import rejections_in
+from ringpose.files.rigs import reject_other_rig
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import (
@@ -76,6 +77,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "ring_edges": _part("ring_edges", detection.ring_edges),
         "ring": _part("ring", detection.ring),
         REJECTED: detection.rejected,
+        "rig": detection.rig or None,
     }
     if full:
         record |= {"stripes": _part("stripes", detection.stripes), "segments": _part("segments", detection.segments)}
@@ -110,6 +112,7 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         ambient_changed=fields.boolean("ambient_changed") if fields.has("ambient_changed") else False,
         advice=str(fields.raw("advice")) if fields.has("advice") else "",
         rejected=rejections_in(fields),
+        rig=fields.optional("rig", fields.text) or "",
     )
 
 
@@ -162,6 +165,7 @@ def _parsed_rejections(archive: Archive, text: object) -> Any:
 
 def checked_detection(detection: Detection, rig: Rig, location: str) -> Detection:
     """The detection; rejected if it does not match the rig. `location` is used in messages."""
+    reject_other_rig(detection.rig, rig.sha256, location, OTHER_RIG)
     points = detection.break_points.position_px if isinstance(detection.break_points, BreakPoints) else None
     for key, of_lasers in (("break_points", points), ("lasers_on", detection.lasers_on)):
         if of_lasers is not None and len(of_lasers) != len(rig.lasers.names):

@@ -109,4 +109,4 @@ def _robot_pose(item: Input | Problem) -> RobotPose:
     position_m = pose.vector("position_m", 3)
     pose.check_metres("position_m", position_m, MAX_REACH_M)
     rotation = rotation_of(pose.quaternion("orientation_xyzw"))
-    return RobotPose(stamp_s=fields.number("stamp_s"), position_m=position_m, rotation=rotation)
+    return RobotPose(stamp_s=fields.stamp_s("stamp_s"), position_m=position_m, rotation=rotation)
