@@ -146,15 +146,7 @@ def without_outliers(
     flags[left_out] |= int(BreakPointFlag.OCCLUDED)
     stripes = [each.laser or "" for each in rejected if each.what == "stripe"]
     without_line = np.isin(rig.lasers.names, stripes)
-    kept = replace(
-        points,
-        position_px=np.where(left_out[..., None], np.nan, points.position_px),
-        covariance_px2=np.where(left_out[..., None, None], np.nan, points.covariance_px2),
-        flags=flags,
-        face_start_px=np.where(without_line[:, None], np.nan, points.face_start_px),
-        face_end_px=np.where(without_line[:, None], np.nan, points.face_end_px),
-        face_sigma_px=np.where(without_line[:, None], np.nan, points.face_sigma_px),
-    )
+    kept = replace(points, flags=flags).without(left_out, without_line)
     return BreakPointsOnRing(kept, rejected, _judged_ring(best, measured) if best and clear else None)
 
 

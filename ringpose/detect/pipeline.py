@@ -99,16 +99,16 @@ def detect(
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source, searched)
         on_ring = _found(stripes, images, shot, rig, assumptions, camera)
-    found = on_ring.break_points
+    found, lit = on_ring.break_points, False
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
+        lit = edges_lit(found, shot)
+        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still=still, lit=lit, motion=on_ring.motion)
     if isinstance(found, BreakPoints):
         found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found = with_repetition(found, images, shot, rig, on_ring.motion)
     rejected: tuple[Rejection, ...] = on_ring.rejected if isinstance(found, BreakPoints) else ()
-    sought = edges and source is StripeSource.CENTERS
-    if sought and ring_edges is None and isinstance(found, BreakPoints) and edges_lit(found, shot):
+    if edges and lit and ring_edges is None and isinstance(found, BreakPoints):
         rejected = (*rejected, Rejection(what="edge"))  # ambient light should show them
     return replace(
         nothing,

@@ -78,6 +78,10 @@ MIN_LENGTH_RATIO, MIN_COLUMNS_IN_FRONT = 0.5, 30
 DISPLACED_M = 0.02
 """Maximum distance from a ring's plane of the stripe of a light plane that has moved; the body is farther behind."""
 
+ALIKE_DISPLACED_M, ALIKE = 0.04, 1.15
+"""The same for a stripe parallel to the plane and of the length of those on it, and the maximum ratio of their lengths.
+With one of the selected stripes 10 px beside its place (0.5 m, lasers at 10 degrees) the third is 24 to 35 mm off."""
+
 BODY_RANGE_M = (0.15, 1.5)
 """Range of the depth of the body behind a ring."""
 
@@ -338,11 +342,13 @@ def displaced_lasers(
     for row in others:
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
             ends = np.array(_points_m(row, laser, rig))
-            offset = ends.mean(axis=0) - origin
+            offset, length_m, off_m = ends.mean(axis=0) - origin, math.dist(*ends), (ends - origin) @ normal
             aside_m = float(np.linalg.norm(offset - (offset @ along) * along - (offset @ normal) * normal))
-            as_long = min(lengths_m) / MAX_TO_SHORTEST < math.dist(*ends) < MAX_TO_SHORTEST * max(lengths_m)
-            near = float(np.abs((ends - origin) @ normal).max()) < DISPLACED_M and aside_m < max(lengths_m)
-            if laser not in face.lasers and as_long and near:
+            ratio = max(max(lengths_m) / length_m, length_m / min(lengths_m))
+            alike = ratio < ALIKE and float(np.ptp(off_m)) < PARALLEL_WITHIN * length_m
+            near = float(np.abs(off_m).max()) < (ALIKE_DISPLACED_M if alike else DISPLACED_M)
+            as_long = min(lengths_m) / MAX_TO_SHORTEST < length_m < MAX_TO_SHORTEST * max(lengths_m)
+            if laser not in face.lasers and as_long and near and aside_m < max(lengths_m):
                 found.append(laser)
     return tuple(sorted(set(found)))
 

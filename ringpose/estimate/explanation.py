@@ -56,6 +56,9 @@ DECISION_CHI2 = 0.1
 CLEARLY = 6.0
 """Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
 
+MORE_CLEARLY = ALARM_SIGMAS**2
+"""The same where a single degree of freedom decides."""
+
 SIDE_SIGMAS = 4.0
 """Curvature in standard deviations, or root of the margin in chi-squared, from which the centre's side is known."""
 
@@ -319,7 +322,7 @@ def _explained(
     tried: list[Solved] = []
     lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
-        if hypothesis.penalty > lowest + CLEARLY:  # of this one and all that follow
+        if hypothesis.penalty > lowest + MORE_CLEARLY:  # of this one and all that follow
             break
         found = solved(hypothesis)
         if found is not None:
@@ -428,11 +431,13 @@ def _margin(best: Solved, other: Solved) -> float:
     """The margin in chi-squared by which the best hypothesis must beat another one.
 
     Two stripes nearly always agree with some ring. Which one of three stripes is rejected is then decided by a single
-    degree of freedom, and a priori each of the three is as likely to be wrong.
+    degree of freedom, and a priori each of the three is as likely to be wrong. The same holds for visible edges: one
+    stripe that was found elsewhere contradicts them, while three stripes alone still agree with some ring.
     """
     both_reject = PoseFlag.STRIPE_REJECTED in best.hypothesis.flag & other.hypothesis.flag
     two_left = len(best.hypothesis.measured.stripes) <= STRIPES_OF_A_PLANE
-    return ALARM_SIGMAS**2 if both_reject and two_left else CLEARLY
+    without_edges = PoseFlag.EDGE_REJECTED in best.hypothesis.flag
+    return MORE_CLEARLY if (both_reject and two_left) or without_edges else CLEARLY
 
 
 def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solved]) -> Explanation:

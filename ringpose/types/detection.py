@@ -94,6 +94,17 @@ class BreakPoints:
         lasers: Bool[Array, "laser"] = self.seen.any(axis=1) | ~np.isnan(self.face_start_px[:, 0])
         return lasers
 
+    def without(self, ends: Bool[Array, "laser edge=2"], lines: Bool[Array, "laser"]) -> "BreakPoints":
+        """The break points without some ends of stripes and without the lines of some lasers' stripes."""
+        return replace(
+            self,
+            position_px=np.where(ends[..., None], np.nan, self.position_px),
+            covariance_px2=np.where(ends[..., None, None], np.nan, self.covariance_px2),
+            face_start_px=np.where(lines[:, None], np.nan, self.face_start_px),
+            face_end_px=np.where(lines[:, None], np.nan, self.face_end_px),
+            face_sigma_px=np.where(lines[:, None], np.nan, self.face_sigma_px),
+        )
+
     def with_edges_exchanged(self) -> "BreakPoints":
         """The break points with inner edges taken for outer ones and the reverse."""
         return replace(

@@ -199,9 +199,12 @@ def third_stripe(seed, height_m, slope=0.0):
     )
 
 
-@pytest.mark.parametrize(("height_m", "expected"), [(0.01, (1,)), (-0.01, (1,)), (-0.05, ())])
-def test_a_third_stripe_beside_the_plane_of_two_shows_that_the_rig_may_have_changed(height_m, expected):
-    tracks = third_stripe(1, height_m)
+@pytest.mark.parametrize(
+    ("height_m", "slope", "expected"),
+    [(0.01, 0.0, (1,)), (-0.01, 0.1, (1,)), (0.03, 0.0, (1,)), (-0.03, 0.0, (1,)), (0.03, 0.1, ()), (-0.05, 0.0, ())],
+)
+def test_a_third_stripe_beside_the_plane_of_two_shows_that_one_is_displaced(height_m, slope, expected):
+    tracks = third_stripe(1, height_m, slope)
     face = ring_face(tracks[[0, 2]], (), RIG)
 
     assert face.lasers == (0, 2)

@@ -226,7 +226,7 @@ def test_ambient_light_should_show_edges_in_a_lit_shot_only_whatever_the_black_l
 
 
 def test_lit_edges_that_are_not_found_are_recorded(with_off_frame, monkeypatch):
-    monkeypatch.setattr(pipeline, "detect_ring_edges", lambda points, *_: (points, None))
+    monkeypatch.setattr(pipeline, "detect_ring_edges", lambda points, *_, **__: (points, None))
 
     detection = detect(*with_off_frame("B_z0500_p01_normal"))
 

@@ -15,16 +15,20 @@ from drawn_edges import (
     picture,
     radius_m,
 )
-from drawn_scene import RADII_M, DrawnScene, drawn_rig
+from drawn_scene import RADII_M, DrawnScene, drawn_rig, light
 from ring_scenes import with_stripes
 from true_edges import edge_errors_px
 
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
 from ringpose.detect.ring_edges import FoundEdges, found_edges, named_by_curvature
+from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
+from ringpose.pose.pipeline import pose_line
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.image import Shot
+from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
 
 
@@ -287,3 +291,29 @@ def test_contradictory_break_points_give_no_exception(rig, rng):
     for_each = [found_edges(replace(true, position_px=position), frame, rig) for position in for_all]
 
     assert all(found is None or np.isfinite(found.points.position_px).all() for found in for_each)
+
+
+def lit_shot(scene: DrawnScene, rig: Rig, rng: np.random.Generator, laser: int, along_px: int) -> Shot:
+    """The lasers one by one before a lit ring and foil as bright as its face; one stripe displaced along itself."""
+    around = Surroundings(inside_dn=58.0, outside_dn=62.0, clutter_dn=12.0)
+    off = picture(scene, rig, around, rng).astype(float)
+    stripes = [light(scene, rig, each) for each in range(3)]
+    stripes[laser] = np.roll(stripes[laser], along_px, axis=1)
+    frames = [off, *(off + each for each in stripes)]
+    images = np.stack([np.clip(np.rint(each), 0, 255).astype(np.uint8) for each in frames])
+    masks = np.array([0, 1, 2, 4], dtype=np.uint8)
+    stamp_s, exposure_s = 0.03 * np.arange(4.0), np.full(4, 0.001)
+    return Shot(name="lit", images=images, lasers=masks, stamp_s=stamp_s, exposure_s=exposure_s, meta={"still": True})
+
+
+@pytest.mark.parametrize("along_px", [-10, 10])
+@pytest.mark.parametrize("laser", [0, 1, 2])
+def test_a_displaced_stripe_does_not_lead_to_edges_of_another_ring(rig, rng, laser, along_px):
+    scene = DrawnScene()
+
+    line = pose_line(lit_shot(scene, rig, rng, laser, along_px), rig)
+
+    assert line.status == "degraded"
+    error_m = line.pose.center_m - np.array(scene.center_m)
+    named = line.flags & (PoseFlag.CENTER_WEAK | PoseFlag.INCONSISTENT)
+    assert named or mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 16
