@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
@@ -99,17 +98,16 @@ def detect(
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source, searched)
         on_ring = _found(stripes, images, shot, rig, assumptions, camera)
-    found, lit = on_ring.break_points, False
+    found, edges_missing = on_ring.break_points, False
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        lit = edges_lit(found, shot)
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still=still, lit=lit, motion=on_ring.motion)
+        found, ring_edges, edges_missing = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
     if isinstance(found, BreakPoints):
         found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found = with_repetition(found, images, shot, rig, on_ring.motion)
     rejected: tuple[Rejection, ...] = on_ring.rejected if isinstance(found, BreakPoints) else ()
-    if edges and lit and ring_edges is None and isinstance(found, BreakPoints):
-        rejected = (*rejected, Rejection(what="edge"))  # ambient light should show them
+    if edges and edges_missing and isinstance(found, BreakPoints):
+        rejected = (*rejected, Rejection(what="edge"))
     return replace(
         nothing,
         break_points=found,
@@ -304,34 +302,6 @@ def _named_alike(found: BreakPoints | NoBreakPoints, judged: BreakPoints | NoBre
     if not isinstance(found, BreakPoints) or not isinstance(judged, BreakPoints):
         return False
     return np.array_equal(found.flags, judged.flags)
-
-
-LIT_SHARE = 8 / 255
-"""Range of grey values about the break points, as a share of the saturation value, from which ambient light shows the
-ring's edges. In 64 rendered shots without visible edges it is at most 3 / 255, in 26 of 27 with edges 13 / 255."""
-
-
-def edges_lit(points: BreakPoints, shot: Shot) -> bool:
-    """Whether the ring's edges should be visible: two break points of an edge, in ambient light.
-
-    The light is that of the frames without lasers, as the range of the grey values (5 to 95 %, at half size against
-    noise) in the box of the break points, which black level and a uniform background do not affect.
-    """
-    seen = points.seen
-    if int(seen.sum(axis=0).max()) < 2:
-        return False
-    position = points.position_px[seen]
-    left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
-    right, bottom = (position.max(axis=0).astype(np.int64) + BAND_PX).tolist()
-    for image in shot.images[shot.lasers == 0]:
-        levels = cv2.pyrDown(image[top:bottom, left:right])
-        values = np.iinfo(levels.dtype).max + 1
-        counts = cv2.calcHist([levels], [0], None, [values], [0, values]).ravel()  # a tenth of the time of sorting
-        tail = levels.size // 20
-        low, high = np.searchsorted(counts.cumsum(dtype=np.float64), [tail, levels.size - 1 - tail], side="right")
-        if high - low > LIT_SHARE * shot.saturation_dn:
-            return True
-    return False
 
 
 class _Found(NamedTuple):

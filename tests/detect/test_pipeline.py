@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from drawn_scene import DrawnScene, draw_shot, true_break_points
 
-from ringpose.detect import pipeline
-from ringpose.detect.pipeline import detect, edges_lit
+from ringpose.detect import pipeline, ring_edges
+from ringpose.detect.pipeline import detect
+from ringpose.detect.ring_edges import edges_lit
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
@@ -226,7 +227,7 @@ def test_ambient_light_should_show_edges_in_a_lit_shot_only_whatever_the_black_l
 
 
 def test_lit_edges_that_are_not_found_are_recorded(with_off_frame, monkeypatch):
-    monkeypatch.setattr(pipeline, "detect_ring_edges", lambda points, *_, **__: (points, None))
+    monkeypatch.setattr(ring_edges, "found_edges", lambda *_: None)
 
     detection = detect(*with_off_frame("B_z0500_p01_normal"))
 
