@@ -4,12 +4,10 @@ Nothing here is taken from the code under test: each light plane is brought into
 line is cut with the two circles by the formula for quadratic equations; OpenCV projects what comes out.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import pytest
 
 from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.rig import Camera, LaserPlanes, Rig
@@ -17,15 +15,20 @@ from ringpose.types.rig import Camera, LaserPlanes, Rig
 SIZES = {"R597": (0.567, 0.597), "R833": (0.803, 0.833), "R1194": (1.154, 1.194)}
 
 
-def make_rig(focal, principal, distortion, normal, distance):
-    camera = Camera(
+def make_camera(size, focal, principal, distortion=(0.0,) * 5):
+    """A camera with an image of this width and height; pixels, and five or eight coefficients."""
+    return Camera(
         camera_name="test",
-        image_width=1600,
-        image_height=1200,
-        camera_matrix=np.array([[focal[0], 0, principal[0]], [0, focal[1], principal[1]], [0, 0, 1.0]]),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.array(distortion),
+        image_width=size[0],
+        image_height=size[1],
+        camera_matrix=np.array([[focal[0], 0.0, principal[0]], [0.0, focal[1], principal[1]], [0.0, 0.0, 1.0]]),
+        distortion_model="plumb_bob" if len(distortion) == 5 else "rational_polynomial",
+        distortion_coefficients=np.array(distortion, dtype=np.float64),
     )
+
+
+def make_rig(focal, principal, distortion, normal, distance):
+    camera = make_camera((1600, 1200), focal, principal, distortion)
     unit = np.array(normal) / np.linalg.norm(normal, axis=-1, keepdims=True)
     lasers = LaserPlanes(
         names=("left", "middle", "right"),
@@ -118,7 +121,7 @@ def ring_at(rig, *, distance_m=0.5, across=0.0, tilt_rad=(0.1, -0.1), turn_rad=0
     x, z = across * distance_m, distance_m
     on_band = np.array([x, (d - m[0] * x - m[2] * z) / m[1], z])
     turned = cv2.Rodrigues(np.array([*tilt_rad, 0.0]))[0]
-    radius = np.array(SIZES[size])
+    radius = np.array(SIZES[size] if isinstance(size, str) else size)
     inward = side * np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
     return Ring(center_m=on_band + radius.mean() * turned @ inward, normal=-turned[:, 2], radius_m=radius)
 
@@ -144,29 +147,6 @@ def make_scene(rig="B", **pose):
     ring = ring_at(rig, **pose)
     points_m = ring.break_points_m(rig.lasers)
     return Scene(rig=rig, ring=ring, points_m=points_m, position_px=pixels_of(points_m, rig.camera))
-
-
-@pytest.fixture(scope="session")
-def scene_of() -> Callable[..., Scene]:
-    """Builds scenes: `scene_of("A", distance_m=0.2, ...)`."""
-    return make_scene
-
-
-@pytest.fixture
-def ring_scene(monkeypatch) -> Callable[..., Scene]:
-    """Builds a scene with a ring of any radii: `ring_scene("B", 0.5, (0.567, 0.597))`."""
-
-    def scene_with(rig, distance_m, radii_m):
-        monkeypatch.setitem(SIZES, "other", radii_m)
-        return make_scene(rig, distance_m=distance_m, size="other")
-
-    return scene_with
-
-
-@pytest.fixture(scope="session")
-def break_points_at() -> Callable[..., BreakPoints]:
-    """Builds break points from an array of pixels."""
-    return break_points_of
 
 
 def line_of_face(scene, laser):
@@ -252,15 +232,3 @@ def visible_edges_of(scene, count, sigma_px, rng=None):
         sigma_px=np.full(len(position), sigma_px),
         edge=np.repeat([0, 1], count // 2),
     )
-
-
-@pytest.fixture(scope="session")
-def face_points() -> Callable[..., BreakPoints]:
-    """Builds break points with their stripes' lines: `face_points(scene, 0.3, 0.03, rng)`."""
-    return face_points_of
-
-
-@pytest.fixture(scope="session")
-def visible_edges() -> Callable[..., RingEdgePoints]:
-    """Builds visible edge points: `visible_edges(scene, 100, 0.3, rng)`."""
-    return visible_edges_of

@@ -12,12 +12,13 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
+from ring_scenes import make_camera
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
-from ringpose.types.rig import Camera, LaserPlanes, Rig
+from ringpose.types.rig import LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06
@@ -76,14 +77,11 @@ def stripe_rig(scale: float = 1.0, lens: bool = True) -> Rig:
     tilt = math.radians(10)
     normal = np.array([[0.0, math.cos(tilt), -math.sin(tilt)], [0.0, 1.0, 0.0], [0.0, math.cos(tilt), math.sin(tilt)]])
     return Rig(
-        camera=Camera(
-            camera_name="stripe_images",
-            image_width=round(1600 * scale),
-            image_height=round(1200 * scale),
-            camera_matrix=np.diag([scale, scale, 1.0])
-            @ np.array([[1778.0, 0.0, 800.0], [0.0, 1778.0, 600.0], [0.0, 0.0, 1.0]]),
-            distortion_model="plumb_bob",
-            distortion_coefficients=np.array([-0.1, 0.1, 0.0, 0.0, 0.0]) * lens,
+        camera=make_camera(
+            (round(1600 * scale), round(1200 * scale)),
+            (1778.0 * scale, 1778.0 * scale),
+            (800.0 * scale, 600.0 * scale),
+            np.array([-0.1, 0.1, 0.0, 0.0, 0.0]) * lens,
         ),
         lasers=LaserPlanes(
             names=("left", "middle", "right"),

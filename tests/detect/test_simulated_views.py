@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import make_camera
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
@@ -12,7 +13,7 @@ from ringpose.simulate.pipeline import simulate, simulated_shot
 from ringpose.simulate.placement import ring_views
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
-from ringpose.types.rig import Camera, LaserPlanes, Rig
+from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.scene import Approach, Light, RingView, Scene, Sensor
 from ringpose.types.session import parsed_sequence
 from ringpose.types.target import Body, RingShape
@@ -25,16 +26,8 @@ SWITCHED, ALL_ON = [0, 1, 2, 3], [4]
 
 
 def rig_of(focal_px: float, width: int, height: int) -> Rig:
-    matrix = np.array([[focal_px, 0.0, width / 2], [0.0, focal_px, height / 2], [0.0, 0.0, 1.0]])
     return Rig(
-        camera=Camera(
-            camera_name="near",
-            image_width=width,
-            image_height=height,
-            camera_matrix=matrix,
-            distortion_model="plumb_bob",
-            distortion_coefficients=np.zeros(5),
-        ),
+        camera=make_camera((width, height), (focal_px, focal_px), (width / 2, height / 2)),
         lasers=LaserPlanes(
             names=("left", "middle", "right"),
             normal=NORMALS,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import face_points_of, make_scene
 
 from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
@@ -105,8 +106,8 @@ def correlated(rng):
 
 
 @pytest.fixture
-def scene(scene_of):
-    return scene_of("B", distance_m=0.5)
+def scene():
+    return make_scene("B", distance_m=0.5)
 
 
 def poses_of_noisy_points(scene, sigma_px, method, samples, rng):
@@ -156,15 +157,15 @@ def test_samples_of_a_wrong_rig_scatter_as_predicted(scene, rng, samples):
 
 
 @pytest.mark.parametrize("samples", [150, pytest.param(1000, marks=pytest.mark.slow)])
-def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, face_points, rng, samples):
+def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, rng, samples):
     names = CAMERA + PLANES
     known = ParameterCovariance(parameters=names, data=correlated(rng))
-    predicted = most_likely_pose(face_points(scene, 0.03, 0.003), replace(scene.rig, covariance=known)).pose
+    predicted = most_likely_pose(face_points_of(scene, 0.03, 0.003), replace(scene.rig, covariance=known)).pose
 
     poses = []
     for step in rng.multivariate_normal(np.zeros(len(names)), known.data, size=samples):
         wrong = moved_rig(scene.rig, names, step)
-        points = through_another_camera(face_points(scene, 0.03, 0.003, rng), scene.rig.camera, wrong.camera)
+        points = through_another_camera(face_points_of(scene, 0.03, 0.003, rng), scene.rig.camera, wrong.camera)
         pose = most_likely_pose(points, replace(wrong, covariance=known)).pose
         if not pose.flags & ~HARMLESS_FLAGS:  # one in 750 looks contradictory by chance: 5 of 1000 is the 99.9 % limit
             poses.append(pose)
@@ -181,8 +182,8 @@ def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, face_point
     turn_rad=st.floats(-0.3, 0.3),
     more=st.lists(st.floats(0.0, 2.0), min_size=12, max_size=12),
 )
-def test_more_noise_never_shrinks_the_covariance(scene_of, method, distance_m, turn_rad, more):
-    scene = scene_of("B", distance_m=distance_m, turn_rad=turn_rad)
+def test_more_noise_never_shrinks_the_covariance(method, distance_m, turn_rad, more):
+    scene = make_scene("B", distance_m=distance_m, turn_rad=turn_rad)
     few = scene.break_points(1e-3)
     added = 1e-6 * np.array(more).reshape(3, 2, 2)[..., None] * np.eye(2)
 
@@ -256,8 +257,8 @@ def test_rig_covariance_of_an_unknown_parameter_is_bad_data(scene):
 @NOISE
 @pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
 @pytest.mark.parametrize(("rig", "tilt_rad"), [("A", (0.1, -0.1)), ("B", (0.0, 0.2))])
-def test_a_center_far_beyond_its_covariance_is_flagged(scene_of, rng, rig, method, distance_m, tilt_rad):
-    scene = scene_of(rig, distance_m=distance_m, tilt_rad=tilt_rad)
+def test_a_center_far_beyond_its_covariance_is_flagged(rng, rig, method, distance_m, tilt_rad):
+    scene = make_scene(rig, distance_m=distance_m, tilt_rad=tilt_rad)
 
     poses = [estimate_pose(scene.break_points(0.3, rng), scene.rig, method) for _ in range(200)]
     unflagged = [pose for pose in poses if PoseFlag.CENTER_WEAK not in pose.flags]

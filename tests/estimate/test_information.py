@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import RIGS, face_points_of, make_scene, with_stripes
+from ring_scenes import RIGS, face_points_of, make_scene, visible_edges_of, with_stripes
 
 from ringpose.estimate.covariance import (
     POSE,
@@ -68,13 +68,11 @@ def prior_rows(result, rig):
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["radii unknown", "radii known"])
 @pytest.mark.parametrize("rig_known", [True, False], ids=["rig exact", "rig with its covariance"])
 @pytest.mark.parametrize("edges", [False, True], ids=["no edges", "visible edges"])
-def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
-    scene_of, face_points, visible_edges, rng, stripes, known, rig_known, edges
-):
-    scene = scene_of("B", distance_m=0.4)
+def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(rng, stripes, known, rig_known, edges):
+    scene = make_scene("B", distance_m=0.4)
     rig = scene.rig if rig_known else with_covariance(scene.rig)
-    points = replace(with_stripes(face_points(scene, 0.3, 0.02, rng), *stripes), stamp_s=STAMPS_S)
-    seen = visible_edges(scene, 40, 0.3, rng) if edges else None
+    points = replace(with_stripes(face_points_of(scene, 0.3, 0.02, rng), *stripes), stamp_s=STAMPS_S)
+    seen = visible_edges_of(scene, 40, 0.3, rng) if edges else None
 
     result = most_likely_pose(points, rig, seen, known)
     best = explain(measurements_of(points, rig, seen), Prior(known), labelled=True, edges_named=True)
@@ -127,11 +125,11 @@ def all_prior_rows(result, rig):
     return np.concatenate([rows, block])
 
 
-def test_the_measurement_and_the_priors_give_the_pose_of_a_moving_ring_too(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.4)
+def test_the_measurement_and_the_priors_give_the_pose_of_a_moving_ring_too(rng):
+    scene = make_scene("B", distance_m=0.4)
     rig = with_covariance(scene.rig)
     assumptions = Assumptions(motion=motion_prior(), ring_tolerance_m=2e-4, stability=TYPICAL_STABILITY)
-    points = replace(face_points(scene, 0.3, 0.02, rng), stamp_s=np.array([0.0, 0.04, 0.08]))
+    points = replace(face_points_of(scene, 0.3, 0.02, rng), stamp_s=np.array([0.0, 0.04, 0.08]))
 
     result = most_likely_pose(points, rig, assumptions=assumptions)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import make_scene
 
 from ringpose.pose.triangulation import point_covariance, point_jacobians, points_wrt_plane, triangulated
 from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS
@@ -14,12 +15,12 @@ CAMERAS = pytest.mark.parametrize("distortion", [None, RATIONAL], ids=["plumb_bo
 
 
 @pytest.fixture
-def scene(scene_of, distortion):
-    rig = scene_of("B").rig
+def scene(distortion):
+    rig = make_scene("B").rig
     if distortion is None:
-        return scene_of(rig)
+        return make_scene(rig)
     camera = replace(rig.camera, distortion_model="rational_polynomial", distortion_coefficients=distortion)
-    return scene_of(replace(rig, camera=camera))
+    return make_scene(replace(rig, camera=camera))
 
 
 def points_of(scene, rig=None, offset_px=0.0):
