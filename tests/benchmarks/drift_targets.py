@@ -7,13 +7,12 @@ centre of mass 1 m behind them, drift at up to 0.1 m/s, and are seen by each las
 """
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from benchmarks.limits import Figure
-from benchmarks.targets import WRONG_SIGMAS, options, status, target
+from benchmarks.limits import WRONG_SIGMAS, Figure, options, status, target
 from moving_rings import Motion
 from ring_scenes import RIGS, Scene, face_points_of, make_scene, pixels_of, visible_edges_of
 from ring_streams import ASSUMED, measured_stream, moved, poses_before, within_stability
@@ -162,23 +161,15 @@ def warned(kind: str, changed: str, rng) -> bool:
     return any((name or "") in text for text in warnings.values())
 
 
-def figures(kinds: Iterable[str], changes: Iterable[str], streams: int) -> Iterator[Figure]:
+def figures(streams: int) -> Iterator[Figure]:
     wrong, left, obvious = single_shots(np.random.default_rng(11), 10 * streams)
     yield target(f"ok and wrong of {10 * streams} single shots, planes moved", wrong, poisson.ppf(0.99, left))
     yield target("of them with a noncentrality above 60", obvious, 0)
-    for kind, changed in product(kinds, changes):
+    for kind, changed in product(STREAMS, ["none", *PLANES]):
         share = np.mean([warned(kind, changed, np.random.default_rng([17, stream])) for stream in range(streams)])
         name = f"share of {streams} {kind} streams with a warning, planes moved: {changed}"
         yield target(name, share, 1 / 1000) if changed == "none" else target(name, share, 1.0, 0.9)
 
 
-def main() -> int:
-    parser = options(__doc__, streams=60)
-    parser.add_argument("--kind", choices=list(STREAMS), action="append")
-    parser.add_argument("--changed", choices=["none", *PLANES], action="append")
-    chosen = parser.parse_args()
-    return status(figures(chosen.kind or STREAMS, chosen.changed or ["none", *PLANES], chosen.streams))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(status(figures(options(__doc__, streams=60).parse_args().streams)))
