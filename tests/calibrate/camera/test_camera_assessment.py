@@ -186,19 +186,6 @@ def test_millimetres_grow_with_distance(assessed):
     assert near == pytest.approx(np.median(assessed.sigma_px) / 1781 * 0.5, rel=1e-3)
 
 
-def test_file_and_summary_have_the_same_values(assessed):
-    verdict = camera_verdict(assessed, 10)
-
-    quality = camera_quality(assessed, verdict, [("black", "too dark")])["quality"]
-    lines = camera_summary(assessed, verdict)
-
-    assert quality["verdict"]["grade"] == "good"
-    assert lines[-1].startswith("verdict: good")
-    assert f"rms {quality['rms_px']:.3f} px" in lines[0]
-    assert quality["without_board"] == [{"name": "black", "reason": "too dark"}]
-    assert len(quality["cross_validation"]["left_out"]) == 10
-
-
 def test_corners_left_out_are_numbered_with_their_residuals(views):
     boards = views(8)
     moved = boards[3].points_px.copy()

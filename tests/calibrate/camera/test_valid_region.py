@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from known_views import projected_px
+from ring_scenes import make_camera
 
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import camera_assessment
@@ -14,19 +15,12 @@ from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
 from ringpose.calibrate.camera.validation import displacement_px, known_lens, map_points_px, projection_sigma_px
 from ringpose.types.board import Board, BoardView
-from ringpose.types.rig import Camera
 
 MODEL = CameraModel(distortion_model="rational_polynomial")
 POINTS_M = corner_points(Board(kind="chessboard", squares_x=12, squares_y=9, square_m=0.025))
 NOISE_PX = 0.03
-CAMERA = Camera(
-    camera_name="wide",
-    image_width=800,
-    image_height=600,
-    camera_matrix=np.array([[600.0, 0.0, 402.3], [0.0, 599.5, 297.6], [0.0, 0.0, 1.0]]),
-    distortion_model="rational_polynomial",
-    distortion_coefficients=np.array([0.9, 0.15, 0.0004, -0.0003, 0.01, 1.3, 0.4, 0.05]),
-)
+DISTORTION = (0.9, 0.15, 0.0004, -0.0003, 0.01, 1.3, 0.4, 0.05)
+CAMERA = make_camera((800, 600), (600.0, 599.5), (402.3, 297.6), DISTORTION)
 
 
 @pytest.fixture

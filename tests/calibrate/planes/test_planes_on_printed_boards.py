@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from drawn_boards import drawn_board
 from known_views import plane_errors
+from ring_scenes import make_camera
 from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
@@ -12,18 +13,10 @@ from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.types.board import Board
 from ringpose.types.image import Shot
-from ringpose.types.rig import Camera
 
 MODEL = PlanesModel(names=("left", "middle", "right"), order=(2, 1, 0))
 FOCAL_PX, MIDDLE_PX = (889.0, 888.5), (402.3, 297.6)
-CAMERA = Camera(
-    camera_name="drawn",
-    image_width=800,
-    image_height=600,
-    camera_matrix=np.array([[FOCAL_PX[0], 0.0, MIDDLE_PX[0]], [0.0, FOCAL_PX[1], MIDDLE_PX[1]], [0.0, 0.0, 1.0]]),
-    distortion_model="plumb_bob",
-    distortion_coefficients=np.zeros(5),
-)
+CAMERA = make_camera((800, 600), FOCAL_PX, MIDDLE_PX)
 CHESSBOARD = Board(kind="chessboard", squares_x=11, squares_y=7, square_m=0.024)
 CHARUCO = Board(kind="charuco", squares_x=11, squares_y=7, square_m=0.024, marker_m=0.0175, dictionary="DICT_5X5_100")
 FOUR_MARKERS = Board(
