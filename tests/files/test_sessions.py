@@ -59,20 +59,6 @@ def test_a_killed_capture_leaves_a_valid_session(tmp_path):
     assert during.captures[0].state == "capturing"
 
 
-def test_a_signal_leaves_a_stopped_session_with_its_finished_shots(tmp_path):
-    def capture_until_a_signal():
-        writer = SessionWriter(tmp_path / "s", CAPTURE)
-        with writer:
-            writer.add(shot("a"))
-            raise SignalReceived(15)
-
-    with pytest.raises(SignalReceived):
-        capture_until_a_signal()
-
-    (capture,) = read_session(tmp_path / "s").captures
-    assert (capture.state, capture.shots) == ("stopped", ("a",))
-
-
 @pytest.mark.parametrize("existing", ["refuse", "append", "replace"])
 def test_a_folder_that_is_not_a_session_is_rejected(tmp_path, existing):
     (tmp_path / "holiday.jpg").write_bytes(b"")
