@@ -15,10 +15,7 @@ from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import write_shot
 from ringpose.types.image import Shot
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 SLOWLY = ("capture", "--camera", "files:in", "--rate", "0.001", "--output", "s")
