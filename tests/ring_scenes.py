@@ -191,11 +191,45 @@ def with_stripes(points, *lasers):
     return replace(points, **parts)
 
 
+def axes_across(normal):
+    """The tilt basis that the formats define: e1 along z x n, e2 = n x e1."""
+    first = np.cross([0.0, 0.0, 1.0], normal)
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])
+
+
+def turn_between(first, second):
+    """The smallest rotation from one unit vector to another."""
+    axis = np.cross(first, second)
+    sine = np.linalg.norm(axis)
+    return cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+
+
+def moved_rig(rig, names, steps):
+    """The rig with its named parameters moved, from their definition in the file format."""
+    matrix, coefficients = rig.camera.camera_matrix.copy(), rig.camera.distortion_coefficients.copy()
+    normal, distance_m = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
+    places = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
+    order = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    for name, step in zip(names, steps, strict=True):
+        laser, _, what = name.partition(".")
+        if name in places:
+            matrix[places[name]] += step
+        elif name in order:
+            coefficients[order.index(name)] += step
+        elif what == "distance":
+            distance_m[rig.lasers.names.index(laser)] += step
+        else:
+            number = rig.lasers.names.index(laser)
+            normal[number] += step * axes_across(rig.lasers.normal[number])[int(what == "tilt_2")]
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    camera = replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients)
+    return replace(rig, camera=camera, lasers=replace(rig.lasers, normal=normal, distance_m=distance_m))
+
+
 def nees(pose, ring):
     """Squared errors over their covariance, by degree of freedom: of normal, grasp point (axial and radial), centre."""
-    first = np.cross([0.0, 0.0, 1.0], pose.normal)
-    first /= np.linalg.norm(first)
-    tilt_rad = np.stack([first, np.cross(pose.normal, first)]) @ ring.normal / (pose.normal @ ring.normal)
+    tilt_rad = axes_across(pose.normal) @ ring.normal / (pose.normal @ ring.normal)
     from_center = pose.grasp_m - ring.center_m
     axial_m = from_center @ ring.normal
     outward = from_center - axial_m * ring.normal

@@ -4,7 +4,6 @@ import csv
 import hashlib
 import json
 import math
-import os
 import shutil
 import signal
 import subprocess
@@ -198,8 +197,7 @@ def serve(tmp_path, monkeypatch, loopback_address, forker):
         if not Path(scene).exists():
             small_scene(tmp_path)
         words = ["simulate", "serve", "--scene", scene, "--camera", loopback_address, "--log", "log.jsonl", *options]
-        job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
-        process = Forked(forker, job)
+        process = Forked(forker, words)
         processes.append(process)
         return json.loads(process.stdout.readline())
 

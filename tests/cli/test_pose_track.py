@@ -1,7 +1,6 @@
 """`ringpose pose --track`: shots in, track records out; the track chooses the lasers of a live camera."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +45,7 @@ def served(tmp_path, monkeypatch, forker):
     Path("scene.yaml").write_text(SCENE)
     words = ["simulate", "serve", "--images", "tcp://127.0.0.1:0", "scene.yaml", "--clock", "lockstep"]
     words += ["--rate", str(RATE_HZ), "--truth", "truth.jsonl"]
-    job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
-    with Forked(forker, job) as process:
+    with Forked(forker, words) as process:
         yield json.loads(process.stdout.readline())["camera"]
         process.kill()
 

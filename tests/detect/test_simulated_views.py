@@ -98,15 +98,6 @@ def test_switched_lasers_resolve_crossing_stripes():
     assert np.abs(np.sort(points.position_px[..., 0]) - np.sort(truth_px[..., 0])).max() < 1.0
 
 
-def test_two_stripes_in_view_are_handed_on():
-    shot, truth_px = shot_of(NARROW, 0.22, SWITCHED)
-
-    points = found(shot, NARROW)
-
-    assert points.seen.sum(axis=1).tolist() == [2, 2, 0]
-    assert np.abs(np.sort(points.position_px[:2, :, 0]) - np.sort(truth_px[:2, :, 0])).max() < 1.0
-
-
 def test_one_stripe_in_view_is_handed_on_with_its_line_but_without_a_side():
     shot, truth_px = shot_of(NARROW, 0.2, SWITCHED)
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from ring_scenes import Scene, face_points_of, make_scene, nees, pixels_of, visible_edges_of
+from ring_streams import within_stability
 
 from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import measurements_of
@@ -15,7 +16,7 @@ from ringpose.estimate.residuals import Prior
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.ring import motion_derivatives, ring_arcs
-from ringpose.geometry.rotations import tilt_basis, tilted
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import pose_line, pose_result
 from ringpose.simulate.features import drawn_features
 from ringpose.types.assumptions import (
@@ -27,6 +28,7 @@ from ringpose.types.assumptions import (
     RigStability,
     motion_prior,
 )
+from ringpose.types.detection import joined_edge_points
 from ringpose.types.pose import NoPose, PoseFlag
 from ringpose.types.scene import Approach
 from ringpose.types.target import RingForm
@@ -56,17 +58,13 @@ def moving_scene(scene, velocity_m_s, rate_rad_s, reference_s=STAMPS_S[1]):
 
 def edges_of_frames(scene, velocity_m_s, rate_rad_s, stamps_s, rng):
     """Visible edges in frames before and after those of the lasers."""
-    parts = []
+    frames = []
     for stamp_s in stamps_s:
         ring = moved(scene.ring, stamp_s - STAMPS_S[1], velocity_m_s, rate_rad_s)
         at_frame = replace(scene, ring=ring, points_m=ring.break_points_m(scene.rig.lasers))
         seen = visible_edges_of(at_frame, 40, 0.3, rng)
-        parts.append(replace(seen, stamp_s=np.full(len(seen.edge), stamp_s)))
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("position_px", "normal")}
-    vectors = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("sigma_px", "edge", "stamp_s")
-    }
-    return replace(parts[0], **arrays, **vectors)
+        frames.append(replace(seen, stamp_s=np.full(len(seen.edge), stamp_s)))
+    return joined_edge_points(frames)
 
 
 def drawn_motion(rng, ring):
@@ -341,11 +339,8 @@ def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():
 def test_errors_with_a_rig_that_has_changed_within_its_stability_are_as_stated(rng):
     errors = {"normal": [], "grasp": [], "center": []}
     for _ in range(60):
-        said = make_scene("B").rig
-        normal = [tilted(each, TYPICAL_STABILITY.plane_tilt_rad * rng.normal(size=2)) for each in said.lasers.normal]
-        distance_m = said.lasers.distance_m + TYPICAL_STABILITY.plane_distance_m * rng.normal(size=3)
-        real = replace(said, lasers=replace(said.lasers, normal=np.array(normal), distance_m=distance_m))
-        scene = make_scene(real, distance_m=float(rng.uniform(0.35, 0.6)))
+        said = replace(make_scene("B").rig, stability=TYPICAL_STABILITY)
+        scene = make_scene(within_stability(said, rng), distance_m=float(rng.uniform(0.35, 0.6)))
         points = face_points_of(scene, 0.3, 0.02, rng)
 
         pose = pose_result(points, said, assumptions=Assumptions(stability=TYPICAL_STABILITY)).pose

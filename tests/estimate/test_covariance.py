@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ring_scenes import face_points_of, make_scene
+from ring_scenes import axes_across, face_points_of, make_scene, moved_rig, turn_between
 
 from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
@@ -36,47 +36,16 @@ def tolerance(samples):
     return 4.0 * np.sqrt(2.0 / (samples - 1))
 
 
-def axes_across(normal):
-    """The pinned tilt basis: e1 along z x n, e2 = n x e1."""
-    first = np.cross([0.0, 0.0, 1.0], normal)
-    first = first / np.linalg.norm(first)
-    return first, np.cross(normal, first)
-
-
 def parameters_of(pose, normal):
     """The seven parameters of a pose about a given normal."""
     first, second = axes_across(normal)
     tilt = pose.normal / (pose.normal @ normal) - normal
     distance = pose.normal @ pose.center_m
     # the tilt basis turns with the normal, about the line in which both planes meet
-    axis = np.cross(normal, pose.normal)
-    turn = cv2.Rodrigues(axis * np.arcsin(np.linalg.norm(axis)) / max(np.linalg.norm(axis), 1e-300))[0]
+    turn = turn_between(normal, pose.normal)
     in_plane = [pose.center_m @ turn @ first, pose.center_m @ turn @ second]
     radii = (pose.radius_inner_m, pose.radius_outer_m)
     return np.array([tilt @ first, tilt @ second, distance, *in_plane, *radii])
-
-
-def moved_rig(rig, names, step):
-    """The rig with its named parameters moved, from their definition in the file format."""
-    matrix, coefficients = rig.camera.camera_matrix.copy(), rig.camera.distortion_coefficients.copy()
-    normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
-    places = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
-    order = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    for name, value in zip(names, step, strict=True):
-        laser, _, what = name.partition(".")
-        if name in places:
-            matrix[places[name]] += value
-        elif name in order:
-            coefficients[order.index(name)] += value
-        elif what == "distance":
-            distance[rig.lasers.names.index(laser)] += value
-        else:
-            number = rig.lasers.names.index(laser)
-            axis = axes_across(rig.lasers.normal[number])[what == "tilt_2"]
-            normal[number] += value * axis
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    camera = replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients)
-    return replace(rig, camera=camera, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
 
 
 def through_another_camera(points, camera, wrong):

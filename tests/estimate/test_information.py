@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from ring_scenes import RIGS, face_points_of, make_scene, visible_edges_of, with_stripes
+from ring_scenes import RIGS, face_points_of, make_scene, turn_between, visible_edges_of, with_stripes
 
 from ringpose.estimate.covariance import (
     POSE,
@@ -173,9 +172,7 @@ def point_of(center_m, normal, radius_m, velocity_m_s=(0.0, 0.0, 0.0), rate_rad_
 def displaced(point, step):
     """The ring after increments: the tilt basis turns with the normal, the shortest way."""
     normal = tilted(point.normal, step[:2])
-    axis = np.cross(point.normal, normal)
-    sine = np.linalg.norm(axis)
-    turn = cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+    turn = turn_between(point.normal, normal)
     basis = tilt_basis(point.normal)
     center_m = (point.normal @ point.center_m + step[2]) * normal + (
         basis @ point.center_m + step[3:5]

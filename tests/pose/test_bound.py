@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from ring_scenes import face_points_of, make_scene, nees
+from ring_scenes import axes_across, face_points_of, make_scene, nees, turn_between
 
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag
@@ -16,19 +15,6 @@ RADIUS_SD_M = 1e-4
 STEPS = np.array([1e-6, 1e-6, 1e-7, 1e-6, 1e-6, 1e-6, 1e-6])
 WEAK_SD = 0.05
 """Centre's bound in radii from which the bound itself says that it is not observable."""
-
-
-def axes_across(normal):
-    first = np.cross([0.0, 0.0, 1.0], normal)
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
-
-
-def turn_between(first, second):
-    """The smallest rotation from one unit vector to another."""
-    axis = np.cross(first, second)
-    sine = np.linalg.norm(axis)
-    return cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
 
 
 def moved(ring, step):

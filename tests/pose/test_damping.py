@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ring_scenes import break_points_of, make_scene
 
-from ringpose.pose.closed_form import FORMS, MAX_DAMPING, SINGULAR_BELOW, constrained_form, damped_center, paper_form
+from ringpose.pose.closed_form import FORMS, SINGULAR_BELOW, constrained_form, damped_center, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.pose import PoseFlag
 
@@ -68,10 +68,6 @@ def test_the_weakest_direction_keeps_the_square_of_its_share(share):
     center, _ = damped_center(rows, np.array([[0.5, -0.5]]))
 
     assert center[0, 1] == pytest.approx(share**2 * undamped, rel=1e-5)
-
-
-def test_the_largest_damping_is_the_threshold():
-    assert MAX_DAMPING == SINGULAR_BELOW
 
 
 @pytest.mark.parametrize("method", list(FORMS))
