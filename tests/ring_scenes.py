@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPoints, RingEdgePoints, joined_edge_points
 from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 SIZES = {"R597": (0.567, 0.597), "R833": (0.803, 0.833), "R1194": (1.154, 1.194)}
@@ -144,8 +144,12 @@ class Scene:
 def make_scene(rig="B", **pose):
     """A rig by its name, or a `Rig`, and `ring_at` before it."""
     rig = RIGS[rig] if isinstance(rig, str) else rig
-    ring = ring_at(rig, **pose)
-    points_m = ring.break_points_m(rig.lasers)
+    return scene_of(rig, ring_at(rig, **pose))
+
+
+def scene_of(rig, ring, points_m=None):
+    """A ring before a rig; with points, it is these that the lasers show."""
+    points_m = ring.break_points_m(rig.lasers) if points_m is None else points_m
     return Scene(rig=rig, ring=ring, points_m=points_m, position_px=pixels_of(points_m, rig.camera))
 
 
@@ -225,6 +229,15 @@ def moved_rig(rig, names, steps):
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     camera = replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients)
     return replace(rig, camera=camera, lasers=replace(rig.lasers, normal=normal, distance_m=distance_m))
+
+
+def edges_in_frames(rig, rings, count, sigma_px, rng):
+    """`visible_edges_of` a moving ring, which is given by the stamp of each frame."""
+    frames = []
+    for stamp_s, ring in rings.items():
+        edges = visible_edges_of(scene_of(rig, ring), count, sigma_px, rng)
+        frames.append(replace(edges, stamp_s=np.full(len(edges.edge), stamp_s)))
+    return joined_edge_points(frames)
 
 
 def nees(pose, ring):

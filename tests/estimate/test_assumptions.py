@@ -6,7 +6,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import Scene, face_points_of, make_scene, nees, pixels_of, visible_edges_of
+from ring_scenes import edges_in_frames, face_points_of, make_scene, nees, scene_of
 from ring_streams import within_stability
 
 from ringpose.estimate.explanation import explain
@@ -28,7 +28,6 @@ from ringpose.types.assumptions import (
     RigStability,
     motion_prior,
 )
-from ringpose.types.detection import joined_edge_points
 from ringpose.types.pose import NoPose, PoseFlag
 from ringpose.types.scene import Approach
 from ringpose.types.target import RingForm
@@ -53,18 +52,13 @@ def moving_scene(scene, velocity_m_s, rate_rad_s, reference_s=STAMPS_S[1]):
             for laser, stamp_s in enumerate(STAMPS_S)
         ]
     )
-    return Scene(rig=scene.rig, ring=scene.ring, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+    return scene_of(scene.rig, scene.ring, points_m)
 
 
 def edges_of_frames(scene, velocity_m_s, rate_rad_s, stamps_s, rng):
     """Visible edges in frames before and after those of the lasers."""
-    frames = []
-    for stamp_s in stamps_s:
-        ring = moved(scene.ring, stamp_s - STAMPS_S[1], velocity_m_s, rate_rad_s)
-        at_frame = replace(scene, ring=ring, points_m=ring.break_points_m(scene.rig.lasers))
-        seen = visible_edges_of(at_frame, 40, 0.3, rng)
-        frames.append(replace(seen, stamp_s=np.full(len(seen.edge), stamp_s)))
-    return joined_edge_points(frames)
+    rings = {each: moved(scene.ring, each - STAMPS_S[1], velocity_m_s, rate_rad_s) for each in stamps_s}
+    return edges_in_frames(scene.rig, rings, 40, 0.3, rng)
 
 
 def drawn_motion(rng, ring):
@@ -236,7 +230,7 @@ def test_a_ring_within_its_tolerance_has_errors_as_stated(rng, axial):
         for order in (2, 3, 4):  # the variance tolerance^2 at any angle
             amplitude_m = tolerance_m * np.sqrt(2 / 3) * np.sqrt(rng.chisquare(2) / 2)
             points_m = deformed(scene, points_m, amplitude_m, rng.uniform(0, 2 * np.pi), order, axial)
-        seen = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+        seen = scene_of(scene.rig, scene.ring, points_m)
         points = face_points_of(seen, 0.3, 0.02, rng)
 
         result = pose_result(points, scene.rig, assumptions=Assumptions(ring_tolerance_m=tolerance_m))
@@ -265,7 +259,7 @@ def test_a_larger_tolerance_never_reduces_the_covariance(rng):
 def test_a_wave_of_the_edge_beyond_the_tolerance_is_flagged(rng):
     scene = make_scene("B", distance_m=0.5)
     points_m = deformed(scene, scene.points_m, 3e-3, 0.4, 12, axial=True)
-    seen = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+    seen = scene_of(scene.rig, scene.ring, points_m)
     points = face_points_of(seen, 0.1, 0.01, rng)
 
     result = pose_result(points, scene.rig, assumptions=Assumptions(ring_tolerance_m=1e-4))
@@ -374,8 +368,7 @@ AGAIN_S = STAMPS_S[-1] + PERIOD_S
 def seen_twice(scene, velocity_m_s, rng, sigma_px=0.1):
     """Break points of a ring in steady motion by one frame for each laser, then by one with all of them."""
     first = face_points_of(moving_scene(scene, velocity_m_s, np.zeros(3)), sigma_px, sigma_px / 10, rng)
-    points_m = moved(scene.ring, AGAIN_S - STAMPS_S[1], velocity_m_s, np.zeros(3)).break_points_m(scene.rig.lasers)
-    later = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+    later = scene_of(scene.rig, moved(scene.ring, AGAIN_S - STAMPS_S[1], velocity_m_s, np.zeros(3)))
     again = replace(face_points_of(later, sigma_px, sigma_px / 10, rng), stamp_s=np.full(3, AGAIN_S))
     return replace(first, stamp_s=STAMPS_S, repeated=again)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import RIGS, face_points_of, make_scene, turn_between, visible_edges_of, with_stripes
+from ring_scenes import RIGS, face_points_of, make_scene, moved_rig, turn_between, visible_edges_of, with_stripes
 
 from ringpose.estimate.covariance import (
     POSE,
@@ -296,9 +296,8 @@ def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(
     nees = {common: [] for common in (True, False)}
     for _ in range(100):
         step = PLANES_SD * rng.normal(size=9)
-        normals = [tilted(n, step[3 * i : 3 * i + 2]) for i, n in enumerate(rig.lasers.normal)]
-        lasers = replace(rig.lasers, normal=np.array(normals), distance_m=rig.lasers.distance_m + step[2::3])
-        scene = make_scene(replace(rig, lasers=lasers), distance_m=0.4, tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
+        real = moved_rig(rig, PLANES, step)
+        scene = make_scene(real, distance_m=0.4, tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
         assumed_m = RADIUS_M + RADIUS_SD_M * rng.normal(size=2)
         radii = KnownRadii(radius_m=assumed_m, sd_m=np.full(2, RADIUS_SD_M)) if known else None
         shots = [most_likely_pose(face_points_of(scene, 0.3, 0.02, rng), rig, known=radii) for _ in range(30)]

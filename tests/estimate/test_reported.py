@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import face_points_of, make_scene, pixels_of, visible_edges_of, with_stripes
+from ring_scenes import face_points_of, make_scene, scene_of, visible_edges_of, with_stripes
 
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
@@ -30,8 +30,7 @@ def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(
         scene = make_scene("B", distance_m=1.0, side=rng.choice([-1, 1]), across=rng.uniform(-0.1, 0.1))
         edges = visible_edges_of(scene, 60, 0.1, rng)
         surface = replace(scene.ring, center_m=scene.ring.center_m - behind_m * scene.ring.normal)
-        points_m = surface.break_points_m(scene.rig.lasers)
-        behind = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+        behind = scene_of(scene.rig, surface)
         points = with_stripes(face_points_of(behind, 0.05, 0.01, rng), 1)
 
         result = pose_result(points, scene.rig, ring_edges=edges)

@@ -5,14 +5,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import Ring, Scene, face_points_of, make_scene, pixels_of, visible_edges_of
+from ring_scenes import Ring, Scene, edges_in_frames, face_points_of, make_scene, scene_of
 
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import displacement_increments, ring_arcs
 from ringpose.pose.pipeline import pose_line, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, MotionPrior
-from ringpose.types.detection import Detection, joined_edge_points
+from ringpose.types.detection import Detection
 from ringpose.types.pose import NoPose, PoseFlag, RingPose
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
@@ -62,7 +62,7 @@ def seen_by_robot(scene, **truth):
     lasers = scene.rig.lasers
     rings = [seen_at(scene.ring, stamp_s, **truth) for stamp_s in STAMPS_S]
     points_m = np.array([ring.break_points_m(lasers)[laser] for laser, ring in enumerate(rings)])
-    return replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+    return scene_of(scene.rig, scene.ring, points_m)
 
 
 def measured(scene, rng, sigma_px=0.1):
@@ -101,16 +101,11 @@ def test_the_centre_is_right_with_the_robots_poses_and_not_without(scene, rng):
 @pytest.mark.parametrize(("delay_s", "flagged"), [(0.0, False), (0.25, True)])
 def test_a_wrong_delay_of_the_robots_clock_shows_as_a_motion(scene, rng, delay_s, flagged):
     points = measured(seen_by_robot(scene, delay_s=delay_s), rng)
-    frames = []
-    for stamp_s in (STAMPS_S[0] - 1 / 30, STAMPS_S[-1] + 1 / 30):  # the ambient light shows the edges
-        ring = seen_at(scene.ring, stamp_s, delay_s=delay_s)
-        at_frame = replace(scene, ring=ring, points_m=ring.break_points_m(scene.rig.lasers))
-        seen = visible_edges_of(at_frame, 30, 0.2, rng)
-        frames.append(replace(seen, stamp_s=np.full(len(seen.edge), stamp_s)))
+    stamps_s = STAMPS_S[0] - 1 / 30, STAMPS_S[-1] + 1 / 30  # the ambient light shows the edges
+    rings = {each: seen_at(scene.ring, each, delay_s=delay_s) for each in stamps_s}
+    edges = edges_in_frames(scene.rig, rings, 30, 0.2, rng)
 
-    result = pose_result(
-        points, scene.rig, ring_edges=joined_edge_points(frames), assumptions=STILL, camera=robot(delay_s=0.0)
-    )
+    result = pose_result(points, scene.rig, ring_edges=edges, assumptions=STILL, camera=robot(delay_s=0.0))
 
     assert bool(result.flags & PoseFlag.MOTION) == flagged
 
