@@ -12,6 +12,7 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
+from recorded_shots import make_shot
 from ring_scenes import make_camera
 
 from ringpose.geometry.rays import project, undistorted_pixels
@@ -106,25 +107,13 @@ def switched_frames(
 
 def shot_of(image: StripeImage) -> Shot:
     """The image as a shot of one frame with all lasers on."""
-    return Shot(
-        name="synthetic",
-        images=image.image[None],
-        lasers=np.array([2 ** len(image.rig.lasers.names) - 1], np.uint8),
-        stamp_s=np.zeros(1),
-        exposure_s=np.full(1, 1e-3),
-    )
+    return make_shot(image.image[None], [2 ** len(image.rig.lasers.names) - 1], exposure_s=1e-3)
 
 
 def switched_shot(frames: UInt8[Array, "frame row column"]) -> Shot:
     """A frame without lasers and one with each laser alone, as a shot."""
-    count = len(frames)
-    return Shot(
-        name="switched",
-        images=frames,
-        lasers=np.array([0, *(1 << laser for laser in range(count - 1))], np.uint8),
-        stamp_s=np.arange(count) * 0.1,
-        exposure_s=np.full(count, 1e-3),
-    )
+    masks = [0, *(1 << laser for laser in range(len(frames) - 1))]
+    return make_shot(frames, masks, period_s=0.1, exposure_s=1e-3)
 
 
 def exact_break_points(image: StripeImage) -> BreakPoints:

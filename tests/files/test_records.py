@@ -11,6 +11,10 @@ from ringpose.files import records
 from ringpose.files.inputs import inputs
 
 
+def test_line_numbers_count_blank_lines():
+    assert [location for location, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
+
+
 def test_record_is_one_line_of_strict_json(capsys):
     records.write(
         {"a": np.array([1.5, math.nan, -math.inf]), "b": np.float64(math.inf), "c": (1, np.int64(2)), "d": "ä\n"}

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from drawn_boards import drawn_board
 from known_views import plane_errors
+from recorded_shots import make_shot
 from ring_scenes import make_camera
 from scipy.stats import chi2
 
@@ -57,9 +58,7 @@ def drawn_shot(drawn, rng, stand, name) -> Shot:
     speckle = cv2.resize(np.clip(1 + SPECKLE * grain / grain.std(), 0.2, None), depth_m.shape[::-1])
     lit = (60 + 220 * np.sum(sheets, axis=0) * speckle) * reflectance
     images = np.stack([noisy(60 * reflectance, rng), noisy(lit, rng)])
-    return Shot(
-        name=name, images=images, lasers=np.array([0, 7], np.uint8), stamp_s=np.arange(2.0), exposure_s=np.ones(2)
-    )
+    return make_shot(images, [0, 7], name=name, exposure_s=1.0)
 
 
 def fine(pixels: int) -> np.ndarray:

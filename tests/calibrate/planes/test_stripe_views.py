@@ -9,6 +9,7 @@ import pytest
 import scipy.io
 from drawn_boards import FOUR
 from known_views import TRUE_CAMERA
+from recorded_shots import make_shot
 from ring_scenes import make_camera
 
 from ringpose.calibrate.boards.views import board_image, find_board
@@ -39,8 +40,7 @@ def shot_of(path: Path, channel: int | None = None) -> Shot:
     """An image, or one colour of it, as a shot with all lasers on."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE if channel is None else cv2.IMREAD_COLOR)
     grey = image if channel is None else np.ascontiguousarray(image[..., channel])
-    lasers = np.array([255], np.uint8)
-    return Shot(name=path.stem, images=grey[None], lasers=lasers, stamp_s=np.zeros(1), exposure_s=np.zeros(1))
+    return make_shot(grey[None], [255], name=path.stem)
 
 
 def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
