@@ -61,6 +61,18 @@ RIGS = {
 }
 
 
+PITCH_RAD = np.radians([10.0, 0.0, -10.0])
+PROJECTORS_M = np.array([[-0.03, -0.04, 0.0], [0.0, -0.07, -0.02], [0.03, -0.04, 0.0]])
+ACROSS = np.stack([np.zeros(3), np.cos(PITCH_RAD), -np.sin(PITCH_RAD)], axis=1)
+PROJECTED = LaserPlanes(
+    names=("left", "middle", "right"),
+    normal=ACROSS,
+    distance_m=(ACROSS * PROJECTORS_M).sum(axis=1),
+    projector_m=PROJECTORS_M,
+)
+"""Light planes of which the projectors are known."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ring:
     """A ring in the camera frame; the normal points towards the camera."""
@@ -68,6 +80,11 @@ class Ring:
     center_m: np.ndarray
     normal: np.ndarray
     radius_m: np.ndarray
+
+    def moved_by(self, matrix: np.ndarray) -> "Ring":
+        """The ring after a rigid motion."""
+        center_m, normal = matrix[:3, :3] @ self.center_m + matrix[:3, 3], matrix[:3, :3] @ self.normal
+        return replace(self, center_m=center_m, normal=normal)
 
     def break_points_m(self, lasers: LaserPlanes) -> np.ndarray:
         """Where each light plane meets each edge, on the side of the ring nearer to the camera's axis."""
@@ -99,6 +116,12 @@ def break_points_of(position_px, sigma_px=np.nan):
         face_sigma_px=unknown,
         labelled=True,
     )
+
+
+def with_lines(points, ends_px, sigma_px):
+    """With the lines of the stripes between two places each, undistorted, and standard deviations at these."""
+    sigma = np.broadcast_to(sigma_px, ends_px.shape[:2]).copy()
+    return replace(points, face_start_px=ends_px[:, 0], face_end_px=ends_px[:, 1], face_sigma_px=sigma)
 
 
 def pixels_of(points_m, camera):
@@ -173,8 +196,7 @@ def face_points_of(scene, sigma_px, line_px, rng=None):
     if rng is not None:
         middle, slope = line_px * rng.normal(size=(2, len(lines), 1))
         lines[:, :, 1] += middle + np.sqrt(3.0) * slope * [-1.0, 1.0]
-    sigma = np.full((len(lines), 2), 2.0 * line_px)
-    return replace(points, face_start_px=lines[:, 0], face_end_px=lines[:, 1], face_sigma_px=sigma)
+    return with_lines(points, lines, 2.0 * line_px)
 
 
 def without(points, *places):

@@ -13,7 +13,7 @@ from enum import StrEnum
 import cv2
 import numpy as np
 from recorded_shots import make_shot
-from ring_scenes import make_camera
+from ring_scenes import break_points_of, make_camera, with_lines
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.types.arrays import Array, Float64, UInt8
@@ -119,15 +119,8 @@ def switched_shot(frames: UInt8[Array, "frame row column"]) -> Shot:
 def exact_break_points(image: StripeImage) -> BreakPoints:
     """The true break points, with the standard deviations that detection reports on dark images."""
     ends = np.stack([undistorted_pixels(edges, image.rig.camera) for edges in image.break_points_px])
-    return BreakPoints(
-        position_px=image.break_points_px,
-        covariance_px2=np.tile(np.diag([0.05**2, 0.01**2]), (3, 2, 1, 1)),
-        flags=np.zeros((3, 2), np.int64),
-        face_start_px=ends[:, 0],
-        face_end_px=ends[:, 1],
-        face_sigma_px=np.full((3, 2), 0.01),
-        labelled=True,
-    )
+    covariance_px2 = np.tile(np.diag([0.05**2, 0.01**2]), (3, 2, 1, 1))
+    return replace(with_lines(break_points_of(image.break_points_px), ends, 0.01), covariance_px2=covariance_px2)
 
 
 def moved(points: BreakPoints, shift_px: float = 6.0) -> BreakPoints:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.capture.uri import CAMERAS, device_uri, scheme_and_rest
+from ringpose.capture.uri import CAMERAS, LASERS, device_uri, scheme_and_rest
 from ringpose.errors import UsageError
 
 
@@ -31,6 +31,11 @@ def test_an_unknown_scheme_is_a_usage_error(uri, remedy):
         scheme_and_rest(uri, "--camera", ("files", "sim"))
 
 
+def test_the_scheme_of_a_camera_is_not_accepted_for_lasers():
+    with pytest.raises(UsageError, match='--lasers: "files:shots" names no device'):
+        device_uri("files:shots", "--lasers", LASERS)
+
+
 def test_a_device_uri_has_an_address_and_parameters():
     uri = device_uri("files:///dev/serial/by-id/a?ch=1,2&note=a%20b", "--camera", CAMERAS)
 
@@ -41,6 +46,7 @@ def test_a_device_uri_has_an_address_and_parameters():
 @pytest.mark.parametrize(
     ("written", "problem"),
     [
+        ("high", "must be a number"),
         ("nan", "must be a number"),
         ("inf", "must be a number"),
         ("-1", "it takes 0.5 to 9"),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import make_camera
+from ring_scenes import PROJECTED, make_camera
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
@@ -13,28 +13,17 @@ from ringpose.simulate.pipeline import simulate, simulated_shot
 from ringpose.simulate.placement import ring_views
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Light, RingView, Scene, Sensor
 from ringpose.types.session import parsed_sequence
 from ringpose.types.target import Body, RingShape
 
-PITCH_RAD = np.radians([10.0, 0.0, -10.0])
-NORMALS = np.stack([np.zeros(3), np.cos(PITCH_RAD), -np.sin(PITCH_RAD)], axis=1)
-PROJECTORS_M = np.array([[-0.03, -0.04, 0.0], [0.0, -0.07, -0.02], [0.03, -0.04, 0.0]])
 OUTER_M = 0.597
 SWITCHED, ALL_ON = [0, 1, 2, 3], [4]
 
 
 def rig_of(focal_px: float, width: int, height: int) -> Rig:
-    return Rig(
-        camera=make_camera((width, height), (focal_px, focal_px), (width / 2, height / 2)),
-        lasers=LaserPlanes(
-            names=("left", "middle", "right"),
-            normal=NORMALS,
-            distance_m=(NORMALS * PROJECTORS_M).sum(axis=1),
-            projector_m=PROJECTORS_M,
-        ),
-    )
+    return Rig(camera=make_camera((width, height), (focal_px, focal_px), (width / 2, height / 2)), lasers=PROJECTED)
 
 
 WIDE = rig_of(560.0, 960, 720)

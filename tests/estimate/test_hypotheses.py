@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import face_points_of, make_scene, with_stripes
+from ring_scenes import break_points_of, face_points_of, make_scene, with_lines, with_stripes
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
@@ -12,7 +12,6 @@ from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
-from ringpose.types.detection import BreakPoints
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
@@ -316,16 +315,10 @@ def test_ends_are_not_rejected_where_the_other_side_of_the_centre_rejects_others
     end_px = np.array([[865.13, 844.35], [979.30, 465.33], [977.00, 213.17]])
     left_px = np.array([[804.00, 843.66], [np.nan, np.nan], [921.39, 215.37]])
     right_px = np.array([[863.41, 843.86], [979.72, 465.55], [1002.76, 215.34]])
-    position_px = np.stack([left_px, right_px], axis=1)
+    position_px, ends_px = np.stack([left_px, right_px], axis=1), np.stack([start_px, end_px], axis=1)
     seen = np.where(np.isfinite(position_px[..., :1, None]), 1.0, np.nan)
-    points = BreakPoints(
-        position_px=position_px,
-        covariance_px2=seen * np.diag([0.1, 0.003]),
-        flags=np.zeros((3, 2), dtype=np.int64),
-        face_start_px=start_px,
-        face_end_px=end_px,
-        face_sigma_px=np.full((3, 2), 0.055),
-        labelled=True,
+    points = replace(
+        with_lines(break_points_of(position_px), ends_px, 0.055), covariance_px2=seen * np.diag([0.1, 0.003])
     )
 
     found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))
@@ -343,15 +336,18 @@ def test_a_stripe_of_three_is_not_rejected_where_without_another_one_the_shot_pa
             [[629.6344, 191.9437], [702.4003, 191.9838]],
         ]
     )
+    ends_px = np.array(
+        [
+            [[625.5844, 822.0986], [694.8118, 822.7635]],
+            [[649.7588, 428.5911], [720.9128, 429.1835]],
+            [[627.9899, 189.4819], [701.4821, 189.7490]],
+        ]
+    )
+    sigma_px = np.array([0.0385, 0.0314, 0.0291])
     variance_px2 = np.array([[0.028, 0.0259], [0.0187, 0.0131], [0.0117, 0.012]])[..., None, None]
-    points = BreakPoints(
-        position_px=position_px,
+    points = replace(
+        with_lines(break_points_of(position_px), ends_px, sigma_px[:, None]),
         covariance_px2=variance_px2 * np.diag([1.0, 0.06]),
-        flags=np.zeros((3, 2), dtype=np.int64),
-        face_start_px=np.array([[625.5844, 822.0986], [649.7588, 428.5911], [627.9899, 189.4819]]),
-        face_end_px=np.array([[694.8118, 822.7635], [720.9128, 429.1835], [701.4821, 189.7490]]),
-        face_sigma_px=np.array([[0.0385, 0.0385], [0.0314, 0.0314], [0.0291, 0.0291]]),
-        labelled=True,
     )
 
     found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import Ring, Scene, edges_in_frames, face_points_of, make_scene, scene_of
+from ring_scenes import Scene, edges_in_frames, face_points_of, make_scene, scene_of
 
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.camera_motion import CameraMotion
@@ -49,12 +49,7 @@ def robot(delay_s=0.0, sds=(0.0, 0.0, 0.0), mount=TOOL_FROM_CAMERA, until_s=100.
 def seen_at(ring, stamp_s, mount=TOOL_FROM_CAMERA, delay_s=0.0):
     """A ring at rest, given as the camera sees it at 100 s, as the camera sees it at a stamp of its clock."""
     then, now = (np.linalg.inv(base_from_tool(each + delay_s) @ mount) for each in (100.0, stamp_s))
-    moved = now @ np.linalg.inv(then)
-    return Ring(
-        center_m=moved[:3, :3] @ ring.center_m + moved[:3, 3],
-        normal=moved[:3, :3] @ ring.normal,
-        radius_m=ring.radius_m,
-    )
+    return ring.moved_by(now @ np.linalg.inv(then))
 
 
 def seen_by_robot(scene, **truth):
