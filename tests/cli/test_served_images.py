@@ -16,24 +16,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
-def serve_images(tmp_path, monkeypatch, forker):
-    """Start `ringpose simulate serve --images` and return its process and URIs."""
-    monkeypatch.chdir(tmp_path)
-    processes = []
-
-    def started(*options, scene="scene.yaml", port=0):
-        if not Path(scene).exists():
-            small_scene(tmp_path)
-        words = ["simulate", "serve", "--images", f"tcp://127.0.0.1:{port}", scene, *options]
-        process = Forked(forker, words)
-        processes.append(process)
-        return process, json.loads(process.stdout.readline())
-
-    yield started
-    for process in processes:
-        with process:
-            if process.returncode is None:
-                process.kill()
+def serve_images(serving):
+    """Start a server of images and return its process and URIs."""
+    return lambda *options, scene="scene.yaml", port=0: serving("--images", f"tcp://127.0.0.1:{port}", scene, *options)
 
 
 def poses(capsys):
