@@ -13,6 +13,18 @@ def scores() -> list[Score]:
     ]
 
 
+def test_every_line_of_a_block_has_its_numbers_in_columns():
+    block = table(summaries(scores(), ["distance_m"]), ["distance_m"]).split("\n\n")[0].splitlines()
+
+    assert block == [
+        "shots",
+        "method  distance_m  shots  ok  degraded  missed  partial  part.none  no target  wrong  lost",
+        "paper   0.5             1   1         0       0        0          0          0      0     0",
+        "paper   1               1   0         0       1        0          0          0      0     0",
+        "paper   all             2   1         0       1        0          0          0      0     0",
+    ]
+
+
 def test_errors_have_three_digits_in_millimetres_and_degrees():
     block = table(summaries(scores(), []), []).split("\n\n")[1].splitlines()
 
