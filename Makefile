@@ -16,7 +16,7 @@ export PYTHONDONTWRITEBYTECODE =
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
-	@echo "make bench-speed  line detectors compared; speed and accuracy beside every limit of the design; fails if one is missed"
+	@echo "make bench-speed  line detectors compared; speed and accuracy beside every limit of the design; status 3 if one is missed"
 	@echo "make bench-targets  drift, covariances and tracks against their targets; status 3 if one is missed"
 	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"

@@ -109,6 +109,13 @@ def forker() -> Iterator[socket.socket]:
 
 
 @pytest.fixture
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder of this test, with nothing in it."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def example_folder(tmp_path: Path, carried_data: Path) -> Path:
     """A working folder as the manual and the examples assume: a rig, shots with truth, board views, a scene.
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from drawn_scene import RADII_M, DrawnScene, line_of, true_break_points
+from ring_scenes import break_points_of, with_lines
 
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.types.detection import BreakPoints, RingEdgePoints
@@ -80,15 +81,7 @@ def measured(scene: DrawnScene, rig: Rig, rng: np.random.Generator) -> BreakPoin
     shift = rng.normal(0, END_SIGMA_PX, (count, 2))
     position = truth + np.stack([shift, shift * np.array(slopes)[:, None]], axis=-1)
     covariance = np.broadcast_to(np.diag([END_SIGMA_PX**2, 0.1 * END_SIGMA_PX**2]), (count, 2, 2, 2)).copy()
-    return BreakPoints(
-        position_px=position,
-        covariance_px2=covariance,
-        flags=np.zeros((count, 2), dtype=np.int64),
-        face_start_px=truth[:, 1],
-        face_end_px=truth[:, 0],
-        face_sigma_px=np.full((count, 2), LINE_SIGMA_PX),
-        labelled=True,
-    )
+    return replace(with_lines(break_points_of(position), truth[:, ::-1], LINE_SIGMA_PX), covariance_px2=covariance)
 
 
 def off_edge_px(points: RingEdgePoints, scene: DrawnScene, rig: Rig) -> np.ndarray:

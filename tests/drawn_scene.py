@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from recorded_shots import make_shot
 from ring_scenes import Ring, make_rig, pixels_of
 from scipy.special import ndtr
 
@@ -88,13 +89,7 @@ def draw_shot(scene: DrawnScene, rig: Rig, masks: list[int], rng: np.random.Gene
         clean = scene.ambient_dn + sum(each for laser, each in enumerate(lights) if mask >> laser & 1)
         noisy = clean + rng.normal(0, scene.noise_dn, (rig.camera.image_height, rig.camera.image_width))
         frames.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    return Shot(
-        name="drawn",
-        images=np.array(frames),
-        lasers=np.array(masks, dtype=np.uint8),
-        stamp_s=np.arange(len(masks), dtype=np.float64),
-        exposure_s=np.full(len(masks), 0.001),
-    )
+    return make_shot(np.array(frames), masks, name="drawn", exposure_s=0.001)
 
 
 def speckle(shape: tuple[int, int], contrast: float, rng: np.random.Generator) -> np.ndarray:

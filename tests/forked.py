@@ -4,14 +4,19 @@ import json
 import os
 import signal
 import socket
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
-from typing import Any
+from pathlib import Path
 
 
 class Forked(AbstractContextManager["Forked"]):
-    """The real command, forked from a process with its modules; used like a `subprocess.Popen`."""
+    """The real command, forked from a process with its modules; used like a `subprocess.Popen`.
 
-    def __init__(self, forker: socket.socket, job: dict[str, Any]) -> None:
+    It runs in the working folder; `before` is code that is run in it first.
+    """
+
+    def __init__(self, forker: socket.socket, words: Sequence[str], before: str = "") -> None:
+        job = {"before": before, "words": words, "folder": str(Path.cwd()), "environment": {**os.environ}}
         self._reply, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         (out, their_out), (said, their_said) = os.pipe(), os.pipe()
         self.stdout, self.stderr = os.fdopen(out), os.fdopen(said)

@@ -45,21 +45,11 @@ class SeenByRobot:
 
     def at(self, time_s: float) -> Ring:
         camera_from_base = np.linalg.inv(base_from_tool(time_s + self.delay_s) @ self.tool_from_camera)
-        ring = self.motion.at(time_s)
-        return Ring(
-            center_m=camera_from_base[:3, :3] @ ring.center_m + camera_from_base[:3, 3],
-            normal=camera_from_base[:3, :3] @ ring.normal,
-            radius_m=ring.radius_m,
-        )
+        return self.motion.at(time_s).moved_by(camera_from_base)
 
 
 def in_base(seen: Motion) -> Motion:
     """A motion that the camera sees at the start, in the base frame."""
     matrix = base_from_tool(0.0) @ TOOL_FROM_CAMERA
-    turned = matrix[:3, :3]
-    ring = Ring(
-        center_m=turned @ seen.ring.center_m + matrix[:3, 3],
-        normal=turned @ seen.ring.normal,
-        radius_m=seen.ring.radius_m,
-    )
+    turned, ring = matrix[:3, :3], seen.ring.moved_by(matrix)
     return Motion(ring=ring, velocity_m_s=turned @ seen.velocity_m_s, rate_rad_s=turned @ seen.rate_rad_s)

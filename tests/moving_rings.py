@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from ring_scenes import RIGS, Ring, ring_at
+from ring_scenes import RIGS, Ring, moved_rig, ring_at
 
-from ringpose.geometry.rotations import tilt_basis, tilted
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
 from ringpose.types.pose import (
     LinearizationPoint,
@@ -20,7 +20,7 @@ from ringpose.types.pose import (
     RadiusPrior,
     RingMeasurement,
 )
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import LaserPlanes
 
 START_S = 1_700_000_000.0
 FRAMES = (1, 2, 3)
@@ -122,15 +122,6 @@ class Shots:
     """Prior of the motion by which the linearisation point is found."""
 
 
-def planes(rig: Rig, offsets: dict[str, float]) -> LaserPlanes:
-    """The light planes with errors."""
-    lasers, normal, distance = rig.lasers, rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
-    for i, name in enumerate(lasers.names):
-        tilts = np.array([offsets.get(f"{name}.tilt_1", 0.0), offsets.get(f"{name}.tilt_2", 0.0)])
-        normal[i], distance[i] = tilted(normal[i], tilts), distance[i] + offsets.get(f"{name}.distance", 0.0)
-    return replace(lasers, normal=normal, distance_m=distance)
-
-
 def features(center, normal, radius, velocity, rate, lasers: LaserPlanes, times, near) -> np.ndarray:
     """Normalised image coordinates of many rings at once: per laser y at two fixed x, and x of both break points.
 
@@ -181,7 +172,7 @@ def seen(motion, start_s: float, shots: Shots, rng) -> tuple[np.ndarray, np.ndar
     """The numbers of one shot and their standard deviations, the times of its frames, and places near its stripes."""
     rig = RIGS[shots.rig]
     frames_s = start_s + shots.frame_s * np.array(FRAMES)
-    lasers = planes(rig, shots.offsets)
+    lasers = moved_rig(rig, shots.offsets, shots.offsets.values()).lasers
     near = motion.at(float(frames_s.mean())).break_points_m(lasers).mean(axis=1)
     found = []
     for number, time_s in enumerate(frames_s):  # each laser sees the ring at its own time
@@ -249,7 +240,7 @@ def rig_columns(rig, at, times, near, sigma, shots: Shots) -> tuple[tuple[str, .
     ring = rings_of(at, np.zeros((1, 12)))
 
     def at_offset(name: str, value: float) -> np.ndarray:
-        return features(*ring, planes(rig, {name: value}), times, near)[0] / sigma
+        return features(*ring, moved_rig(rig, [name], [value]).lasers, times, near)[0] / sigma
 
     return names, np.stack([(at_offset(name, 1e-7) - at_offset(name, -1e-7)) / 2e-7 for name in names], axis=1)
 

@@ -4,28 +4,31 @@ Nothing here is taken from the code under test: each light plane is brought into
 line is cut with the two circles by the formula for quadratic equations; OpenCV projects what comes out.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import pytest
 
-from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPoints, RingEdgePoints, joined_edge_points
 from ringpose.types.rig import Camera, LaserPlanes, Rig
 
 SIZES = {"R597": (0.567, 0.597), "R833": (0.803, 0.833), "R1194": (1.154, 1.194)}
 
 
-def make_rig(focal, principal, distortion, normal, distance):
-    camera = Camera(
+def make_camera(size, focal, principal, distortion=(0.0,) * 5):
+    """A camera with an image of this width and height; pixels, and five or eight coefficients."""
+    return Camera(
         camera_name="test",
-        image_width=1600,
-        image_height=1200,
-        camera_matrix=np.array([[focal[0], 0, principal[0]], [0, focal[1], principal[1]], [0, 0, 1.0]]),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.array(distortion),
+        image_width=size[0],
+        image_height=size[1],
+        camera_matrix=np.array([[focal[0], 0.0, principal[0]], [0.0, focal[1], principal[1]], [0.0, 0.0, 1.0]]),
+        distortion_model="plumb_bob" if len(distortion) == 5 else "rational_polynomial",
+        distortion_coefficients=np.array(distortion, dtype=np.float64),
     )
+
+
+def make_rig(focal, principal, distortion, normal, distance):
+    camera = make_camera((1600, 1200), focal, principal, distortion)
     unit = np.array(normal) / np.linalg.norm(normal, axis=-1, keepdims=True)
     lasers = LaserPlanes(
         names=("left", "middle", "right"),
@@ -58,6 +61,18 @@ RIGS = {
 }
 
 
+PITCH_RAD = np.radians([10.0, 0.0, -10.0])
+PROJECTORS_M = np.array([[-0.03, -0.04, 0.0], [0.0, -0.07, -0.02], [0.03, -0.04, 0.0]])
+ACROSS = np.stack([np.zeros(3), np.cos(PITCH_RAD), -np.sin(PITCH_RAD)], axis=1)
+PROJECTED = LaserPlanes(
+    names=("left", "middle", "right"),
+    normal=ACROSS,
+    distance_m=(ACROSS * PROJECTORS_M).sum(axis=1),
+    projector_m=PROJECTORS_M,
+)
+"""Light planes of which the projectors are known."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ring:
     """A ring in the camera frame; the normal points towards the camera."""
@@ -65,6 +80,11 @@ class Ring:
     center_m: np.ndarray
     normal: np.ndarray
     radius_m: np.ndarray
+
+    def moved_by(self, matrix: np.ndarray) -> "Ring":
+        """The ring after a rigid motion."""
+        center_m, normal = matrix[:3, :3] @ self.center_m + matrix[:3, 3], matrix[:3, :3] @ self.normal
+        return replace(self, center_m=center_m, normal=normal)
 
     def break_points_m(self, lasers: LaserPlanes) -> np.ndarray:
         """Where each light plane meets each edge, on the side of the ring nearer to the camera's axis."""
@@ -98,6 +118,12 @@ def break_points_of(position_px, sigma_px=np.nan):
     )
 
 
+def with_lines(points, ends_px, sigma_px):
+    """With the lines of the stripes between two places each, undistorted, and standard deviations at these."""
+    sigma = np.broadcast_to(sigma_px, ends_px.shape[:2]).copy()
+    return replace(points, face_start_px=ends_px[:, 0], face_end_px=ends_px[:, 1], face_sigma_px=sigma)
+
+
 def pixels_of(points_m, camera):
     """OpenCV's projection of points in the camera frame; NaN stays NaN."""
     flat = points_m.reshape(-1, 3)
@@ -118,7 +144,7 @@ def ring_at(rig, *, distance_m=0.5, across=0.0, tilt_rad=(0.1, -0.1), turn_rad=0
     x, z = across * distance_m, distance_m
     on_band = np.array([x, (d - m[0] * x - m[2] * z) / m[1], z])
     turned = cv2.Rodrigues(np.array([*tilt_rad, 0.0]))[0]
-    radius = np.array(SIZES[size])
+    radius = np.array(SIZES[size] if isinstance(size, str) else size)
     inward = side * np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
     return Ring(center_m=on_band + radius.mean() * turned @ inward, normal=-turned[:, 2], radius_m=radius)
 
@@ -141,32 +167,13 @@ class Scene:
 def make_scene(rig="B", **pose):
     """A rig by its name, or a `Rig`, and `ring_at` before it."""
     rig = RIGS[rig] if isinstance(rig, str) else rig
-    ring = ring_at(rig, **pose)
-    points_m = ring.break_points_m(rig.lasers)
+    return scene_of(rig, ring_at(rig, **pose))
+
+
+def scene_of(rig, ring, points_m=None):
+    """A ring before a rig; with points, it is these that the lasers show."""
+    points_m = ring.break_points_m(rig.lasers) if points_m is None else points_m
     return Scene(rig=rig, ring=ring, points_m=points_m, position_px=pixels_of(points_m, rig.camera))
-
-
-@pytest.fixture(scope="session")
-def scene_of() -> Callable[..., Scene]:
-    """Builds scenes: `scene_of("A", distance_m=0.2, ...)`."""
-    return make_scene
-
-
-@pytest.fixture
-def ring_scene(monkeypatch) -> Callable[..., Scene]:
-    """Builds a scene with a ring of any radii: `ring_scene("B", 0.5, (0.567, 0.597))`."""
-
-    def scene_with(rig, distance_m, radii_m):
-        monkeypatch.setitem(SIZES, "other", radii_m)
-        return make_scene(rig, distance_m=distance_m, size="other")
-
-    return scene_with
-
-
-@pytest.fixture(scope="session")
-def break_points_at() -> Callable[..., BreakPoints]:
-    """Builds break points from an array of pixels."""
-    return break_points_of
 
 
 def line_of_face(scene, laser):
@@ -189,8 +196,7 @@ def face_points_of(scene, sigma_px, line_px, rng=None):
     if rng is not None:
         middle, slope = line_px * rng.normal(size=(2, len(lines), 1))
         lines[:, :, 1] += middle + np.sqrt(3.0) * slope * [-1.0, 1.0]
-    sigma = np.full((len(lines), 2), 2.0 * line_px)
-    return replace(points, face_start_px=lines[:, 0], face_end_px=lines[:, 1], face_sigma_px=sigma)
+    return with_lines(points, lines, 2.0 * line_px)
 
 
 def without(points, *places):
@@ -211,11 +217,54 @@ def with_stripes(points, *lasers):
     return replace(points, **parts)
 
 
+def axes_across(normal):
+    """The tilt basis that the formats define: e1 along z x n, e2 = n x e1."""
+    first = np.cross([0.0, 0.0, 1.0], normal)
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])
+
+
+def turn_between(first, second):
+    """The smallest rotation from one unit vector to another."""
+    axis = np.cross(first, second)
+    sine = np.linalg.norm(axis)
+    return cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+
+
+def moved_rig(rig, names, steps):
+    """The rig with its named parameters moved, from their definition in the file format."""
+    matrix, coefficients = rig.camera.camera_matrix.copy(), rig.camera.distortion_coefficients.copy()
+    normal, distance_m = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
+    places = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
+    order = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    for name, step in zip(names, steps, strict=True):
+        laser, _, what = name.partition(".")
+        if name in places:
+            matrix[places[name]] += step
+        elif name in order:
+            coefficients[order.index(name)] += step
+        elif what == "distance":
+            distance_m[rig.lasers.names.index(laser)] += step
+        else:
+            number = rig.lasers.names.index(laser)
+            normal[number] += step * axes_across(rig.lasers.normal[number])[int(what == "tilt_2")]
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    camera = replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients)
+    return replace(rig, camera=camera, lasers=replace(rig.lasers, normal=normal, distance_m=distance_m))
+
+
+def edges_in_frames(rig, rings, count, sigma_px, rng):
+    """`visible_edges_of` a moving ring, which is given by the stamp of each frame."""
+    frames = []
+    for stamp_s, ring in rings.items():
+        edges = visible_edges_of(scene_of(rig, ring), count, sigma_px, rng)
+        frames.append(replace(edges, stamp_s=np.full(len(edges.edge), stamp_s)))
+    return joined_edge_points(frames)
+
+
 def nees(pose, ring):
     """Squared errors over their covariance, by degree of freedom: of normal, grasp point (axial and radial), centre."""
-    first = np.cross([0.0, 0.0, 1.0], pose.normal)
-    first /= np.linalg.norm(first)
-    tilt_rad = np.stack([first, np.cross(pose.normal, first)]) @ ring.normal / (pose.normal @ ring.normal)
+    tilt_rad = axes_across(pose.normal) @ ring.normal / (pose.normal @ ring.normal)
     from_center = pose.grasp_m - ring.center_m
     axial_m = from_center @ ring.normal
     outward = from_center - axial_m * ring.normal
@@ -252,15 +301,3 @@ def visible_edges_of(scene, count, sigma_px, rng=None):
         sigma_px=np.full(len(position), sigma_px),
         edge=np.repeat([0, 1], count // 2),
     )
-
-
-@pytest.fixture(scope="session")
-def face_points() -> Callable[..., BreakPoints]:
-    """Builds break points with their stripes' lines: `face_points(scene, 0.3, 0.03, rng)`."""
-    return face_points_of
-
-
-@pytest.fixture(scope="session")
-def visible_edges() -> Callable[..., RingEdgePoints]:
-    """Builds visible edge points: `visible_edges(scene, 100, 0.3, rng)`."""
-    return visible_edges_of

@@ -2,24 +2,21 @@
 
 from dataclasses import replace
 
-import numpy as np
-from ring_scenes import face_points_of, make_scene
+from ring_scenes import face_points_of, make_scene, moved_rig
 
-from ringpose.geometry.rotations import tilted
 from ringpose.pose.drift import DriftMonitor
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions
 from ringpose.types.pose import NoPose, PoseLine
+from ringpose.types.rig import PLANE_PARAMETERS
 
 ASSUMED = Assumptions(ring_tolerance_m=1e-4, stability=TYPICAL_STABILITY)
 
 
 def moved(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
     """The rig with one light plane moved."""
-    normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
-    normal[laser] = tilted(normal[laser], np.array(tilt_rad))
-    distance[laser] += shift_m
-    return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
+    names = [f"{rig.lasers.names[laser]}.{each}" for each in PLANE_PARAMETERS]
+    return moved_rig(rig, names, (*tilt_rad, shift_m))
 
 
 def within_stability(rig, rng):

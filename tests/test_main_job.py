@@ -14,9 +14,7 @@ FORMATS = (".bmp", ".jpg", ".pgm", ".png", ".tif")
 SETS = ("rig_a", "rig_b", "variants_a", "variants_b")
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_poses import FOCAL_PX, PRINCIPAL_PX, estimate_of, on_ring, truth_of
+from ring_scenes import make_camera
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, score
 from ringpose.bench.score import estimate_of as bench_estimate_of
@@ -25,15 +26,7 @@ MOVING = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s"
 
 @pytest.fixture
 def camera() -> Camera:
-    matrix = np.array([[FOCAL_PX, 0.0, PRINCIPAL_PX[0]], [0.0, FOCAL_PX, PRINCIPAL_PX[1]], [0.0, 0.0, 1.0]])
-    return Camera(
-        camera_name="plain",
-        image_width=1600,
-        image_height=1200,
-        camera_matrix=matrix,
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.zeros(5),
-    )
+    return make_camera((1600, 1200), (FOCAL_PX, FOCAL_PX), PRINCIPAL_PX)
 
 
 def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:

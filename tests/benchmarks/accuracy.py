@@ -4,9 +4,19 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from benchmarks.detection_errors import WRONG_PX, BreakPointErrors, CenterErrors, break_point_errors, center_errors
+from benchmarks.detection_errors import (
+    WRONG_PX,
+    BreakPointErrors,
+    CenterErrors,
+    break_point_errors,
+    center_errors,
+    joined,
+    mean,
+    median,
+    rms,
+    robust_sd,
+)
 from benchmarks.limits import Figure
-from benchmarks.robust_statistics import joined, mean, median, rms, robust_sd
 from benchmarks.stripe_images import Kind, exact_break_points, shot_of, stripe_image
 
 from ringpose.detect.pipeline import detect

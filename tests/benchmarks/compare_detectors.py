@@ -1,22 +1,20 @@
 """Line detectors beside each other on synthetic stripes: those of OpenCV, those of ringpose, and its detection chain.
 
-    PYTHONPATH=tests python -m benchmarks.compare_detectors [--kind KIND] [--seeds N] [--rounds N]  (`make bench-speed`)
+    PYTHONPATH=tests python -m benchmarks.compare_detectors [--seeds N] [--rounds N]  (`make bench-speed`)
 
 The lens has no distortion, so that stripes are straight. A stripe has two edges; for a detector of edges its centre
 line is the mean of the two. Times are processor times on one core.
 """
 
-import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
-from benchmarks.detection_errors import WRONG_PX, break_point_errors
-from benchmarks.limits import number
+from benchmarks.detection_errors import WRONG_PX, break_point_errors, joined, mean, median, rms, robust_sd
+from benchmarks.limits import number, options
 from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
-from benchmarks.robust_statistics import joined, mean, median, rms, robust_sd
 from benchmarks.stripe_images import Kind, StripeImage, shot_of, stripe_image, stripe_rig
 
 from ringpose.bench.speed import median_times_s, one_core
@@ -158,15 +156,11 @@ def table(title: str, figures: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join([title, *aligned(rows, left=1)]) + "\n"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kind", action="append", choices=list(map(str, Kind)), help="synthetic images; repeatable")
-    parser.add_argument("--seeds", type=int, default=3, help="synthetic images of each kind")
-    parser.add_argument("--rounds", type=int, default=5, help="repetitions of each time")
-    options = parser.parse_args(arguments)
-    for kind in map(Kind, options.kind or Kind):
-        images = [stripe_image(kind, seed, stripe_rig(lens=False)) for seed in range(options.seeds)]
-        print(table(str(kind), compare(images, options.rounds)), flush=True)
+def main() -> None:
+    chosen = options(__doc__, seeds=3, rounds=5).parse_args()
+    for kind in Kind:
+        images = [stripe_image(kind, seed, stripe_rig(lens=False)) for seed in range(chosen.seeds)]
+        print(table(str(kind), compare(images, chosen.rounds)), flush=True)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from benchmarks.limits import Figure
-from benchmarks.targets import band, options, printed, target
+from benchmarks.limits import Figure, band, options, printed, target
 
 from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
 from ringpose.files.scenes.scene import read_scene

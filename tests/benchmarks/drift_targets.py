@@ -7,15 +7,14 @@ centre of mass 1 m behind them, drift at up to 0.1 m/s, and are seen by each las
 """
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from benchmarks.limits import Figure
-from benchmarks.targets import WRONG_SIGMAS, options, status, target
+from benchmarks.limits import WRONG_SIGMAS, Figure, options, status, target
 from moving_rings import Motion
-from ring_scenes import RIGS, Scene, face_points_of, make_scene, pixels_of, visible_edges_of
+from ring_scenes import RIGS, Scene, edges_in_frames, face_points_of, make_scene, scene_of, visible_edges_of
 from ring_streams import ASSUMED, measured_stream, moved, poses_before, within_stability
 from scipy.stats import chi2, ncx2, norm, poisson
 
@@ -59,23 +58,14 @@ def tumbling(rig, rng, shots: int) -> Iterator[Measured]:
             lever_m=1.0,
         )
         stamp_s, off_s = FRAME_S * np.arange(-1, 2), FRAME_S * np.array([-2, 2])
-        by_frame = [scene_of(motion.at(s), rig) for s in stamp_s]
+        by_frame = [scene_of(rig, motion.at(s)) for s in stamp_s]
         of_each = {
             name: np.array([getattr(each, name)[laser] for laser, each in enumerate(by_frame)])
             for name in ("points_m", "position_px")
         }
         points = replace(face_points_of(replace(scene, **of_each), 0.3, 0.02, rng), stamp_s=100.0 + stamp_s)
-        edges = [visible_edges_of(scene_of(motion.at(s), rig), EDGE_POINTS, 0.3, rng) for s in off_s]
-        both = {
-            name: np.concatenate([getattr(each, name) for each in edges])
-            for name in ("position_px", "normal", "sigma_px", "edge")
-        }
-        yield scene, points, RingEdgePoints(**both, stamp_s=np.repeat(100.0 + off_s, EDGE_POINTS))
-
-
-def scene_of(ring, rig) -> Scene:
-    points_m = ring.break_points_m(rig.lasers)
-    return Scene(rig=rig, ring=ring, points_m=points_m, position_px=pixels_of(points_m, rig.camera))
+        rings = {100.0 + s: motion.at(s) for s in off_s}
+        yield scene, points, edges_in_frames(rig, rings, EDGE_POINTS, 0.3, rng)
 
 
 STREAMS: dict[str, Callable[..., Iterator[Measured]]] = {"still": poses_before, "tumbling": tumbling}
@@ -98,7 +88,7 @@ def single_shots(rng, shots: int) -> tuple[int, float, int]:
             tilts, shift_m = np.zeros(2), rng.choice([-1, 1]) * rng.uniform(0.2e-3, 2e-3)
         real = moved(within_stability(rig, rng), laser, tilts, shift_m)
         ((seen, points),) = poses_before(real, rng, 1)
-        scene = scene_of(seen.ring, rig)
+        scene = scene_of(rig, seen.ring)
         edges, exact = visible_edges_of(scene, EDGE_POINTS, 0.3, rng), visible_edges_of(scene, EDGE_POINTS, 0.3)
         (line,), _ = measured_stream(rig, [(seen, points, edges)])
         (expected,), _ = measured_stream(rig, [(scene, face_points_of(scene, 0.3, 0.02), exact)])
@@ -162,23 +152,15 @@ def warned(kind: str, changed: str, rng) -> bool:
     return any((name or "") in text for text in warnings.values())
 
 
-def figures(kinds: Iterable[str], changes: Iterable[str], streams: int) -> Iterator[Figure]:
+def figures(streams: int) -> Iterator[Figure]:
     wrong, left, obvious = single_shots(np.random.default_rng(11), 10 * streams)
     yield target(f"ok and wrong of {10 * streams} single shots, planes moved", wrong, poisson.ppf(0.99, left))
     yield target("of them with a noncentrality above 60", obvious, 0)
-    for kind, changed in product(kinds, changes):
+    for kind, changed in product(STREAMS, ["none", *PLANES]):
         share = np.mean([warned(kind, changed, np.random.default_rng([17, stream])) for stream in range(streams)])
         name = f"share of {streams} {kind} streams with a warning, planes moved: {changed}"
         yield target(name, share, 1 / 1000) if changed == "none" else target(name, share, 1.0, 0.9)
 
 
-def main() -> int:
-    parser = options(__doc__, streams=60)
-    parser.add_argument("--kind", choices=list(STREAMS), action="append")
-    parser.add_argument("--changed", choices=["none", *PLANES], action="append")
-    chosen = parser.parse_args()
-    return status(figures(chosen.kind or STREAMS, chosen.changed or ["none", *PLANES], chosen.streams))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(status(figures(options(__doc__, streams=60).parse_args().streams)))

@@ -1,26 +1,23 @@
-"""A measured figure, the limit that it must keep, and both as a line of a table."""
+"""A measured figure with its limits, one line of a report; figures that are measured one by one and the exit status."""
 
+import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import StrEnum
+
+from scipy.stats import chi2
 
 from ringpose.bench.summary import ABSENT
-from ringpose.bench.table import aligned
 
+WRONG_SIGMAS = 5.0
+"""Mahalanobis distance from which a quantity is wrong."""
 
-class Verdict(StrEnum):
-    """The result of comparing a figure with its limit."""
-
-    OK = "ok"
-    MISSED = "MISSED"
-    NONE = "none"
-    """The figure is measured for comparison and has no limit."""
+NAME_WIDTH = 72
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
-    """One measured figure."""
+    """One measured figure; without limits it is printed for comparison."""
 
     name: str
     measured: float
@@ -30,44 +27,29 @@ class Figure:
     min_value: float = -math.inf
 
     @property
-    def verdict(self) -> Verdict:
-        """Whether the figure is within its limits."""
-        if math.isinf(self.max_value) and math.isinf(self.min_value):
-            return Verdict.NONE
-        return Verdict.OK if self.min_value <= self.measured <= self.max_value else Verdict.MISSED
-
-    @property
     def is_kept(self) -> bool:
-        """Whether the figure has no limit, or is within it."""
-        return self.verdict is not Verdict.MISSED
-
-
-def figure_line(figure: Figure) -> str:
-    """A figure, its limit and whether it is kept, in one line."""
-    verdict = "ok    " if figure.is_kept else "MISSED"
-    return f"{verdict} {figure.name:72s} {figure.measured:9.4g}   {_limit(figure)}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
-    """Figures of one subject."""
-
-    title: str
-    figures: Sequence[Figure]
+        """Whether the figure has no limit, or is within its limits."""
+        return not self._limit or self.min_value <= self.measured <= self.max_value
 
     @property
-    def missed(self) -> int:
-        """Number of figures that miss their limit."""
-        return sum(not figure.is_kept for figure in self.figures)
+    def _limit(self) -> str:
+        low, high = (f"{value:.3g}" * math.isfinite(value) for value in (self.min_value, self.max_value))
+        return f"{low} .. {high}" if low and high else f"<= {high}" if high else f">= {low}" if low else ""
+
+    def __str__(self) -> str:
+        verdict = "MISSED" if not self.is_kept else "ok" if self._limit else ABSENT
+        return f"{verdict:6s} {self.name:{NAME_WIDTH}s} {number(self.measured, '.4g'):>9s} {self.unit} {self._limit}"
 
 
-def section_text(section: Section) -> str:
-    """The figures of a section as aligned text."""
-    rows = [["", "measured", "limit", "verdict", "unit"]]
-    for figure in section.figures:
-        verdict = ABSENT if figure.verdict is Verdict.NONE else figure.verdict.value
-        rows.append([figure.name, number(figure.measured, ".3g"), _limit(figure), verdict, figure.unit])
-    return "\n".join([section.title, *aligned(rows, left=1)]) + "\n"
+def target(name: str, measured: float, most: float, least: float = -math.inf) -> Figure:
+    """A figure without a unit, and its limits."""
+    return Figure(name=name, measured=float(measured), max_value=float(most), min_value=float(least))
+
+
+def band(runs: int, dof: int, probability: float = 0.99) -> tuple[float, float]:
+    """Two-sided band of the mean NEES over independent runs."""
+    least, most = chi2.ppf([(1 - probability) / 2, (1 + probability) / 2], runs * dof) / (runs * dof)
+    return float(least), float(most)
 
 
 def number(value: float, form: str) -> str:
@@ -75,9 +57,23 @@ def number(value: float, form: str) -> str:
     return ABSENT if math.isnan(value) else format(value, form)
 
 
-def _limit(figure: Figure) -> str:
-    if math.isinf(figure.max_value):
-        return ABSENT
-    if math.isinf(figure.min_value):
-        return f"<= {figure.max_value:.3g}"
-    return f"{figure.min_value:.3g} .. {figure.max_value:.3g}"
+def printed(figures: Iterable[Figure]) -> list[Figure]:
+    """The figures, each printed as soon as it is measured."""
+    found = []
+    for figure in figures:
+        print(figure, flush=True)
+        found.append(figure)
+    return found
+
+
+def status(figures: Iterable[Figure]) -> int:
+    """Print the figures; 3 if one misses its limit."""
+    return 0 if all(figure.is_kept for figure in printed(figures)) else 3
+
+
+def options(document: str | None, **defaults: int) -> argparse.ArgumentParser:
+    """The options of a script: numbers of runs, images or repetitions."""
+    parser = argparse.ArgumentParser(description=(document or "").splitlines()[0])
+    for name, default in defaults.items():
+        parser.add_argument(f"--{name}", type=int, default=default, help=f"default {default}")
+    return parser

@@ -12,12 +12,14 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
+from recorded_shots import make_shot
+from ring_scenes import break_points_of, make_camera, with_lines
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
-from ringpose.types.rig import Camera, LaserPlanes, Rig
+from ringpose.types.rig import LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06
@@ -76,14 +78,11 @@ def stripe_rig(scale: float = 1.0, lens: bool = True) -> Rig:
     tilt = math.radians(10)
     normal = np.array([[0.0, math.cos(tilt), -math.sin(tilt)], [0.0, 1.0, 0.0], [0.0, math.cos(tilt), math.sin(tilt)]])
     return Rig(
-        camera=Camera(
-            camera_name="stripe_images",
-            image_width=round(1600 * scale),
-            image_height=round(1200 * scale),
-            camera_matrix=np.diag([scale, scale, 1.0])
-            @ np.array([[1778.0, 0.0, 800.0], [0.0, 1778.0, 600.0], [0.0, 0.0, 1.0]]),
-            distortion_model="plumb_bob",
-            distortion_coefficients=np.array([-0.1, 0.1, 0.0, 0.0, 0.0]) * lens,
+        camera=make_camera(
+            (round(1600 * scale), round(1200 * scale)),
+            (1778.0 * scale, 1778.0 * scale),
+            (800.0 * scale, 600.0 * scale),
+            np.array([-0.1, 0.1, 0.0, 0.0, 0.0]) * lens,
         ),
         lasers=LaserPlanes(
             names=("left", "middle", "right"),
@@ -108,39 +107,20 @@ def switched_frames(
 
 def shot_of(image: StripeImage) -> Shot:
     """The image as a shot of one frame with all lasers on."""
-    return Shot(
-        name="synthetic",
-        images=image.image[None],
-        lasers=np.array([2 ** len(image.rig.lasers.names) - 1], np.uint8),
-        stamp_s=np.zeros(1),
-        exposure_s=np.full(1, 1e-3),
-    )
+    return make_shot(image.image[None], [2 ** len(image.rig.lasers.names) - 1], exposure_s=1e-3)
 
 
 def switched_shot(frames: UInt8[Array, "frame row column"]) -> Shot:
     """A frame without lasers and one with each laser alone, as a shot."""
-    count = len(frames)
-    return Shot(
-        name="switched",
-        images=frames,
-        lasers=np.array([0, *(1 << laser for laser in range(count - 1))], np.uint8),
-        stamp_s=np.arange(count) * 0.1,
-        exposure_s=np.full(count, 1e-3),
-    )
+    masks = [0, *(1 << laser for laser in range(len(frames) - 1))]
+    return make_shot(frames, masks, period_s=0.1, exposure_s=1e-3)
 
 
 def exact_break_points(image: StripeImage) -> BreakPoints:
     """The true break points, with the standard deviations that detection reports on dark images."""
     ends = np.stack([undistorted_pixels(edges, image.rig.camera) for edges in image.break_points_px])
-    return BreakPoints(
-        position_px=image.break_points_px,
-        covariance_px2=np.tile(np.diag([0.05**2, 0.01**2]), (3, 2, 1, 1)),
-        flags=np.zeros((3, 2), np.int64),
-        face_start_px=ends[:, 0],
-        face_end_px=ends[:, 1],
-        face_sigma_px=np.full((3, 2), 0.01),
-        labelled=True,
-    )
+    covariance_px2 = np.tile(np.diag([0.05**2, 0.01**2]), (3, 2, 1, 1))
+    return replace(with_lines(break_points_of(image.break_points_px), ends, 0.01), covariance_px2=covariance_px2)
 
 
 def moved(points: BreakPoints, shift_px: float = 6.0) -> BreakPoints:

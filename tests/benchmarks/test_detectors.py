@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.compare_detectors import main, stripe_errors
+from benchmarks.compare_detectors import compare, stripe_errors, table
 from benchmarks.detection_errors import break_point_errors, center_errors, column_bound_px, end_bound_px
-from benchmarks.limits import Figure, Section, section_text
+from benchmarks.limits import Figure, status
 from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
 from benchmarks.stripe_images import RADII_M, Kind, exact_break_points, stripe_image, stripe_rig, true_row
 from scipy.special import ndtr
@@ -102,9 +102,6 @@ def test_bounds_are_those_of_white_noise_and_of_the_number_of_electrons(sigma_px
     assert found == pytest.approx((faint, bright, faint_end), rel=1e-3)
 
 
-# The comparison of detectors
-
-
 SLACK_PX = {DetectorName.LSD: 0.05, DetectorName.REFINED: 0.05, DetectorName.LENGTH: 1.5, DetectorName.HOUGH: 1.0}
 """What a chord of whole pixels, or votes for whole pixels, may be off by; the others fit lines."""
 
@@ -148,34 +145,22 @@ def test_segments_that_are_off_and_short_by_known_amounts_have_these_errors():
 
 
 @pytest.mark.slow
-def test_the_table_has_every_detector_and_the_chain(capsys):
-    main(["--kind", "dark", "--seeds", "1", "--rounds", "1"])
+def test_the_table_has_every_detector_and_the_chain():
+    lines = table("dark", compare([stripe_image(Kind.DARK, 0, stripe_rig(lens=False))], rounds=1)).splitlines()
 
-    title, heading, *rows = capsys.readouterr().out.rstrip().splitlines()
-    assert (title, heading.split()[:4]) == ("dark", ["detector", "ms", "ratio", "segments"])
-    assert [row.split("  ")[0] for row in rows] == [*map(str, DetectorName), "ringpose detect"]
+    assert [line.split("  ")[0] for line in lines[2:]] == [*map(str, DetectorName), "ringpose detect"]
 
 
-# Figures and limits
-
-
-def test_figures_are_printed_beside_their_limits():
-    section = Section(
-        title="things",
-        figures=[
-            Figure(name="first", measured=0.1234, unit="px", max_value=0.2),
-            Figure(name="failed", measured=math.nan, max_value=1.0),
-            Figure(name="high", measured=2.0, min_value=0.8, max_value=1.25),
-            Figure(name="free", measured=7.0),
-        ],
-    )
-
-    assert [line.split() for line in section_text(section).splitlines()] == [
-        ["things"],
-        ["measured", "limit", "verdict", "unit"],
-        ["first", "0.123", "<=", "0.2", "ok", "px"],
-        ["failed", "-", "<=", "1", "MISSED"],
-        ["high", "2", "0.8", "..", "1.25", "MISSED"],
-        ["free", "7", "-", "-"],
-    ]
-    assert section.missed == 2
+@pytest.mark.parametrize(
+    ("measured", "limits", "is_kept"),
+    [
+        (0.1, {"max_value": 0.2}, True),
+        (math.nan, {"max_value": 0.2}, False),
+        (2.0, {"min_value": 0.8, "max_value": 1.25}, False),
+        (0.7, {"min_value": 0.8}, False),
+        (7.0, {}, True),
+    ],
+)
+def test_a_figure_beyond_a_limit_or_not_measured_is_status_3(capsys, measured, limits, is_kept):
+    assert status([Figure(name="a", measured=measured, **limits)]) == (0 if is_kept else 3)
+    assert ("MISSED" in capsys.readouterr().out) is not is_kept

@@ -10,9 +10,9 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from itertools import chain
 from multiprocessing import Pipe, Process
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -20,8 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
-from benchmarks.limits import Figure
-from benchmarks.targets import WRONG_SIGMAS, band, options, status, target
+from benchmarks.limits import WRONG_SIGMAS, Figure, band, status, target
 from moving_rings import START_S
 from ring_scenes import Ring
 from tracked_rings import DEGREES_OF_FREEDOM, errors_at, nees_at
@@ -186,7 +185,7 @@ class Playback:
         return cv2.addWeighted(frames[0], 1.0 - mixed, frames[1], mixed, 0.0), {}
 
 
-PLAYED_HZ, PLAYED_S, EXPOSURE_S = 30.0, 4.0, 0.004
+PLAYED_HZ, PLAYED_S, EXPOSURE_S, PLAYED_WIDTH = 30.0, 4.0, 0.004, 800
 
 ADDRESS, JUMBO_BYTES = "127.0.0.31", 16260
 """Of the virtual camera; it sends large packets, because a frame of small ones takes it 20 ms of processor time."""
@@ -232,9 +231,9 @@ class TimedOutput(io.StringIO):
         return super().write(text)
 
 
-def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
+def live(folder: Path) -> Iterator[Figure]:
     """`pose --camera aravis: --track` of a virtual GigE camera, in another process, that plays rendered frames."""
-    scene = played_scene(folder, width)
+    scene = played_scene(folder, PLAYED_WIDTH)
     here, there = Pipe()
     camera = Process(target=play, args=(scene, there), daemon=True)
     camera.start()
@@ -260,7 +259,7 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     gaps, late_s = np.diff(followed), np.array(out.written_s[followed_from:]) - followed - EXPOSURE_S / 2
     fused = sum(record["fusion_status"] == "fused" for record in records)
     lit = [sum(share > 0.5 for share in shares) for _, shares in exposed]
-    where = f"live, {width} px wide"
+    where = f"live, {PLAYED_WIDTH} px wide"
     frames = f"{len(lit)} frames ({lit.count(0)} off, {lit.count(1)} with one laser)"
     yield target(f"exit status, {where}", status_of_pose, 0)
     yield target(f"frames with all lasers of {frames}, {where}", lit.count(3), np.inf, 1)
@@ -277,19 +276,6 @@ def live(rng, folder: Path, width: int = 800) -> Iterator[Figure]:
     yield target(f"periods of 1/30 s without a pose of {periods}, {where}", missed, 0.1 * periods)
 
 
-def main() -> int:
-    parser = options(__doc__, width=800)  # of the images that are played live
-    parser.add_argument("targets", nargs="*", default=["rendered", "live"])
-    chosen = parser.parse_args()
-    targets: dict[str, Callable[..., Iterator[Figure]]] = {
-        "rendered": rendered,
-        "live": partial(live, width=chosen.width),
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        return status(
-            each for name in chosen.targets for each in targets[name](np.random.default_rng(18), Path(folder))
-        )
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    with tempfile.TemporaryDirectory() as name:
+        sys.exit(status(chain(rendered(np.random.default_rng(18), Path(name)), live(Path(name)))))

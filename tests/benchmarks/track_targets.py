@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from benchmarks.limits import Figure
-from benchmarks.targets import WRONG_SIGMAS, band, options, status, target
+from benchmarks.limits import WRONG_SIGMAS, Figure, band, options, status, target
 from moving_cameras import SeenByRobot, in_base, robot
 from moving_rings import (
     START_S,

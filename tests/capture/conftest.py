@@ -2,10 +2,24 @@
 
 import pytest
 from drawn_camera import ContactLasers, DrawnCamera
-from virtual_time import VirtualTime
 
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.simulate.serve.relays import RelayContacts
+
+
+class VirtualTime:
+    """The functions of `time` that the capture uses; their clocks are the same."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def time(self) -> float:
+        return self.now_s
+
+    monotonic = perf_counter = time
+
+    def sleep(self, duration_s: float) -> None:
+        self.now_s += duration_s
 
 
 @pytest.fixture

@@ -3,23 +3,17 @@
 import cv2
 import numpy as np
 import pytest
+from recorded_shots import make_shot
 
 from ringpose.capture.ambient import ambient_change, same_ambient_light
-from ringpose.types.image import Shot
 
 HEIGHT, WIDTH = 120, 160
 
 
 def shot_of(light_dn, rng, lasers=(0, 0), full_dn=255, noise_dn=1.5):
     noisy = np.asarray(light_dn) + noise_dn * rng.standard_normal(np.shape(light_dn))
-    return Shot(
-        name="a",
-        images=np.clip(np.rint(noisy), 0, full_dn).astype(np.uint8 if full_dn < 256 else np.uint16),
-        lasers=np.array(lasers, dtype=np.uint8),
-        stamp_s=np.arange(len(lasers), dtype=np.float64),
-        exposure_s=np.full(len(lasers), 0.001),
-        meta={"saturation_dn": full_dn},
-    )
+    images = np.clip(np.rint(noisy), 0, full_dn).astype(np.uint8 if full_dn < 256 else np.uint16)
+    return make_shot(images, lasers, exposure_s=0.001, meta={"saturation_dn": full_dn})
 
 
 @pytest.fixture

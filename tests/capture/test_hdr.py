@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from recorded_shots import make_shot
 
 from ringpose.capture.hdr import exposure_groups, merged_brackets, scaled_like
 from ringpose.detect.stripes import find_stripes
-from ringpose.types.image import Shot
 
 BLACK_DN, DARK_DN, GAIN = 5.0, 1.2, 0.04
 
@@ -20,14 +20,9 @@ def exposed(rate, exposure_s, rng, bits=8):
 
 
 def bracketed(rate, exposures_s, rng, lasers=None, bits=8):
-    return Shot(
-        name="a",
-        images=np.stack([exposed(rate, exposure_s, rng, bits) for exposure_s in exposures_s]),
-        lasers=np.array(lasers or [1] * len(exposures_s), dtype=np.uint8),
-        stamp_s=100.0 + np.arange(len(exposures_s)),
-        exposure_s=np.array(exposures_s),
-        meta={"saturation_dn": FULL[bits]},
-    )
+    images = np.stack([exposed(rate, exposure_s, rng, bits) for exposure_s in exposures_s])
+    masks, meta = lasers or [1] * len(images), {"saturation_dn": FULL[bits]}
+    return make_shot(images, masks, start_s=100.0, exposure_s=exposures_s, meta=meta)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, switched_frames, switched_shot
+from recorded_shots import make_shot
 
 from ringpose.capture.latest_frame import EarlyStripes, NewestShots
 from ringpose.detect.difference_images import laser_images
@@ -17,13 +18,7 @@ from ringpose.types.image import Shot
 
 
 def shot(name: str) -> Shot:
-    return Shot(
-        name=name,
-        images=np.zeros((1, 2, 2), np.uint8),
-        lasers=np.array([0], np.uint8),
-        stamp_s=np.array([0.0]),
-        exposure_s=np.array([0.01]),
-    )
+    return make_shot(np.zeros((1, 2, 2), np.uint8), [0], name=name)
 
 
 class Bursts:

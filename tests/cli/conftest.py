@@ -4,7 +4,6 @@ import csv
 import hashlib
 import json
 import math
-import os
 import shutil
 import signal
 import subprocess
@@ -189,25 +188,34 @@ def started() -> Callable[..., "subprocess.Popen[str]"]:
 
 
 @pytest.fixture
-def serve(tmp_path, monkeypatch, loopback_address, forker):
-    """Start `ringpose simulate serve` and return its URIs."""
+def serving(tmp_path, monkeypatch, forker):
+    """Start `ringpose simulate serve`, of a small scene if there is none; the process and its URIs."""
     monkeypatch.chdir(tmp_path)
     processes = []
 
-    def started(*options: str, scene: str = "scene.yaml") -> dict[str, str]:
-        if not Path(scene).exists():
+    def started(*words):
+        if not Path("scene.yaml").exists():
             small_scene(tmp_path)
-        words = ["simulate", "serve", "--scene", scene, "--camera", loopback_address, "--log", "log.jsonl", *options]
-        job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
-        process = Forked(forker, job)
+        process = Forked(forker, ["simulate", "serve", *words])
         processes.append(process)
-        return json.loads(process.stdout.readline())
+        return process, json.loads(process.stdout.readline())
 
     yield started
     for process in processes:
         with process:
-            process.send_signal(signal.SIGTERM)
-            assert process.wait(300) == 143
+            if process.returncode is None:
+                process.send_signal(signal.SIGTERM)
+                assert process.wait(300) == 143
+
+
+@pytest.fixture
+def serve(serving, loopback_address):
+    """Start virtual devices and return their URIs."""
+
+    def started(*options: str, scene: str = "scene.yaml") -> dict[str, str]:
+        return serving("--scene", scene, "--camera", loopback_address, "--log", "log.jsonl", *options)[1]
+
+    return started
 
 
 STUDY = """\

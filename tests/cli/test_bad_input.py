@@ -109,15 +109,20 @@ def test_image_that_shows_no_ring_is_a_record_with_a_reason(rig, picture, run, c
 
 
 @pytest.mark.parametrize("command", ["detect", "pose"])
-def test_bad_rig_is_one_line_before_anything_is_read(rig, run, command):
+@pytest.mark.parametrize(
+    ("is_there", "status", "finding"),
+    [(True, 65, "lasers[0].distance_m: is -100; give metres"), (False, 66, "does not exist")],
+    ids=["bad", "missing"],
+)
+def test_bad_rig_is_one_line_before_anything_is_read(rig, run, command, is_there, status, finding):
     values = yaml.safe_load(rig.read_text())
     values["lasers"][0]["distance_m"] = -100.0
-    rig.write_text(yaml.safe_dump(values))
+    rig.write_text(yaml.safe_dump(values)) if is_there else rig.unlink()
 
-    status, out, (message,) = run(command, "never-read.png", "--rig", rig)
+    ended, out, (message,) = run(command, "never-read.png", "--rig", rig)
 
-    assert (status, out) == (65, [])
-    assert message.startswith(f"ringpose: {rig}: lasers[0].distance_m: is -100; give metres")
+    assert (ended, out) == (status, [])
+    assert message.startswith(f"ringpose: {rig}: {finding}")
 
 
 @pytest.mark.parametrize("folder", ["/proc", "/dev/null"])

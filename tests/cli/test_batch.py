@@ -88,13 +88,6 @@ def test_detections_by_several_processes_are_those_of_one(carried_data, tmp_path
     assert lines[0] == lines[1]
 
 
-def test_tracking_cannot_use_several_processes(carried_data, capsys):
-    words = ["detect", "--rig", str(carried_data / "rig_b" / "rig.yaml"), "--track", "--jobs", "2", "x.npz"]
-
-    assert main(words) == 2
-    assert "--track" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_poses_by_several_processes_are_those_of_one_with_the_health_of_the_rig(tmp_path, capsys):
     scene = read_scene(Path(__file__).parents[2] / "examples" / "scene.yaml")
@@ -122,12 +115,12 @@ def test_poses_by_several_processes_are_those_of_one_with_the_health_of_the_rig(
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("option", ["--overlay", "--report"])
-def test_pictures_cannot_be_drawn_by_several_processes(carried_data, tmp_path, capsys, option):
-    words = ["pose", "--rig", str(carried_data / "rig_b" / "rig.yaml"), option, str(tmp_path / "x"), "--jobs", "2"]
+@pytest.mark.parametrize("words", [["detect", "--track"], ["pose", "--overlay", "x"], ["pose", "--report", "x"]])
+def test_pictures_and_tracks_cannot_be_made_by_several_processes(run, rig, words):
+    status, _, (message,) = run(*words, "--rig", rig, "--jobs", 2, "x.npz")
 
-    assert main([*words, "x.npz"]) == 2
-    assert option in capsys.readouterr().err
+    assert status == 2
+    assert words[1] in message
 
 
 def test_shots_after_a_correction_of_the_rig_are_measured_again_with_it(carried_data):

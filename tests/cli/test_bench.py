@@ -16,10 +16,7 @@ from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.types.pose import PoseLine, RingPose
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 def pose_off_by(off_m: float) -> RingPose:

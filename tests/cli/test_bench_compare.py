@@ -17,9 +17,7 @@ SHOTS = 16
 NO_FLAG = PoseFlag(0)
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 def write_truth(name: str = "truth.jsonl", **changes) -> None:

@@ -70,6 +70,7 @@ CHESSBOARD = "{kind: chessboard, squares_x: 8, squares_y: 6, square_m: 0.02}"
         ([*ORDER, "--camera", "small.yaml"], 65, "1600 x 1200 pixels, the camera has 1280 x 1200"),
         ([*ORDER, "--method", "paper", "--board", "chessboard.yaml"], 2, "paper"),
         ([*ORDER, "--free-camera"], 2, "has no covariance"),
+        ([*ORDER, "--free-camera", "--method", "total-least-squares"], 2, "--free-camera: only the joint method"),
         ([*ORDER, "--expected-angles", "ten"], 2, "--expected-angles"),
         ([*ORDER, "--expected-angles", "10"], 2, "has 1, must have 2; give left to middle, middle to right"),
         ([*ORDER, "--expected-angles", "-10,10"], 2, "'-10,10' are not all from 0 to 180; give degrees"),

@@ -13,10 +13,7 @@ from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import read_shot
 from ringpose.types.image import ALL_LASERS
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 @pytest.fixture

@@ -9,16 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_shots import recorded
+from recorded_shots import make_shot, recorded
 
 from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import write_shot
-from ringpose.types.image import Shot
 
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 SLOWLY = ("capture", "--camera", "files:in", "--rate", "0.001", "--output", "s")
@@ -64,7 +60,7 @@ def test_a_full_disk_keeps_what_was_finished(started, rng):
     noise = rng.integers(0, 256, (1, 120, 160), dtype=np.uint8)
     write_shot(
         Path("in/z.npz"),
-        Shot(name="z", images=noise, lasers=np.zeros(1, np.uint8), stamp_s=np.zeros(1), exposure_s=np.zeros(1)),
+        make_shot(noise, [0], name="z"),
     )
     words = ["capture", "--camera", "files:in", "--output", "s"]
 

@@ -8,7 +8,6 @@ import pytest
 
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in
-from ringpose.types.detection import NoBreakPoints
 
 
 def test_segments_of_any_photograph_need_no_rig(picture, run):
@@ -30,15 +29,6 @@ def test_the_papers_segments_end_on_whole_pixels_and_the_refined_ones_between(pi
 
     assert not np.mod(length, 1).any()
     assert np.mod(refined, 1).any()
-
-
-def test_image_without_a_stripe_is_a_record_with_its_reason(rig, picture, run):
-    found = run("detect", picture("black.png"), "--rig", rig)
-
-    (record,) = found.records
-    assert found.status == 3
-    assert (record["break_points"], record["reason"]) == (None, NoBreakPoints.IMAGE_DARK.value)
-    assert "stripes" not in record
 
 
 def test_full_record_has_the_stripes(rig, picture, run):
@@ -99,14 +89,6 @@ def test_overlay_is_a_picture_of_each_shot(picture, tmp_path, run):
     drawn = cv2.imread(str(tmp_path / "drawn" / "a.png"))
     assert drawn.shape == (480, 640, 3)
     assert (drawn[95:106].max(axis=2) != drawn[95:106].min(axis=2)).any()
-
-
-def test_output_below_a_file_cannot_be_created(picture, tmp_path, run):
-    file = picture("a.png")
-
-    status, out, messages = run("detect", file, "--segments-only", "--output", file / "out")
-
-    assert (status, out, len(messages)) == (73, [], 1)
 
 
 def test_record_is_not_a_shot(rig, run, monkeypatch, detections):

@@ -83,16 +83,6 @@ def test_every_kind_of_laser_switch_gives_frames_with_true_labels(serve, capture
     assert wrong_labels() == []
 
 
-def test_exposures_differ_from_step_to_step(serve, capture):
-    uris = serve()
-
-    status = capture(uris, "--exposure", "0.004", "--sequence", "off,1,2", "--count", "1").status
-
-    (path,) = Path("s").glob("*.npz")
-    assert status == 0
-    assert read_shot(path).exposure_s.tolist() == [0.004, 0.004, 0.004]
-
-
 @pytest.mark.slow
 def test_a_dead_camera_ends_the_capture_with_its_finished_shots(serve, capture):
     uris = serve("--relay", "lcus", "--fault", "dead-camera=7")

@@ -44,6 +44,7 @@ def test_carried_views_give_the_true_planes(method, angle_deg, plane_folder):
     assert [laser["name"] for laser in found["lasers"]] == ["left", "middle", "right"]
     assert worst_angle_deg(found) < angle_deg
     assert found["quality"]["method"] == method
+    assert ("paper" in found["quality"]) is (method != "paper")
 
 
 @pytest.mark.slow

@@ -67,25 +67,11 @@ def test_brief_lines_have_no_measurement(pose):
     assert [line | differing for line in brief] == [line | differing for line in full]
 
 
-def test_shot_without_break_points_is_a_line_with_its_reason_and_the_health_of_each_laser(pose, rig, picture):
-    found = pose(inputs=[picture("black.png")])
+def test_shot_without_break_points_has_a_line_without_pose_and_with_every_laser(pose, rig, picture):
+    (record,) = pose(inputs=[picture("black.png")]).records
 
-    assert found.status == 3
-    (record,) = found.records
     assert (record["shot"], record["status"], record["pose"]) == ("black", "none", None)
-    assert record["reason"] == "the image is dark: no stripe stands out of the noise"
     assert record["rig_health"] == dict.fromkeys(laser["name"] for laser in yaml.safe_load(rig.read_text())["lasers"])
-
-
-def test_bad_inputs_are_named_and_the_rest_goes_on(pose, detections, picture, tmp_path):
-    (tmp_path / "broken.png").write_bytes(picture("whole.png", 40).read_bytes()[:100])
-
-    found = pose(inputs=[tmp_path / "none.npz", tmp_path / "broken.png", detections])
-
-    assert (found.status, len(found.records)) == (66, 3)
-    missing, broken = found.messages
-    assert missing == f"ringpose: {tmp_path}/none.npz: does not exist"
-    assert broken.startswith(f"ringpose: {tmp_path}/broken.png: is a PNG image that is cut short")
 
 
 def test_detection_of_another_number_of_lasers_is_refused(pose, rig):
@@ -152,12 +138,6 @@ def test_verbose_reports_what_became_of_each_shot(pose):
     found = pose("--still", "-v")  # version 1 has no stamps of features
 
     assert found.messages[0].startswith(f"ringpose: a: {', '.join(found.records[0]['flags']) or 'ok'}")
-
-
-def test_missing_rig_is_no_input(run, detections, tmp_path):
-    status, out, _ = run("pose", detections, "--rig", tmp_path / "none.yaml")
-
-    assert (status, out) == (66, [])
 
 
 @pytest.mark.parametrize(

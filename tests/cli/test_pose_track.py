@@ -1,13 +1,11 @@
 """`ringpose pose --track`: shots in, track records out; the track chooses the lasers of a live camera."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from forked import Forked
 from ros_messages import fits
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -39,17 +37,12 @@ motion:
 
 
 @pytest.fixture
-def served(tmp_path, monkeypatch, forker):
+def served(serving):
     """The URI of a moving target in simulated time, which waits for the client."""
-    monkeypatch.chdir(tmp_path)
     Path("rig.yaml").write_text((EXAMPLES / "scene-rig.yaml").read_text())
     Path("scene.yaml").write_text(SCENE)
-    words = ["simulate", "serve", "--images", "tcp://127.0.0.1:0", "scene.yaml", "--clock", "lockstep"]
-    words += ["--rate", str(RATE_HZ), "--truth", "truth.jsonl"]
-    job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
-    with Forked(forker, job) as process:
-        yield json.loads(process.stdout.readline())["camera"]
-        process.kill()
+    words = ["--images", "tcp://127.0.0.1:0", "scene.yaml", "--clock", "lockstep", "--rate", str(RATE_HZ)]
+    return serving(*words, "--truth", "truth.jsonl")[1]["camera"]
 
 
 @pytest.mark.slow

@@ -6,20 +6,13 @@ import yaml
 from ringpose.cli.main import main
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty working folder."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def test_a_board_is_printed_and_its_missing_file_is_written(folder, capsys):
+def test_a_board_is_printed_and_its_missing_file_is_written(empty_folder, capsys):
     status = main(["calibrate-planes", "--print-board", "page.pdf", "--board", "new_board.yaml"])
 
     assert status == 0
-    assert yaml.safe_load((folder / "new_board.yaml").read_text())["kind"] == "four_markers"
+    assert yaml.safe_load((empty_folder / "new_board.yaml").read_text())["kind"] == "four_markers"
     assert "page A4 landscape, 297 x 210 mm" in capsys.readouterr().err
-    assert (folder / "page.pdf").stat().st_size > 1000
+    assert (empty_folder / "page.pdf").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("command", ["calibrate-camera", "calibrate-planes"])
@@ -33,10 +26,10 @@ def test_a_board_is_printed_and_its_missing_file_is_written(folder, capsys):
         (["there.pdf", "--board", "there.pdf", "--force"], 73, "there.pdf: is an input, too"),
     ],
 )
-def test_a_rejected_print_writes_nothing(command, words, status, named, folder, capsys):
+def test_a_rejected_print_writes_nothing(command, words, status, named, empty_folder, capsys):
     text = "{kind: chessboard, squares_x: 9, squares_y: 6, square_m: 0.02}"
-    (folder / "there.pdf").write_text(text)
+    (empty_folder / "there.pdf").write_text(text)
 
     assert main([command, "--print-board", *words]) == status
     assert named in capsys.readouterr().err
-    assert [(file.name, file.read_text()) for file in folder.iterdir()] == [("there.pdf", text)]
+    assert [(file.name, file.read_text()) for file in empty_folder.iterdir()] == [("there.pdf", text)]

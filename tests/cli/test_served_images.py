@@ -1,7 +1,6 @@
 """`simulate serve --images` with `capture` and `pose` as its clients, as processes."""
 
 import json
-import os
 import signal
 import stat
 from pathlib import Path
@@ -17,25 +16,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
-def serve_images(tmp_path, monkeypatch, forker):
-    """Start `ringpose simulate serve --images` and return its process and URIs."""
-    monkeypatch.chdir(tmp_path)
-    processes = []
-
-    def started(*options, scene="scene.yaml", port=0):
-        if not Path(scene).exists():
-            small_scene(tmp_path)
-        words = ["simulate", "serve", "--images", f"tcp://127.0.0.1:{port}", scene, *options]
-        job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
-        process = Forked(forker, job)
-        processes.append(process)
-        return process, json.loads(process.stdout.readline())
-
-    yield started
-    for process in processes:
-        with process:
-            if process.returncode is None:
-                process.kill()
+def serve_images(serving):
+    """Start a server of images and return its process and URIs."""
+    return lambda *options, scene="scene.yaml", port=0: serving("--images", f"tcp://127.0.0.1:{port}", scene, *options)
 
 
 def poses(capsys):
@@ -118,12 +101,11 @@ def test_lasers_cannot_be_switched_by_another_device(capsys):
 
 
 @pytest.mark.slow
-def test_clients_resume_after_the_server_is_killed_and_restarted(serve_images, forker, tmp_path):
+def test_clients_resume_after_the_server_is_killed_and_restarted(serve_images, forker):
     server, uris = serve_images("--rate", "20", "--truth", "a.jsonl")
     port = int(uris["camera"].rpartition(":")[2])
     words = ["capture", "--camera", uris["camera"], "--count", "40", "-o"]
-    jobs = [{"before": "", "words": [*words, name], "folder": ".", "environment": {**os.environ}} for name in "xy"]
-    clients = [Forked(forker, job | {"folder": str(tmp_path)}) for job in jobs]
+    clients = [Forked(forker, [*words, name]) for name in "xy"]
     for client in clients:
         for _ in range(5):
             assert client.stdout.readline()

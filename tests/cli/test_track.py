@@ -194,19 +194,13 @@ def test_a_file_that_does_not_exist_and_a_file_of_something_else(capsys, tmp_pat
     assert tracked(capsys, tmp_path / "shot.npz")[0] == 65
 
 
-def test_messages_of_ros_have_the_fields_of_their_definitions(capsys, poses):
-    _, records, _ = tracked(capsys, poses, "--format", "ros")
+def test_messages_of_ros_have_the_fields_of_their_definitions_and_the_pose_of_the_record(capsys, poses):
+    _, (*_, record), _ = tracked(capsys, poses)
+    _, (_, *messages), _ = tracked(capsys, poses, "--format", "ros")
 
-    for record in records[1:]:
-        assert fits(record["pose"], "geometry_msgs/PoseWithCovarianceStamped")
-        assert fits(record["twist"], "geometry_msgs/TwistWithCovarianceStamped")
-
-
-def test_a_pose_of_ros_is_that_of_the_record(capsys, poses):
-    _, records, _ = tracked(capsys, poses)
-    _, messages, _ = tracked(capsys, poses, "--format", "ros")
-    record, message = records[-1], messages[-1]
-
+    for message in messages:
+        assert fits(message["pose"], "geometry_msgs/PoseWithCovarianceStamped")
+        assert fits(message["twist"], "geometry_msgs/TwistWithCovarianceStamped")
     x, y, z, w = message["pose"]["pose"]["pose"]["orientation"].values()
     axis_z = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
     axis_x = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, exact_break_points, moved, stripe_image
 from drawn_scene import DrawnScene, draw_shot, drawn_rig, true_break_points
+from ring_scenes import break_points_of, with_lines
 
 from ringpose.detect.difference_images import laser_images
 from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, detect, predicted_bands
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.types.detection import UNLABELLED, BreakPoints
+from ringpose.types.detection import UNLABELLED
 from ringpose.types.image import Frame
 
 IMAGE = stripe_image(Kind.DARK, 0)
@@ -51,15 +52,7 @@ def drawn(rng):
     rig, scene = drawn_rig(), DrawnScene()
     shot, truth_px = draw_shot(scene, rig, [7], rng), true_break_points(scene, rig)
     ends_px = undistorted_pixels(truth_px, rig.camera)[:, ::-1]  # the outer edge is the left one
-    predicted = BreakPoints(
-        position_px=truth_px,
-        covariance_px2=np.tile(np.eye(2), (3, 2, 1, 1)),
-        flags=np.zeros((3, 2), np.int64),
-        face_start_px=ends_px[:, 0],
-        face_end_px=ends_px[:, 1],
-        face_sigma_px=np.full((3, 2), 2.0),
-        labelled=True,
-    )
+    predicted = with_lines(break_points_of(truth_px, 1.0), ends_px, 2.0)
     return rig, shot, predicted
 
 

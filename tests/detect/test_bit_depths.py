@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from drawn_scene import DrawnScene, light
+from recorded_shots import make_shot
 
 from ringpose.detect.pipeline import detect
 from ringpose.types.detection import BreakPoints
-from ringpose.types.image import Shot
 
 BRIGHT = (150.0, 170.0, 140.0)
 DIM = (14.0, 16.0, 15.0)
@@ -17,14 +17,7 @@ CAMERAS = {"right": (16, 4095, np.uint16, 1), "left": (16, 4095, np.uint16, 16)}
 def shot_of(levels, steps, most, dtype, factor, meta):
     """The shot that a camera with so many steps a grey value takes."""
     images = (np.clip(np.rint(levels * steps), 0, most) * factor).astype(dtype)
-    return Shot(
-        name="drawn",
-        images=images,
-        lasers=np.array([0, 7], np.uint8),
-        stamp_s=np.arange(2.0),
-        exposure_s=np.full(2, 1e-3),
-        meta=meta,
-    )
+    return make_shot(images, [0, 7], exposure_s=1e-3, meta=meta)
 
 
 @pytest.fixture(scope="module", params=[BRIGHT, DIM], ids=["bright", "dim"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import break_points_of
 
 from ringpose.detect.break_points import ends_clear
 from ringpose.detect.pipeline import detect
@@ -18,15 +19,7 @@ def found_ends(seen: int, unclear: int) -> BreakPoints:
     position = np.full((6, 2), np.nan)
     position[:seen] = 1.0
     flags = np.where(np.arange(6) < unclear, int(BreakPointFlag.UNCLEAR), 0)
-    return BreakPoints(
-        position_px=position.reshape(3, 2, 2),
-        covariance_px2=np.tile(np.eye(2), (3, 2, 1, 1)),
-        flags=flags.reshape(3, 2),
-        face_start_px=np.zeros((3, 2)),
-        face_end_px=np.ones((3, 2)),
-        face_sigma_px=np.ones((3, 2)),
-        labelled=False,
-    )
+    return replace(break_points_of(position.reshape(3, 2, 2), 1.0), flags=flags.reshape(3, 2), labelled=False)
 
 
 @pytest.mark.parametrize(

@@ -93,12 +93,6 @@ def test_chains_shorter_than_the_threshold_are_dropped():
     assert chains_of(gradient, shortest=11) == [[(x, 6) for x in range(3, 14)]]
 
 
-def test_an_image_without_anchors_has_no_chains():
-    chains = edge_chains(ridges((9, 9)), 1.0, 3)
-
-    assert (chains.pixels.shape, chains.starts.tolist()) == ((0, 2), [0])
-
-
 def test_a_chain_turns_by_more_than_45_degrees_at_its_anchor_only(rng):
     found = chains_of(image_gradient(clutter(rng), 3.0), shortest=8)
 
@@ -106,15 +100,6 @@ def test_a_chain_turns_by_more_than_45_degrees_at_its_anchor_only(rng):
     turns = [(step[:-1] * step[1:]).sum(axis=1) for step in steps]
     assert max(np.count_nonzero(turn < 1) for turn in turns) <= 1
     assert min(turn.min() for turn in turns) >= 0
-
-
-def test_the_magnitude_is_as_before(rng):
-    gradient = image_gradient(clutter(rng), 3.0)
-    before = gradient.magnitude.copy()
-
-    edge_chains(gradient, 1.5, 3)
-
-    np.testing.assert_array_equal(gradient.magnitude, before)
 
 
 @pytest.mark.parametrize("radius_px", [12.0, 25.3])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
-from ring_scenes import line_of_face, make_scene
+from ring_scenes import break_points_of, line_of_face, make_scene, with_lines
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face, surface_in_front
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.lines import TRACK_COLUMNS
-from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints
+from ringpose.types.detection import UNLABELLED, BreakPointFlag
 from ringpose.types.rig import LaserPlanes
 
 RIG = stripe_rig()
@@ -157,16 +157,7 @@ def points_with_one_wrong(seed, by_px, *, labelled):
     """The break points of a true ring, but the right one of the second stripe lies farther out."""
     position = stripe_image(Kind.DARK, seed).break_points_px[:, ::-1].copy()
     position[1, 1, 0] += by_px
-    lines = face_ends(seed)
-    return BreakPoints(
-        position_px=position,
-        covariance_px2=np.tile(0.05**2 * np.eye(2), (3, 2, 1, 1)),
-        flags=np.zeros((3, 2), np.int64),
-        face_start_px=lines[:, 0],
-        face_end_px=lines[:, 1],
-        face_sigma_px=np.full((3, 2), 0.01),
-        labelled=labelled,
-    )
+    return replace(with_lines(break_points_of(position, 0.05), face_ends(seed), 0.01), labelled=labelled)
 
 
 @pytest.mark.parametrize("labelled", [True, False])

@@ -21,11 +21,6 @@ def test_the_outermost_three_pixels_have_no_gradient(rng):
     assert np.count_nonzero(magnitude) == 13 * 16
 
 
-@pytest.mark.parametrize("value", [0, 128, 255])
-def test_a_flat_image_has_no_anchors(value):
-    assert not len(image_gradient(np.full((20, 20), value, np.uint8), 0.01).anchors)
-
-
 @pytest.mark.parametrize(
     ("across", "orientation"), [(ROW - 12, 0), (COLUMN - ROW - 3, 1), (COLUMN - 14, 2), (COLUMN + ROW - 27, 3)]
 )

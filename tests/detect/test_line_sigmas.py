@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.detection_errors import break_point_errors
-from benchmarks.robust_statistics import joined
+from benchmarks.detection_errors import break_point_errors, joined
 from benchmarks.stripe_images import Kind, shot_of, stripe_image
 
 from ringpose.detect.pipeline import detect

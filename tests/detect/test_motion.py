@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_edges import Surroundings, measured, off_edge_px, picture
 from drawn_scene import DrawnScene, drawn_rig, light, true_break_points
+from recorded_shots import make_shot
 from ring_scenes import without
 
 from ringpose.detect.motion import moved_to, ring_motion
@@ -42,13 +43,7 @@ def drawn_shot(rig: Rig, velocity_m_s: np.ndarray, around: Surroundings) -> Shot
         image = picture(scene, rig, around, rng).astype(np.float64)
         image += sum(light(scene, rig, laser) for laser in range(3) if mask >> laser & 1)
         images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
-    return Shot(
-        name="moving",
-        images=np.array(images),
-        lasers=np.array(MASKS, dtype=np.uint8),
-        stamp_s=STAMPS_S,
-        exposure_s=np.full(len(MASKS), EXPOSURE_S),
-    )
+    return make_shot(np.array(images), MASKS, start_s=100.0, period_s=PERIOD_S, exposure_s=EXPOSURE_S)
 
 
 @pytest.fixture(scope="module")

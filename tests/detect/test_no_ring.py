@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recorded_shots import make_shot
 from ring_scenes import RIGS, break_points_of, pixels_of
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.difference_images import LaserImage, exposure_advice, hidden_by_saturation, saturated_along_stripes
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.image import Shot
 
 RIG = replace(RIGS["B"], camera=replace(RIGS["B"].camera, distortion_coefficients=np.zeros(5)))
 SIGMA_PX = 0.2
@@ -84,13 +84,7 @@ def test_stripes_seen_only_where_the_light_does_not_saturate_are_no_face(share, 
 
 def test_a_shorter_exposure_is_suggested_only_if_something_is_saturated():
     points, image = faces(0)
-    shot = Shot(
-        name="x",
-        images=image.lit[None],
-        lasers=np.array([7], np.uint8),
-        stamp_s=np.zeros(1),
-        exposure_s=np.full(1, 0.008),
-    )
+    shot = make_shot(image.lit[None], [7], exposure_s=0.008)
     clipped = replace(points, flags=points.flags | int(BreakPointFlag.SATURATED))
     white = replace(image, dark=np.full((120, 250), 255, np.uint8))
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from drawn_scene import DrawnScene, draw_shot, true_break_points
+from recorded_shots import make_shot
 
 from ringpose.detect import pipeline, ring_edges
 from ringpose.detect.pipeline import detect
@@ -122,13 +123,7 @@ def test_the_paper_segments_find_the_same_ring(rig, rng):
 
 
 def flat_shot(value: int, lasers: int = 7) -> Shot:
-    return Shot(
-        name="flat",
-        images=np.full((1, 1200, 1600), value, dtype=np.uint8),
-        lasers=np.array([lasers], dtype=np.uint8),
-        stamp_s=np.zeros(1),
-        exposure_s=np.full(1, 0.001),
-    )
+    return make_shot(np.full((1, 1200, 1600), value, dtype=np.uint8), [lasers], exposure_s=0.001)
 
 
 @pytest.mark.parametrize(

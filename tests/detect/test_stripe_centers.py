@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.detection_errors import center_errors
-from benchmarks.robust_statistics import joined
+from benchmarks.detection_errors import center_errors, joined
 from benchmarks.stripe_images import Kind, stripe_image
 
 from ringpose.detect.stripes import find_stripes

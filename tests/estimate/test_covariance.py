@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import axes_across, face_points_of, make_scene, moved_rig, turn_between
 
 from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
@@ -35,47 +36,16 @@ def tolerance(samples):
     return 4.0 * np.sqrt(2.0 / (samples - 1))
 
 
-def axes_across(normal):
-    """The pinned tilt basis: e1 along z x n, e2 = n x e1."""
-    first = np.cross([0.0, 0.0, 1.0], normal)
-    first = first / np.linalg.norm(first)
-    return first, np.cross(normal, first)
-
-
 def parameters_of(pose, normal):
     """The seven parameters of a pose about a given normal."""
     first, second = axes_across(normal)
     tilt = pose.normal / (pose.normal @ normal) - normal
     distance = pose.normal @ pose.center_m
     # the tilt basis turns with the normal, about the line in which both planes meet
-    axis = np.cross(normal, pose.normal)
-    turn = cv2.Rodrigues(axis * np.arcsin(np.linalg.norm(axis)) / max(np.linalg.norm(axis), 1e-300))[0]
+    turn = turn_between(normal, pose.normal)
     in_plane = [pose.center_m @ turn @ first, pose.center_m @ turn @ second]
     radii = (pose.radius_inner_m, pose.radius_outer_m)
     return np.array([tilt @ first, tilt @ second, distance, *in_plane, *radii])
-
-
-def moved_rig(rig, names, step):
-    """The rig with its named parameters moved, from their definition in the file format."""
-    matrix, coefficients = rig.camera.camera_matrix.copy(), rig.camera.distortion_coefficients.copy()
-    normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
-    places = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
-    order = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    for name, value in zip(names, step, strict=True):
-        laser, _, what = name.partition(".")
-        if name in places:
-            matrix[places[name]] += value
-        elif name in order:
-            coefficients[order.index(name)] += value
-        elif what == "distance":
-            distance[rig.lasers.names.index(laser)] += value
-        else:
-            number = rig.lasers.names.index(laser)
-            axis = axes_across(rig.lasers.normal[number])[what == "tilt_2"]
-            normal[number] += value * axis
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    camera = replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients)
-    return replace(rig, camera=camera, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
 
 
 def through_another_camera(points, camera, wrong):
@@ -105,8 +75,8 @@ def correlated(rng):
 
 
 @pytest.fixture
-def scene(scene_of):
-    return scene_of("B", distance_m=0.5)
+def scene():
+    return make_scene("B", distance_m=0.5)
 
 
 def poses_of_noisy_points(scene, sigma_px, method, samples, rng):
@@ -156,15 +126,15 @@ def test_samples_of_a_wrong_rig_scatter_as_predicted(scene, rng, samples):
 
 
 @pytest.mark.parametrize("samples", [150, pytest.param(1000, marks=pytest.mark.slow)])
-def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, face_points, rng, samples):
+def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, rng, samples):
     names = CAMERA + PLANES
     known = ParameterCovariance(parameters=names, data=correlated(rng))
-    predicted = most_likely_pose(face_points(scene, 0.03, 0.003), replace(scene.rig, covariance=known)).pose
+    predicted = most_likely_pose(face_points_of(scene, 0.03, 0.003), replace(scene.rig, covariance=known)).pose
 
     poses = []
     for step in rng.multivariate_normal(np.zeros(len(names)), known.data, size=samples):
         wrong = moved_rig(scene.rig, names, step)
-        points = through_another_camera(face_points(scene, 0.03, 0.003, rng), scene.rig.camera, wrong.camera)
+        points = through_another_camera(face_points_of(scene, 0.03, 0.003, rng), scene.rig.camera, wrong.camera)
         pose = most_likely_pose(points, replace(wrong, covariance=known)).pose
         if not pose.flags & ~HARMLESS_FLAGS:  # one in 750 looks contradictory by chance: 5 of 1000 is the 99.9 % limit
             poses.append(pose)
@@ -181,8 +151,8 @@ def test_samples_of_a_wrong_rig_scatter_as_the_likelihood_says(scene, face_point
     turn_rad=st.floats(-0.3, 0.3),
     more=st.lists(st.floats(0.0, 2.0), min_size=12, max_size=12),
 )
-def test_more_noise_never_shrinks_the_covariance(scene_of, method, distance_m, turn_rad, more):
-    scene = scene_of("B", distance_m=distance_m, turn_rad=turn_rad)
+def test_more_noise_never_shrinks_the_covariance(method, distance_m, turn_rad, more):
+    scene = make_scene("B", distance_m=distance_m, turn_rad=turn_rad)
     few = scene.break_points(1e-3)
     added = 1e-6 * np.array(more).reshape(3, 2, 2)[..., None] * np.eye(2)
 
@@ -256,8 +226,8 @@ def test_rig_covariance_of_an_unknown_parameter_is_bad_data(scene):
 @NOISE
 @pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
 @pytest.mark.parametrize(("rig", "tilt_rad"), [("A", (0.1, -0.1)), ("B", (0.0, 0.2))])
-def test_a_center_far_beyond_its_covariance_is_flagged(scene_of, rng, rig, method, distance_m, tilt_rad):
-    scene = scene_of(rig, distance_m=distance_m, tilt_rad=tilt_rad)
+def test_a_center_far_beyond_its_covariance_is_flagged(rng, rig, method, distance_m, tilt_rad):
+    scene = make_scene(rig, distance_m=distance_m, tilt_rad=tilt_rad)
 
     poses = [estimate_pose(scene.break_points(0.3, rng), scene.rig, method) for _ in range(200)]
     unflagged = [pose for pose in poses if PoseFlag.CENTER_WEAK not in pose.flags]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import with_stripes
+from ring_scenes import break_points_of, face_points_of, make_scene, with_lines, with_stripes
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
@@ -12,7 +12,6 @@ from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.rotations import angle_between
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
-from ringpose.types.detection import BreakPoints
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
@@ -28,13 +27,13 @@ EVERY_POINT = pytest.mark.parametrize(("laser", "edge"), [(laser, edge) for lase
 
 
 @pytest.fixture
-def scene(scene_of):
-    return scene_of("B", distance_m=0.5, tilt_rad=(0.15, -0.1))
+def scene():
+    return make_scene("B", distance_m=0.5, tilt_rad=(0.15, -0.1))
 
 
 @pytest.fixture
-def points(scene, face_points, rng):
-    return face_points(scene, 0.3, 0.01, rng)
+def points(scene, rng):
+    return face_points_of(scene, 0.3, 0.01, rng)
 
 
 def shifted(points, laser, edge, shift_px):
@@ -96,14 +95,12 @@ def test_an_occluder_over_both_ends_of_one_stripe_is_owned_up_to(scene, points, 
     assert sigmas_off(pose, scene) < 5.0
 
 
-def test_a_stripe_of_which_both_ends_are_wrong_leaves_the_center_weak_or_true_where_nothing_else_tells_it(
-    scene, face_points, rng
-):
+def test_a_stripe_of_which_both_ends_are_wrong_leaves_the_center_weak_or_true_where_nothing_else_tells_it(scene, rng):
     poses = []
     for _ in range(20):
         # not both the same way: that is what another ring looks like
         shifts_px = rng.uniform(8.0, 30.0, 2) * rng.permutation([-1.0, 1.0])
-        points = face_points(scene, 0.3, 0.01, rng)
+        points = face_points_of(scene, 0.3, 0.01, rng)
         hidden = shifted(shifted(points, 1, 0, shifts_px[0]), 1, 1, shifts_px[1])
         poses.append(estimate_pose(hidden, scene.rig))
 
@@ -164,11 +161,11 @@ OTHER_RADII = (
         if (number + near) % 3 < 2
     ],
 )
-def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, distance_m, size, said):
-    scene = scene_of("B", distance_m=distance_m, size=size)
+def test_radii_of_another_ring_are_owned_up_to(rng, distance_m, size, said):
+    scene = make_scene("B", distance_m=distance_m, size=size)
     known = KnownRadii(radius_m=np.array(said), sd_m=np.full(2, 5e-4))
 
-    results = [pose_result(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(6)]
+    results = [pose_result(face_points_of(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(6)]
 
     assert all(result.flags & CONTRADICTIONS for result in results)
     assert all(result.remark for result in results)
@@ -179,18 +176,18 @@ def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, dista
     assert all(pose.normal @ scene.ring.normal > np.cos(0.02) for pose in reported if np.isfinite(pose.normal).all())
 
 
-def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(scene_of, face_points, rng):
+def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(rng):
     # 1.5 degrees between the lasers see too little of the arc: what is said of the ring is believed
-    scene = scene_of("A", distance_m=0.5, size="R833")
+    scene = make_scene("A", distance_m=0.5, size="R833")
 
-    pose = estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN)
+    pose = estimate_pose(face_points_of(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN)
 
     assert not pose.flags & ~HARMLESS_FLAGS
 
 
 @pytest.mark.slow
-def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
-    poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(600)]
+def test_a_good_shot_is_rarely_doubted(scene, rng):
+    poses = [estimate_pose(face_points_of(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(600)]
 
     assert sum(bool(pose.flags & ~HARMLESS_FLAGS) for pose in poses) <= 3  # 0.8 of 600 by chance; 99 % by Poisson
 
@@ -217,9 +214,9 @@ def test_a_line_that_leaves_its_stripe_is_left_out_or_owned_up_to(scene, points,
 
 
 @pytest.mark.parametrize("labelled", [True, False])
-def test_exchanged_lasers_never_make_a_sure_ring_somewhere_else(scene_of, face_points, rng, labelled):
-    scene = scene_of("B", distance_m=1.0, tilt_rad=(0.05, 0.05), size="R833")
-    points = exchanged(face_points(scene, 0.3, 0.01, rng), 0, 1)
+def test_exchanged_lasers_never_make_a_sure_ring_somewhere_else(rng, labelled):
+    scene = make_scene("B", distance_m=1.0, tilt_rad=(0.05, 0.05), size="R833")
+    points = exchanged(face_points_of(scene, 0.3, 0.01, rng), 0, 1)
 
     result = pose_result(replace(points, labelled=labelled), scene.rig)
 
@@ -267,13 +264,11 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
         *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.25, 0.3), (0.25, 8.0), (0.5, 0.3), (0.5, 8.0))),
     ],
 )
-def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(
-    scene_of, face_points, rng, distance_m, end_sigma_px
-):
-    scene = scene_of("B", distance_m=distance_m)
+def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(rng, distance_m, end_sigma_px):
+    scene = make_scene("B", distance_m=distance_m)
     wrong = 0
     for _ in range(20):
-        shot = two_stripes_one_on_the_background(scene, face_points(scene, 0.3, 0.01, rng), rng, end_sigma_px)
+        shot = two_stripes_one_on_the_background(scene, face_points_of(scene, 0.3, 0.01, rng), rng, end_sigma_px)
 
         result = pose_result(shot, scene.rig)
 
@@ -283,9 +278,9 @@ def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(
     assert wrong <= 1  # by chance a stripe on the background looks as on the ring
 
 
-def test_two_stripes_with_clear_ends_give_a_sure_normal_of_a_known_ring(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.25)
-    points = with_stripes(face_points(scene, 0.3, 0.01, rng), 0, 1)
+def test_two_stripes_with_clear_ends_give_a_sure_normal_of_a_known_ring(rng):
+    scene = make_scene("B", distance_m=0.25)
+    points = with_stripes(face_points_of(scene, 0.3, 0.01, rng), 0, 1)
 
     pose = estimate_pose(points, scene.rig, known=KNOWN)
 
@@ -296,10 +291,10 @@ def test_two_stripes_with_clear_ends_give_a_sure_normal_of_a_known_ring(scene_of
     assert unknown.normal @ scene.ring.normal > np.cos(0.005)
 
 
-def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.5)
+def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(rng):
+    scene = make_scene("B", distance_m=0.5)
     shift_px = np.array([0.0, 0.0, 40.0])[:, None] * [0.0, 1.0]
-    true = face_points(scene, 0.2, 0.02, rng)
+    true = face_points_of(scene, 0.2, 0.02, rng)
     points = replace(
         true,
         position_px=true.position_px + shift_px[:, None],
@@ -320,16 +315,10 @@ def test_ends_are_not_rejected_where_the_other_side_of_the_centre_rejects_others
     end_px = np.array([[865.13, 844.35], [979.30, 465.33], [977.00, 213.17]])
     left_px = np.array([[804.00, 843.66], [np.nan, np.nan], [921.39, 215.37]])
     right_px = np.array([[863.41, 843.86], [979.72, 465.55], [1002.76, 215.34]])
-    position_px = np.stack([left_px, right_px], axis=1)
+    position_px, ends_px = np.stack([left_px, right_px], axis=1), np.stack([start_px, end_px], axis=1)
     seen = np.where(np.isfinite(position_px[..., :1, None]), 1.0, np.nan)
-    points = BreakPoints(
-        position_px=position_px,
-        covariance_px2=seen * np.diag([0.1, 0.003]),
-        flags=np.zeros((3, 2), dtype=np.int64),
-        face_start_px=start_px,
-        face_end_px=end_px,
-        face_sigma_px=np.full((3, 2), 0.055),
-        labelled=True,
+    points = replace(
+        with_lines(break_points_of(position_px), ends_px, 0.055), covariance_px2=seen * np.diag([0.1, 0.003])
     )
 
     found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))
@@ -347,15 +336,18 @@ def test_a_stripe_of_three_is_not_rejected_where_without_another_one_the_shot_pa
             [[629.6344, 191.9437], [702.4003, 191.9838]],
         ]
     )
+    ends_px = np.array(
+        [
+            [[625.5844, 822.0986], [694.8118, 822.7635]],
+            [[649.7588, 428.5911], [720.9128, 429.1835]],
+            [[627.9899, 189.4819], [701.4821, 189.7490]],
+        ]
+    )
+    sigma_px = np.array([0.0385, 0.0314, 0.0291])
     variance_px2 = np.array([[0.028, 0.0259], [0.0187, 0.0131], [0.0117, 0.012]])[..., None, None]
-    points = BreakPoints(
-        position_px=position_px,
+    points = replace(
+        with_lines(break_points_of(position_px), ends_px, sigma_px[:, None]),
         covariance_px2=variance_px2 * np.diag([1.0, 0.06]),
-        flags=np.zeros((3, 2), dtype=np.int64),
-        face_start_px=np.array([[625.5844, 822.0986], [649.7588, 428.5911], [627.9899, 189.4819]]),
-        face_end_px=np.array([[694.8118, 822.7635], [720.9128, 429.1835], [701.4821, 189.7490]]),
-        face_sigma_px=np.array([[0.0385, 0.0385], [0.0314, 0.0314], [0.0291, 0.0291]]),
-        labelled=True,
     )
 
     found = without_outliers(points, rig, USUAL.about_shot(rig.stability, still=True))

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from ring_scenes import RIGS, face_points_of, make_scene, with_stripes
+from ring_scenes import RIGS, face_points_of, make_scene, moved_rig, turn_between, visible_edges_of, with_stripes
 
 from ringpose.estimate.covariance import (
     POSE,
@@ -68,13 +67,11 @@ def prior_rows(result, rig):
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["radii unknown", "radii known"])
 @pytest.mark.parametrize("rig_known", [True, False], ids=["rig exact", "rig with its covariance"])
 @pytest.mark.parametrize("edges", [False, True], ids=["no edges", "visible edges"])
-def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
-    scene_of, face_points, visible_edges, rng, stripes, known, rig_known, edges
-):
-    scene = scene_of("B", distance_m=0.4)
+def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(rng, stripes, known, rig_known, edges):
+    scene = make_scene("B", distance_m=0.4)
     rig = scene.rig if rig_known else with_covariance(scene.rig)
-    points = replace(with_stripes(face_points(scene, 0.3, 0.02, rng), *stripes), stamp_s=STAMPS_S)
-    seen = visible_edges(scene, 40, 0.3, rng) if edges else None
+    points = replace(with_stripes(face_points_of(scene, 0.3, 0.02, rng), *stripes), stamp_s=STAMPS_S)
+    seen = visible_edges_of(scene, 40, 0.3, rng) if edges else None
 
     result = most_likely_pose(points, rig, seen, known)
     best = explain(measurements_of(points, rig, seen), Prior(known), labelled=True, edges_named=True)
@@ -127,11 +124,11 @@ def all_prior_rows(result, rig):
     return np.concatenate([rows, block])
 
 
-def test_the_measurement_and_the_priors_give_the_pose_of_a_moving_ring_too(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.4)
+def test_the_measurement_and_the_priors_give_the_pose_of_a_moving_ring_too(rng):
+    scene = make_scene("B", distance_m=0.4)
     rig = with_covariance(scene.rig)
     assumptions = Assumptions(motion=motion_prior(), ring_tolerance_m=2e-4, stability=TYPICAL_STABILITY)
-    points = replace(face_points(scene, 0.3, 0.02, rng), stamp_s=np.array([0.0, 0.04, 0.08]))
+    points = replace(face_points_of(scene, 0.3, 0.02, rng), stamp_s=np.array([0.0, 0.04, 0.08]))
 
     result = most_likely_pose(points, rig, assumptions=assumptions)
 
@@ -175,9 +172,7 @@ def point_of(center_m, normal, radius_m, velocity_m_s=(0.0, 0.0, 0.0), rate_rad_
 def displaced(point, step):
     """The ring after increments: the tilt basis turns with the normal, the shortest way."""
     normal = tilted(point.normal, step[:2])
-    axis = np.cross(point.normal, normal)
-    sine = np.linalg.norm(axis)
-    turn = cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+    turn = turn_between(point.normal, normal)
     basis = tilt_basis(point.normal)
     center_m = (point.normal @ point.center_m + step[2]) * normal + (
         basis @ point.center_m + step[3:5]
@@ -301,9 +296,8 @@ def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(
     nees = {common: [] for common in (True, False)}
     for _ in range(100):
         step = PLANES_SD * rng.normal(size=9)
-        normals = [tilted(n, step[3 * i : 3 * i + 2]) for i, n in enumerate(rig.lasers.normal)]
-        lasers = replace(rig.lasers, normal=np.array(normals), distance_m=rig.lasers.distance_m + step[2::3])
-        scene = make_scene(replace(rig, lasers=lasers), distance_m=0.4, tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
+        real = moved_rig(rig, PLANES, step)
+        scene = make_scene(real, distance_m=0.4, tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
         assumed_m = RADIUS_M + RADIUS_SD_M * rng.normal(size=2)
         radii = KnownRadii(radius_m=assumed_m, sd_m=np.full(2, RADIUS_SD_M)) if known else None
         shots = [most_likely_pose(face_points_of(scene, 0.3, 0.02, rng), rig, known=radii) for _ in range(30)]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ring_scenes import nees
+from ring_scenes import make_scene, nees
 
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
@@ -22,13 +22,13 @@ def angle_to_plane_rad(direction, first, second):
 
 @BOTH_METHODS
 @given(pitch=st.floats(-0.3, 0.3), yaw=st.floats(-0.3, 0.3))
-def test_pitch_and_yaw_are_the_turns_that_made_the_ring(scene_of, method, pitch, yaw):
+def test_pitch_and_yaw_are_the_turns_that_made_the_ring(method, pitch, yaw):
     # away-pointing axis: z, first pitched about x, then yawed about y
     away = cv2.Rodrigues(np.array([0.0, yaw, 0.0]))[0] @ cv2.Rodrigues(np.array([-pitch, 0.0, 0.0]))[0][:, 2]
     turn = np.cross([0.0, 0.0, 1.0], away)
     sine = np.linalg.norm(turn)
     axis = turn * (np.arctan2(sine, away[2]) / sine if sine > 0 else 1.0)
-    scene = scene_of("B", tilt_rad=(axis[0], axis[1]))
+    scene = make_scene("B", tilt_rad=(axis[0], axis[1]))
 
     pose = estimate_pose(scene.break_points(), scene.rig, method)
 
@@ -36,8 +36,8 @@ def test_pitch_and_yaw_are_the_turns_that_made_the_ring(scene_of, method, pitch,
 
 
 @given(tilt=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)))
-def test_pitch_is_the_papers_angle_between_normal_and_horizontal_plane(scene_of, tilt):
-    scene = scene_of("B", tilt_rad=tilt)
+def test_pitch_is_the_papers_angle_between_normal_and_horizontal_plane(tilt):
+    scene = make_scene("B", tilt_rad=tilt)
 
     pose = estimate_pose(scene.break_points(), scene.rig)
 
@@ -46,8 +46,8 @@ def test_pitch_is_the_papers_angle_between_normal_and_horizontal_plane(scene_of,
 
 
 @given(distance_m=st.floats(0.25, 1.0), turn_rad=st.floats(-0.3, 0.3), side=st.sampled_from([-1, 1]))
-def test_the_grasp_point_is_on_the_middle_of_the_band(scene_of, distance_m, turn_rad, side):
-    scene = scene_of("B", distance_m=distance_m, turn_rad=turn_rad, side=side)
+def test_the_grasp_point_is_on_the_middle_of_the_band(distance_m, turn_rad, side):
+    scene = make_scene("B", distance_m=distance_m, turn_rad=turn_rad, side=side)
 
     pose = estimate_pose(scene.break_points(), scene.rig)
 
@@ -57,16 +57,16 @@ def test_the_grasp_point_is_on_the_middle_of_the_band(scene_of, distance_m, turn
 
 
 @pytest.mark.parametrize(("rig", "distance_m"), [("A", 0.2), ("A", 0.5), ("A", 1.0), ("B", 0.25), ("B", 1.0)])
-def test_the_grasp_point_is_known_where_the_center_is_not(scene_of, rng, rig, distance_m):
-    scene = scene_of(rig, distance_m=distance_m)
+def test_the_grasp_point_is_known_where_the_center_is_not(rng, rig, distance_m):
+    scene = make_scene(rig, distance_m=distance_m)
 
     poses = [estimate_pose(scene.break_points(0.3, rng), scene.rig) for _ in range(100)]
 
     assert max(2 * nees(pose, scene.ring)["grasp"] for pose in poses) < 5.0**2
 
 
-def test_the_grasp_point_is_amid_the_break_points(scene_of):
-    scene = scene_of("B")
+def test_the_grasp_point_is_amid_the_break_points():
+    scene = make_scene("B")
 
     pose = estimate_pose(scene.break_points(), scene.rig)
 
@@ -75,8 +75,8 @@ def test_the_grasp_point_is_amid_the_break_points(scene_of):
     assert np.linalg.norm(across) < 1e-9
 
 
-def test_the_papers_grasp_point_is_the_mean_of_the_six(scene_of):
-    scene = scene_of("B")
+def test_the_papers_grasp_point_is_the_mean_of_the_six():
+    scene = make_scene("B")
 
     pose = estimate_pose(scene.break_points(), scene.rig, Method.PAPER)
 
@@ -84,9 +84,9 @@ def test_the_papers_grasp_point_is_the_mean_of_the_six(scene_of):
 
 
 @pytest.mark.parametrize("offset_px", [0.5, 2.0])
-def test_the_residual_is_what_the_pose_leaves_unexplained(scene_of, offset_px):
+def test_the_residual_is_what_the_pose_leaves_unexplained(offset_px):
     # both ends of a stripe moved apart along it: the plane stays, a wider band explains all but the middle's share
-    scene = scene_of("B")
+    scene = make_scene("B")
     break_points = scene.break_points()
     along = scene.position_px[1, 1] - scene.position_px[1, 0]
     along /= np.linalg.norm(along)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import pixels_of, with_stripes
+from ring_scenes import face_points_of, make_scene, scene_of, visible_edges_of, with_stripes
 
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
@@ -12,9 +12,9 @@ from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
 
 
-def test_one_stripe_has_the_covariance_of_its_grasp_point_and_of_known_radii_alone(scene_of, face_points):
-    scene = scene_of("B", distance_m=0.25)
-    points = with_stripes(face_points(scene, 0.3, 0.01), 1)
+def test_one_stripe_has_the_covariance_of_its_grasp_point_and_of_known_radii_alone():
+    scene = make_scene("B", distance_m=0.25)
+    points = with_stripes(face_points_of(scene, 0.3, 0.01), 1)
 
     pose, known = (estimate_pose(points, scene.rig, known=known) for known in (None, KNOWN))
 
@@ -24,17 +24,14 @@ def test_one_stripe_has_the_covariance_of_its_grasp_point_and_of_known_radii_alo
 
 
 @pytest.mark.parametrize(("behind_m", "weak"), [(0.0, False), (0.05, True)])
-def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(
-    scene_of, face_points, visible_edges, rng, behind_m, weak
-):
+def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(rng, behind_m, weak):
     flagged = 0
     for _ in range(4):
-        scene = scene_of("B", distance_m=1.0, side=rng.choice([-1, 1]), across=rng.uniform(-0.1, 0.1))
-        edges = visible_edges(scene, 60, 0.1, rng)
+        scene = make_scene("B", distance_m=1.0, side=rng.choice([-1, 1]), across=rng.uniform(-0.1, 0.1))
+        edges = visible_edges_of(scene, 60, 0.1, rng)
         surface = replace(scene.ring, center_m=scene.ring.center_m - behind_m * scene.ring.normal)
-        points_m = surface.break_points_m(scene.rig.lasers)
-        behind = replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
-        points = with_stripes(face_points(behind, 0.05, 0.01, rng), 1)
+        behind = scene_of(scene.rig, surface)
+        points = with_stripes(face_points_of(behind, 0.05, 0.01, rng), 1)
 
         result = pose_result(points, scene.rig, ring_edges=edges)
 
@@ -43,22 +40,22 @@ def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(
 
 
 @pytest.mark.parametrize(("line_px", "warned"), [(0.005, False), (0.05, True)])
-def test_a_center_that_a_likely_tilt_brings_aside_is_flagged(scene_of, face_points, line_px, warned):
+def test_a_center_that_a_likely_tilt_brings_aside_is_flagged(line_px, warned):
     # lasers 1.5 degrees apart at 1 m: the tilt is known to 0.15 or to 1.6 degrees, the centre's side to 0.1 mm
-    scene = scene_of("A", distance_m=1.0)
+    scene = make_scene("A", distance_m=1.0)
 
-    pose = estimate_pose(face_points(scene, 0.3, line_px), scene.rig, known=KNOWN)
+    pose = estimate_pose(face_points_of(scene, 0.3, line_px), scene.rig, known=KNOWN)
 
     assert (PoseFlag.CENTER_WEAK in pose.flags) is warned
 
 
 @pytest.mark.slow
-def test_the_second_moment_of_a_bowed_center_is_told(scene_of, face_points, rng):
-    scene = scene_of("A", distance_m=1.0)
+def test_the_second_moment_of_a_bowed_center_is_told(rng):
+    scene = make_scene("A", distance_m=1.0)
     squares = []
     for _ in range(600):
         said = replace(KNOWN, radius_m=KNOWN.radius_m + 1e-4 * rng.normal(size=2))
-        pose = estimate_pose(face_points(scene, 0.05, 0.03, rng), scene.rig, known=said)
+        pose = estimate_pose(face_points_of(scene, 0.05, 0.03, rng), scene.rig, known=said)
         outward = (pose.center_m - pose.grasp_m) / np.linalg.norm(pose.center_m - pose.grasp_m)
         error = outward @ (pose.center_m - scene.ring.center_m)
         squares.append(error**2 / (outward @ pose.covariance_center_m2 @ outward))

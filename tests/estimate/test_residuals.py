@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import face_points_of, make_scene, visible_edges_of
 
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
@@ -16,10 +17,10 @@ RADII = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([0.001, 0.00
 
 
 @pytest.fixture(params=["points alone", "stripes", "stripes and edges"])
-def measured(request, scene_of, face_points, visible_edges):
-    scene = scene_of("B", distance_m=0.5, tilt_rad=(0.2, -0.15), turn_rad=0.3)
-    points = scene.break_points(0.3) if request.param == "points alone" else face_points(scene, 0.3, 0.03)
-    edges = visible_edges(scene, 40, 0.2) if request.param == "stripes and edges" else None
+def measured(request):
+    scene = make_scene("B", distance_m=0.5, tilt_rad=(0.2, -0.15), turn_rad=0.3)
+    points = scene.break_points(0.3) if request.param == "points alone" else face_points_of(scene, 0.3, 0.03)
+    edges = visible_edges_of(scene, 40, 0.2) if request.param == "stripes and edges" else None
     return scene, measurements_of(points, scene.rig, edges)
 
 
@@ -68,10 +69,10 @@ def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, 
     np.testing.assert_allclose(residuals.jacobian[-2:, parameter], (forward - backward) / (2 * STEP), rtol=0, atol=1e-4)
 
 
-def test_derivatives_of_visible_edges_do_not_contain_errors_of_the_points(scene_of, face_points, visible_edges, rng):
+def test_derivatives_of_visible_edges_do_not_contain_errors_of_the_points(rng):
     """A correlation of both would bias what many shots have in common, such as errors of the rig."""
-    scene = scene_of("B")
-    points, exact, errors = face_points(scene, 0.3, 0.03), visible_edges(scene, 40, 0.3), rng.normal(size=40)
+    scene = make_scene("B")
+    points, exact, errors = face_points_of(scene, 0.3, 0.03), visible_edges_of(scene, 40, 0.3), rng.normal(size=40)
     noisy = replace(exact, position_px=exact.position_px + 0.3 * errors[:, None] * exact.normal)
     ring = scene.ring
     arcs = ring_arcs(ring.center_m, ring.normal, ring.radius_m, scene.points_m.mean(axis=(0, 1)))

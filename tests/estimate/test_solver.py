@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import face_points_of, make_scene
 
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
@@ -24,10 +25,10 @@ def with_covariance(rig):
 
 
 @pytest.fixture
-def noisy(scene_of, face_points, rng):
+def noisy(rng):
     """Measurements of a noisy shot with wrong ends."""
-    scene = scene_of("B", distance_m=0.5)
-    points = face_points(scene, 0.3, 0.01, rng)
+    scene = make_scene("B", distance_m=0.5)
+    points = face_points_of(scene, 0.3, 0.01, rng)
     points.position_px[:, 0, 0] += 1.0, -1.5, 2.5
     return scene.rig, measurements_of(points, scene.rig)
 
@@ -74,9 +75,9 @@ def test_an_estimate_is_the_same_from_any_start(noisy):
 
 
 @pytest.mark.parametrize(("iterations", "status"), [(2, "degraded"), (20, "ok")])
-def test_a_pose_whose_iteration_ends_at_its_limit_is_not_ok(scene_of, face_points, monkeypatch, iterations, status):
-    scene = scene_of("B", distance_m=0.5, turn_rad=0.7, size="R597")
-    points = face_points(scene, 0.01, 0.01)
+def test_a_pose_whose_iteration_ends_at_its_limit_is_not_ok(monkeypatch, iterations, status):
+    scene = make_scene("B", distance_m=0.5, turn_rad=0.7, size="R597")
+    points = face_points_of(scene, 0.01, 0.01)
     monkeypatch.setattr("ringpose.estimate.solver.MAX_ITERATIONS", iterations)
 
     result = pose_result(points, scene.rig)
@@ -88,9 +89,9 @@ def test_a_pose_whose_iteration_ends_at_its_limit_is_not_ok(scene_of, face_point
 
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("ends_seen", [True, False])
-def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(scene_of, face_points, side, ends_seen):
-    scene = scene_of("B", distance_m=0.5, side=side)
-    measured = measurements_of(face_points(scene, 0.3, 0.01), scene.rig)
+def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(side, ends_seen):
+    scene = make_scene("B", distance_m=0.5, side=side)
+    measured = measurements_of(face_points_of(scene, 0.3, 0.01), scene.rig)
     if not ends_seen:
         measured = replace(measured, points=measured.points._replace(x=measured.points.middle_x.copy()))
 
@@ -111,16 +112,16 @@ def test_a_plane_behind_the_camera_is_no_start(noisy):
     assert initial_guess(behind, Prior()) is None
 
 
-def test_points_at_the_end_of_the_world_are_left_out_or_no_ring(scene_of, face_points):
-    scene = scene_of("B", distance_m=0.5)
-    points = face_points(scene, 0.3, 0.01)
+def test_points_at_the_end_of_the_world_are_left_out_or_no_ring():
+    scene = make_scene("B", distance_m=0.5)
+    points = face_points_of(scene, 0.3, 0.01)
     points.position_px[0, 0] = 1e7, -1e7
 
     assert isinstance(estimate_pose(points, scene.rig), RingPose | NoPose)
 
 
-def test_points_without_lines_that_are_known_impossibly_well_end_the_search_without_a_crash(scene_of, rng):
-    scene = scene_of("B", distance_m=0.5)
+def test_points_without_lines_that_are_known_impossibly_well_end_the_search_without_a_crash(rng):
+    scene = make_scene("B", distance_m=0.5)
     position = scene.position_px + 20.0 * rng.normal(size=scene.position_px.shape)
     points = replace(
         scene.break_points(1e-15), position_px=position, covariance_px2=np.tile(1e-30 * np.eye(2), (3, 2, 1, 1))

@@ -7,7 +7,7 @@ import textwrap
 import pytest
 
 from ringpose.errors import CannotCreateError, InputOutputError
-from ringpose.files.atomic import make_folder, reject_existing, replacing
+from ringpose.files.atomic import replacing
 
 
 def write(path, content: bytes, force=False, error: Exception | None = None):
@@ -23,17 +23,6 @@ def test_a_written_file_has_the_permissions_of_the_umask(tmp_path):
     mask = os.umask(0)
     os.umask(mask)
     assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~mask
-
-
-def test_an_existing_file_is_replaced_only_with_force(tmp_path):
-    (tmp_path / "a").write_bytes(b"old")
-
-    with pytest.raises(CannotCreateError, match="exists already; add --force"):
-        write(tmp_path / "a", b"new")
-    assert (tmp_path / "a").read_bytes() == b"old"
-
-    write(tmp_path / "a", b"new", force=True)
-    assert (tmp_path / "a").read_bytes() == b"new"
 
 
 @pytest.mark.parametrize("exists", [True, False])
@@ -75,11 +64,6 @@ def test_pipe_is_not_replaced_even_with_force(tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
-def test_a_missing_folder_is_reported_before_long_computations(tmp_path):
-    with pytest.raises(CannotCreateError, match="no such file or directory"):
-        reject_existing(tmp_path / "missing" / "a", force=False)
-
-
 @pytest.mark.parametrize(
     ("error", "raised", "finding"),
     [
@@ -94,13 +78,6 @@ def test_a_failure_keeps_the_old_file_and_leaves_no_temporary_one(tmp_path, erro
         write(tmp_path / "a", b"half", force=True, error=error)
 
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
-
-
-def test_folder_below_a_file_cannot_be_created(tmp_path):
-    (tmp_path / "file").touch()
-
-    with pytest.raises(CannotCreateError, match="not a directory"):
-        make_folder(tmp_path / "file" / "folder")
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

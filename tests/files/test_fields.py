@@ -17,12 +17,6 @@ def message_of(action) -> str:
     return str(caught.value)
 
 
-def test_a_location_has_the_file_and_the_path_to_the_key():
-    laser = list(Fields("rig.yaml", {"lasers": [{}, {"name": 3}]}).each("lasers"))[1]
-
-    assert message_of(lambda: laser.text("name")) == "rig.yaml: lasers[1].name: is 3, must be a text"
-
-
 @pytest.mark.parametrize(
     ("values", "is_like"),
     [
@@ -64,17 +58,6 @@ def test_an_invalid_value_is_rejected_with_its_key(read, value, finding):
 
 
 @pytest.mark.parametrize(
-    ("known", "key", "finding"),
-    [
-        (("distance_m", "normal"), "distnace_m", "unknown key 'distnace_m'; did you mean 'distance_m'?"),
-        (("distance_m",), "colour", "unknown key 'colour'; begin it with x_"),
-    ],
-)
-def test_an_unknown_key_is_rejected_with_the_closest_known_one_or_the_free_prefix(known, key, finding):
-    assert finding in message_of(lambda: Fields("rig.yaml", {key: 1}, known))
-
-
-@pytest.mark.parametrize(
     ("key", "hint"),
     [("imge_width", "; did you mean 'image_width' instead of 'imge_width'?"), ("image_height", "")],
 )
@@ -90,7 +73,3 @@ def test_arrays_may_be_empty_and_have_missing_values_where_that_is_allowed():
 
     np.testing.assert_array_equal(array, [[1, math.nan], [3, 4]])
     assert fields(a=[]).array("a", (None, 2)).shape == (0, 2)
-
-
-def test_lengths_of_either_sign_up_to_five_metres_are_accepted():
-    assert fields(a=-5.0).length_m("a") == -5.0

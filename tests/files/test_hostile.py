@@ -9,6 +9,7 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recorded_shots import make_shot
 from schemas import validated
 from whole_records import VERSION_1, complete_line, full_detection, record_of
 
@@ -21,7 +22,6 @@ from ringpose.files.records.detections import detection_of, detection_record
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.types.image import Shot
 
 NUMBERS = [0, -1, 1e308, -1e-308, 10**400, math.nan, math.inf]
 ODD = st.sampled_from([None, True, *NUMBERS, "", "a", "1e3", [], [[]], {}, {"a": 1}, [None], [[1], 2]])
@@ -158,10 +158,7 @@ def test_arbitrary_text_is_read_or_rejected(encoded):
 def whole_shot(tmp_path_factory) -> bytes:
     file = tmp_path_factory.mktemp("shot") / "a.npz"
     images = np.random.default_rng(0).integers(0, 255, (2, 6, 8), dtype=np.uint8)
-    times = np.array([1.0, 2.0])
-    shot = Shot(
-        name="a", images=images, lasers=np.array([0, 1], np.uint8), stamp_s=times, exposure_s=times, meta={"a": 1}
-    )
+    shot = make_shot(images, [0, 1], meta={"a": 1})
     write_shot(file, shot)
     return file.read_bytes()
 

@@ -18,12 +18,6 @@ def test_a_folder_yields_its_files_by_name(tmp_path):
     assert [path.name for path in found] == ["a.png", "b.npz", "e.NPZ"]
 
 
-def test_given_files_are_yielded_whatever_their_suffix(tmp_path):
-    names = [tmp_path / "a.txt", tmp_path / "missing.jsonl"]
-
-    assert list(inputs(names, ())) == names
-
-
 def test_missing_inputs_are_yielded_as_problems(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", None)
@@ -41,16 +35,6 @@ def test_a_named_pipe_is_yielded_as_a_problem_without_being_read(tmp_path):
 
     assert isinstance(found, NoInputError)
     assert "pipe" in str(found)
-
-
-def test_an_empty_folder_is_yielded_as_a_problem(tmp_path):
-    (tmp_path / "empty").mkdir()
-
-    problem, path = inputs([tmp_path / "empty", tmp_path / "a.npz"], (".npz", ".png"))
-
-    assert isinstance(problem, NoInputError)
-    assert str(problem) == f"{tmp_path / 'empty'}: holds no file that ends with .npz, .png"
-    assert path == tmp_path / "a.npz"
 
 
 def test_stdin_names_files_folders_and_records(tmp_path, monkeypatch):
@@ -71,15 +55,6 @@ def test_an_invalid_record_is_yielded_as_a_problem(monkeypatch):
 
     assert isinstance(problem, DataError)
     assert record == Record("standard input:2", {"shot": "b"})
-
-
-def test_stdin_is_read_only_as_far_as_requested(monkeypatch):
-    lines = iter(["a\n", "b\n"])
-    monkeypatch.setattr("sys.stdin", lines)
-
-    next(inputs(["-"], ()))
-
-    assert next(lines) == "b\n"
 
 
 @pytest.mark.parametrize(("name", "compressed"), [("d.jsonl", False), ("d.jsonl", True), ("d.jsonl.gz", True)])

@@ -41,12 +41,6 @@ def test_record_has_the_keys_in_their_order(complete):
     assert list(record(complete)) == KEYS
 
 
-def test_brief_record_has_no_measurement(complete):
-    assert list(validated(record(complete, brief=True))) == [
-        key for key in KEYS if key not in ("measurement", "plane_evidence")
-    ]
-
-
 @pytest.mark.parametrize("frame", PoseFrame)
 def test_line_in_every_frame_fits_the_schema(pose, frame):
     validated(record(line(pose, frame=frame)))

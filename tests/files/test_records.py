@@ -1,15 +1,18 @@
 import io
 import json
 import math
-import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ringpose.errors import DataError, InputOutputError, SignalReceived
+from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.inputs import inputs
+
+
+def test_line_numbers_count_blank_lines():
+    assert [location for location, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
 
 
 def test_record_is_one_line_of_strict_json(capsys):
@@ -32,10 +35,6 @@ def test_lines_are_read_one_by_one_with_their_location():
     assert next(lines) == "\n"
 
 
-def test_line_numbers_count_blank_lines():
-    assert [location for location, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
-
-
 @pytest.mark.parametrize(
     ("line", "finding"),
     [
@@ -53,40 +52,6 @@ def test_an_invalid_line_is_rejected_with_its_location(line, finding):
 
     assert str(caught.value).startswith("x:1: ")
     assert finding in str(caught.value)
-
-
-class _Stream:
-    def __init__(self, error: OSError) -> None:
-        self.error = error
-
-    def write(self, text: str) -> None:
-        raise self.error
-
-    def flush(self) -> None:
-        raise self.error
-
-
-def test_a_closed_pipe_raises_sigpipe(monkeypatch):
-    monkeypatch.setattr("sys.stdout", _Stream(BrokenPipeError()))
-
-    with pytest.raises(SignalReceived) as caught:
-        records.write({})
-
-    assert caught.value.status == 128 + signal.SIGPIPE
-
-
-def test_full_disk_is_an_input_output_error(monkeypatch):
-    monkeypatch.setattr("sys.stdout", _Stream(OSError(28, "No space left on device")))
-
-    with pytest.raises(InputOutputError, match="standard output: writing broke off: no space left on device"):
-        records.write({})
-
-
-def test_closed_stdout_is_an_input_output_error(monkeypatch):
-    monkeypatch.setattr("sys.stdout", None)
-
-    with pytest.raises(InputOutputError, match="is closed"):
-        records.write({})
 
 
 @pytest.mark.parametrize(("name", "line"), [("s/a.npz", "s/a.npz"), ("{s/a.npz", "./{s/a.npz"), (" {.npz", "./ {.npz")])

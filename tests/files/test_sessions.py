@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from recorded_shots import make_shot
 from schemas import validated
 
 from ringpose.errors import CannotCreateError, DataError, InputOutputError, LaserSafetyError, SignalReceived
@@ -21,13 +22,7 @@ CAPTURE = Capture(camera="sim:scene.yaml", lasers="sim:", sequence="off,1,off", 
 
 
 def shot(name: str, value: int = 0) -> Shot:
-    return Shot(
-        name=name,
-        images=np.full((1, 2, 3), value, dtype=np.uint8),
-        lasers=np.array([7], dtype=np.uint8),
-        stamp_s=np.array([1.0]),
-        exposure_s=np.array([0.01]),
-    )
+    return make_shot(np.full((1, 2, 3), value, dtype=np.uint8), [7], name=name)
 
 
 def written(folder, *names, existing="refuse", capture=CAPTURE):

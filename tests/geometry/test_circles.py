@@ -35,21 +35,19 @@ def test_from_outside_the_circle_the_nearer_end_is_the_one_in_front(first, apart
     np.testing.assert_allclose(crossing[0], ends[0], rtol=0, atol=1e-9)
 
 
-def test_a_line_that_passes_by_gives_its_point_nearest_to_the_center():
-    start, direction = np.array([[-5.0, 2.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+@pytest.mark.parametrize(
+    ("start", "direction", "place"),
+    [
+        ([-5.0, 2.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]),
+        ([3.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]),
+        ([3.0, 0.0, 0.6], [-1.0, 0.0, 0.0], [0.8, 0.0, 0.6]),
+    ],
+    ids=["passing by: nearest to the center", "through the center", "beside the plane: on the sphere"],
+)
+def test_a_line_is_crossed_where_it_meets_the_sphere_or_comes_nearest_to_its_center(start, direction, place):
+    crossing = nearest_crossing(np.array([start]), np.array([direction]), np.zeros(3), np.ones(1))
 
-    crossing = nearest_crossing(start, direction, np.zeros(3), np.ones(1))
-
-    np.testing.assert_allclose(crossing, [[0.0, 2.0, 0.0]], atol=1e-12)
-
-
-@pytest.mark.parametrize("height", [0.0, 0.6])
-def test_a_line_beside_the_plane_of_the_center_meets_the_sphere(height):
-    start, direction = np.array([[3.0, 0.0, height]]), np.array([[-1.0, 0.0, 0.0]])
-
-    crossing = nearest_crossing(start, direction, np.zeros(3), np.ones(1))
-
-    np.testing.assert_allclose(crossing, [[np.sqrt(1 - height**2), 0.0, height]], atol=1e-12)
+    np.testing.assert_allclose(crossing, [place], atol=1e-12)
 
 
 ARC = np.array([0, 1, 0, 1, 0, 1])

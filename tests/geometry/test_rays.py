@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import make_camera
 
 from ringpose.geometry.rays import intersect, project, rays, undistort, undistorted_pixels
-from ringpose.types.rig import Camera
 
 DISTORTIONS = {
     "plumb_bob": [-0.105, 0.118, 0.00055, -0.0004, 0.01],
@@ -16,14 +16,7 @@ X, Y = st.floats(-0.4, 0.4), st.floats(-0.3, 0.3)
 
 @pytest.fixture(scope="module", params=list(DISTORTIONS))
 def camera(request):
-    return Camera(
-        camera_name="test",
-        image_width=1600,
-        image_height=1200,
-        camera_matrix=np.array([[1781.3, 0, 803.7], [0, 1780.6, 596.2], [0, 0, 1.0]]),
-        distortion_model=request.param,
-        distortion_coefficients=np.array(DISTORTIONS[request.param]),
-    )
+    return make_camera((1600, 1200), (1781.3, 1780.6), (803.7, 596.2), DISTORTIONS[request.param])
 
 
 def by_the_book(camera, x, y):

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import make_scene
+from ring_scenes import make_scene, turn_between
 
 from ringpose.geometry.ring import (
     STEP,
@@ -296,9 +296,7 @@ def parameters_of(arcs, normal):
     """The seven parameters about a unit normal: its tilt basis turns with the ring's, the shortest way."""
     basis = tilt_basis(normal)
     tilt = basis @ arcs.normal / (arcs.normal @ normal)
-    axis = np.cross(normal, arcs.normal)
-    sine = np.linalg.norm(axis)
-    turn = cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+    turn = turn_between(normal, arcs.normal)
     return np.concatenate([tilt, [arcs.normal @ arcs.center], basis @ turn.T @ arcs.center, arcs.radius_m])
 
 

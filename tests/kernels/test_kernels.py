@@ -33,10 +33,3 @@ def test_threads_with_their_own_images_do_not_disturb_each_other(rng):
         thread.join()
 
     assert [found[number] for number in range(4)] == alone
-
-
-def test_results_of_the_walk_cannot_be_written_to(rng):
-    chains = edge_chains(image_gradient(rng.integers(0, 256, (30, 30), np.uint8), 2.5), 1.2, 5)
-
-    assert not chains.pixels.flags.writeable
-    assert not chains.starts.flags.writeable

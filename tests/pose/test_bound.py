@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from ring_scenes import nees
+from ring_scenes import axes_across, face_points_of, make_scene, nees, turn_between
 
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag
@@ -16,19 +15,6 @@ RADIUS_SD_M = 1e-4
 STEPS = np.array([1e-6, 1e-6, 1e-7, 1e-6, 1e-6, 1e-6, 1e-6])
 WEAK_SD = 0.05
 """Centre's bound in radii from which the bound itself says that it is not observable."""
-
-
-def axes_across(normal):
-    first = np.cross([0.0, 0.0, 1.0], normal)
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
-
-
-def turn_between(first, second):
-    """The smallest rotation from one unit vector to another."""
-    axis = np.cross(first, second)
-    sine = np.linalg.norm(axis)
-    return cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
 
 
 def moved(ring, step):
@@ -106,7 +92,7 @@ def center_by_parameters(ring):
 WEAK = PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN
 
 
-def errors_and_bound(scene, known, face_points, rng, samples):
+def errors_and_bound(scene, known, rng, samples):
     """Errors of noisy shots' poses, the bound, and of poses that warn of nothing squares in the told covariance."""
     bound = np.linalg.inv(information(scene, known))
     to_center = center_by_parameters(scene.ring)
@@ -117,7 +103,7 @@ def errors_and_bound(scene, known, face_points, rng, samples):
     errors, squares = [], []
     for _ in range(samples):
         said = None if radii is None else replace(radii, radius_m=radii.radius_m + RADIUS_SD_M * rng.normal(size=2))
-        pose = estimate_pose(face_points(scene, POINT_PX, LINE_PX, rng), scene.rig, known=said)
+        pose = estimate_pose(face_points_of(scene, POINT_PX, LINE_PX, rng), scene.rig, known=said)
         if pose.flags & ~(HARMLESS_FLAGS | WEAK):  # by chance, one in 750 looks contradictory
             continue
         true = replace(pose, normal=scene.ring.normal, center_m=scene.ring.center_m)
@@ -130,8 +116,8 @@ def errors_and_bound(scene, known, face_points, rng, samples):
     return np.array(errors), np.array(squares).reshape(-1, 2), sd
 
 
-def test_errors_of_some_shots_are_near_the_bound(scene_of, face_points, rng):
-    errors, _, sd = errors_and_bound(scene_of("B", distance_m=0.5), False, face_points, rng, samples=150)
+def test_errors_of_some_shots_are_near_the_bound(rng):
+    errors, _, sd = errors_and_bound(make_scene("B", distance_m=0.5), False, rng, samples=150)
 
     ratio = np.sqrt(np.mean(errors**2, axis=0)) / sd
     assert ratio.min() > 0.8
@@ -144,10 +130,10 @@ def test_errors_of_some_shots_are_near_the_bound(scene_of, face_points, rng):
     ("rig", "distance_m", "size"),
     [("A", 0.25, "R597"), ("A", 0.5, "R1194"), ("B", 0.5, "R597"), ("B", 1.0, "R1194")],
 )
-def test_errors_are_at_the_bound_and_as_told(scene_of, face_points, rng, rig, distance_m, size, known):
-    scene = scene_of(rig, distance_m=distance_m, size=size)
+def test_errors_are_at_the_bound_and_as_told(rng, rig, distance_m, size, known):
+    scene = make_scene(rig, distance_m=distance_m, size=size)
 
-    errors, squares, sd = errors_and_bound(scene, known, face_points, rng, samples=1000)
+    errors, squares, sd = errors_and_bound(scene, known, rng, samples=1000)
 
     ratio = np.sqrt(np.mean(errors**2, axis=0)) / sd
     assert ratio.max() < 1.1

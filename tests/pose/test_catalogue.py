@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import face_points_of, make_scene
 
 from ringpose.pose.catalogue import LIKELY_ENOUGH, NONE_OF_THESE, ring_posterior
 from ringpose.pose.pipeline import estimate_pose
@@ -20,17 +21,17 @@ RINGS = [
 ]
 
 
-def test_the_ring_that_was_seen_is_found(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.5)
+def test_the_ring_that_was_seen_is_found(rng):
+    scene = make_scene("B", distance_m=0.5)
 
-    pose = estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=RINGS)
+    pose = estimate_pose(face_points_of(scene, 0.3, 0.01, rng), scene.rig, known=RINGS)
 
     assert pose.ring_posterior["R597"] > 0.99
 
 
-def test_the_radii_of_the_ring_that_was_found_make_the_center_better(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.5)
-    points = face_points(scene, 0.3, 0.01, rng)
+def test_the_radii_of_the_ring_that_was_found_make_the_center_better(rng):
+    scene = make_scene("B", distance_m=0.5)
+    points = face_points_of(scene, 0.3, 0.01, rng)
 
     poses = [estimate_pose(points, scene.rig, known=known) for known in (None, RINGS)]
 
@@ -38,18 +39,18 @@ def test_the_radii_of_the_ring_that_was_found_make_the_center_better(scene_of, f
     assert spread[0] > 3 * spread[1]
 
 
-def test_a_ring_of_another_size_is_none_of_these(scene_of, face_points, rng):
-    scene = scene_of("B", distance_m=0.5, size="R1194")
+def test_a_ring_of_another_size_is_none_of_these(rng):
+    scene = make_scene("B", distance_m=0.5, size="R1194")
 
-    pose = estimate_pose(face_points(scene, 0.1, 0.01, rng), scene.rig, known=RINGS)
+    pose = estimate_pose(face_points_of(scene, 0.1, 0.01, rng), scene.rig, known=RINGS)
 
     assert pose.ring_posterior[NONE_OF_THESE] > 0.95
 
 
-def test_where_the_curvature_is_hardly_seen_no_ring_is_forced(scene_of, face_points, rng):
-    scene = scene_of("A", distance_m=0.25)
+def test_where_the_curvature_is_hardly_seen_no_ring_is_forced(rng):
+    scene = make_scene("A", distance_m=0.25)
 
-    pose = estimate_pose(face_points(scene, 0.3, 0.03, rng), scene.rig, known=RINGS)
+    pose = estimate_pose(face_points_of(scene, 0.3, 0.03, rng), scene.rig, known=RINGS)
 
     assert max(pose.ring_posterior.values()) < 0.95
 
@@ -73,9 +74,7 @@ def test_a_wider_interval_promises_less():
     ("rig", "distance_m"),
     [("B", 0.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("A", 0.5), ("B", 0.25)))],
 )
-def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(
-    ring_scene, face_points, rng, rig, distance_m
-):
+def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(rng, rig, distance_m):
     named, told, right = 0, 0.0, 0
     for _ in range(60):
         which = rng.integers(len(RINGS) + 1)
@@ -84,8 +83,8 @@ def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(
         else:
             middle, band = np.exp(rng.uniform(np.log([0.25, 0.01]), np.log([2.0, 0.1]))).tolist()
             radii = middle - 0.5 * band, middle + 0.5 * band
-        scene = ring_scene(rig, distance_m, radii)
-        pose = estimate_pose(face_points(scene, 0.3, 0.02, rng), scene.rig, known=RINGS)
+        scene = make_scene(rig, distance_m=distance_m, size=radii)
+        pose = estimate_pose(face_points_of(scene, 0.3, 0.02, rng), scene.rig, known=RINGS)
         name, share = max(pose.ring_posterior.items(), key=lambda each: each[1])
         if share > LIKELY_ENOUGH:
             named, told = named + 1, told + share

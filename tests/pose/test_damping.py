@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ring_scenes import break_points_of, make_scene
 
-from ringpose.pose.closed_form import FORMS, MAX_DAMPING, SINGULAR_BELOW, constrained_form, damped_center, paper_form
+from ringpose.pose.closed_form import FORMS, SINGULAR_BELOW, constrained_form, damped_center, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.pose import PoseFlag
 
@@ -69,14 +70,10 @@ def test_the_weakest_direction_keeps_the_square_of_its_share(share):
     assert center[0, 1] == pytest.approx(share**2 * undamped, rel=1e-5)
 
 
-def test_the_largest_damping_is_the_threshold():
-    assert MAX_DAMPING == SINGULAR_BELOW
-
-
 @pytest.mark.parametrize("method", list(FORMS))
 @given(distance_m=st.floats(0.2, 1.0), turn_rad=st.floats(-0.3, 0.3), size=st.sampled_from(["R597", "R1194"]))
-def test_the_narrow_rig_is_not_damped(scene_of, method, distance_m, turn_rad, size):
-    scene = scene_of("A", distance_m=distance_m, turn_rad=turn_rad, size=size)
+def test_the_narrow_rig_is_not_damped(method, distance_m, turn_rad, size):
+    scene = make_scene("A", distance_m=distance_m, turn_rad=turn_rad, size=size)
 
     pose = estimate_pose(scene.break_points(), scene.rig, method)
 
@@ -84,8 +81,8 @@ def test_the_narrow_rig_is_not_damped(scene_of, method, distance_m, turn_rad, si
 
 
 @pytest.mark.parametrize("method", list(FORMS))
-def test_a_damped_pose_says_that_center_and_radii_are_weak(scene_of, break_points_at, method):
-    rig = scene_of("B").rig
+def test_a_damped_pose_says_that_center_and_radii_are_weak(method):
+    rig = make_scene("B").rig
     step = np.array([0.1, 1.0, 0.2])
     edges = []
     for start in (np.array([0.02, 0.0, 0.5]), np.array([0.05, 0.0, 0.5])):
@@ -96,7 +93,7 @@ def test_a_damped_pose_says_that_center_and_radii_are_weak(scene_of, break_point
             cv2.projectPoints(line, np.zeros(3), np.zeros(3), camera.camera_matrix, camera.distortion_coefficients)[0]
         )
 
-    pose = estimate_pose(break_points_at(np.stack(edges, axis=1).reshape(3, 2, 2), 1e-6), rig, method)
+    pose = estimate_pose(break_points_of(np.stack(edges, axis=1).reshape(3, 2, 2), 1e-6), rig, method)
 
     assert pose.condition_number * SINGULAR_BELOW > 1.0
     assert pose.flags == PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK

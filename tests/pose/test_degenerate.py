@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ring_scenes import pixels_of, without
+from ring_scenes import break_points_of, make_scene, pixels_of, without
 
 from ringpose.errors import DataError
 from ringpose.pose import pipeline
@@ -20,8 +20,8 @@ WITH_AND_WITHOUT_COVARIANCE = pytest.mark.parametrize("sigma_px", [np.nan, 0.3])
 
 
 @pytest.fixture
-def scene(scene_of):
-    return scene_of("B", distance_m=0.5)
+def scene():
+    return make_scene("B", distance_m=0.5)
 
 
 def with_lasers(rig, normal, distance_m):
@@ -87,18 +87,18 @@ def test_a_ring_along_its_light_plane_predicts_no_break_points(scene, rng, metho
 
 
 @BOTH_METHODS
-def test_a_short_arc_of_one_edge_is_a_line_within_its_errors(scene_of, method):
-    scene = scene_of("A", distance_m=0.2)
+def test_a_short_arc_of_one_edge_is_a_line_within_its_errors(method):
+    scene = make_scene("A", distance_m=0.2)
     break_points = without(scene.break_points(0.3), (0, 0), (1, 0), (2, 0))
 
     assert estimate_pose(break_points, scene.rig, method) is NoPose.COLLINEAR
 
 
 @BOTH_METHODS
-def test_parallel_lasers_beside_each_other_are_a_good_rig(scene_of, method):
-    rig = scene_of("B").rig
+def test_parallel_lasers_beside_each_other_are_a_good_rig(method):
+    rig = make_scene("B").rig
     parallel = with_lasers(rig, np.tile([0.0, 1.0, 0.0], (3, 1)), np.array([-0.1, -0.05, 0.05]))
-    scene = scene_of(parallel, distance_m=0.5)
+    scene = make_scene(parallel, distance_m=0.5)
 
     pose = estimate_pose(scene.break_points(), parallel, method)
 
@@ -134,25 +134,25 @@ def test_a_pixel_that_is_not_finite_is_not_triangulated(scene, method, sigma_px,
 
 @BOTH_METHODS
 @WITH_AND_WITHOUT_COVARIANCE
-def test_a_ring_seen_edge_on_is_a_reason(scene, break_points_at, method, sigma_px):
+def test_a_ring_seen_edge_on_is_a_reason(scene, method, sigma_px):
     # points of one plane through the camera: any points of the light planes on one line in the image
     rays = np.stack([np.linspace(-0.05, 0.05, 6), np.linspace(-0.12, -0.2, 6), np.ones(6)], axis=-1)
     position_px = pixels_of(rays, scene.rig.camera)
     parallel = with_lasers(scene.rig, np.tile([0.0, 1.0, 0.0], (3, 1)), np.array([-0.1, -0.11, -0.12]))
 
-    reason = estimate_pose(break_points_at(position_px.reshape(3, 2, 2), sigma_px), parallel, method)
+    reason = estimate_pose(break_points_of(position_px.reshape(3, 2, 2), sigma_px), parallel, method)
 
     assert reason is NoPose.EDGE_ON
 
 
 @BOTH_METHODS
-def test_points_on_a_line_in_space_lie_on_a_line(scene, break_points_at, method):
+def test_points_on_a_line_in_space_lie_on_a_line(scene, method):
     start, step = np.array([0.02, 0.0, 0.5]), np.array([0.01, 0.3, 0.1])
     m, d = scene.rig.lasers.normal, scene.rig.lasers.distance_m
     points = start + ((d - m @ start) / (m @ step))[:, None] * step
     both_edges = np.repeat(pixels_of(points, scene.rig.camera)[:, None], 2, axis=1)
 
-    assert estimate_pose(break_points_at(both_edges), scene.rig, method) is NoPose.COLLINEAR
+    assert estimate_pose(break_points_of(both_edges), scene.rig, method) is NoPose.COLLINEAR
 
 
 @pytest.mark.parametrize("method", Method)
@@ -178,10 +178,10 @@ def test_break_points_of_another_rig_are_bad_data(scene, method):
         max_size=12,
     )
 )
-def test_any_pixels_give_a_finite_pose_or_a_reason(scene_of, break_points_at, method, sigma_px, pixels):
-    rig = scene_of("B").rig
+def test_any_pixels_give_a_finite_pose_or_a_reason(method, sigma_px, pixels):
+    rig = make_scene("B").rig
 
-    pose = estimate_pose(break_points_at(np.array(pixels).reshape(3, 2, 2), sigma_px), rig, method)
+    pose = estimate_pose(break_points_of(np.array(pixels).reshape(3, 2, 2), sigma_px), rig, method)
 
     assert isinstance(pose, NoPose) or is_finite(pose)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import nees, with_stripes
+from ring_scenes import make_scene, nees, visible_edges_of, with_stripes
 from ring_streams import measured_stream, moved, poses_before, within_stability
 
 from ringpose.pose.drift import RigEvidence
@@ -28,8 +28,8 @@ def poses(rng):
 
 
 @pytest.fixture
-def rig(scene_of):
-    return scene_of("B").rig
+def rig():
+    return make_scene("B").rig
 
 
 def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
@@ -57,9 +57,9 @@ def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
     assert lines[-1].status != "ok"
 
 
-def test_a_plane_that_has_moved_is_named_where_the_edges_are_visible(poses, visible_edges, rng, rig):
+def test_a_plane_that_has_moved_is_named_where_the_edges_are_visible(poses, rng, rig):
     real = moved(rig, 1, (0.0, TILT_RAD))
-    scenes = [(scene, points, visible_edges(scene, 40, 0.3, rng)) for scene, points in poses(real, 6)]
+    scenes = [(scene, points, visible_edges_of(scene, 40, 0.3, rng)) for scene, points in poses(real, 6)]
 
     _, warnings = measured_stream(rig, scenes)
 
@@ -67,8 +67,8 @@ def test_a_plane_that_has_moved_is_named_where_the_edges_are_visible(poses, visi
 
 
 @pytest.mark.slow
-def test_visible_edges_do_not_bias_the_evidence_for_errors_of_the_rig(poses, visible_edges, rng, rig):
-    scenes = [(scene, points, visible_edges(scene, 80, 0.3, rng)) for scene, points in poses(rig, 50)]
+def test_visible_edges_do_not_bias_the_evidence_for_errors_of_the_rig(poses, rng, rig):
+    scenes = [(scene, points, visible_edges_of(scene, 80, 0.3, rng)) for scene, points in poses(rig, 50)]
     evidence = RigEvidence(rig, rig.stability)
 
     for line in measured_stream(rig, scenes)[0]:

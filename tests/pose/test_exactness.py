@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from ring_scenes import make_scene
 
 from ringpose.pose.closed_form import FORMS, SINGULAR_BELOW
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
@@ -36,8 +37,8 @@ def is_undamped(pose):
 @BOTH_RIGS
 @BOTH_METHODS
 @given(where=POSES)
-def test_true_points_give_the_true_ring_and_at_least_its_normal_if_damped(scene_of, rig, method, where):
-    scene = scene_of(rig, **where)
+def test_true_points_give_the_true_ring_and_at_least_its_normal_if_damped(rig, method, where):
+    scene = make_scene(rig, **where)
 
     pose = estimate_pose(scene.break_points(), scene.rig, method)
 

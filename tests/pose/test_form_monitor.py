@@ -16,12 +16,17 @@ from ringpose.types.target import RingForm
 
 
 @pytest.fixture(scope="module")
-def line():
-    """Of a shot in light without a flag."""
+def shot():
+    """In light without a flag."""
     scene = read_scene(PRESETS / "paper-physical-scene.yaml")
     view = Approach(count=1, distances_m=(0.5,), lights=("normal",), seed=3, name="r", tilt_rad=0.15)
-    (shot,) = drawn_features(replace(scene, views=(), approaches=(view,)))
-    found = pose_line(shot.detection, scene.rig)
+    (drawn,) = drawn_features(replace(scene, views=(), approaches=(view,)))
+    return drawn.detection, scene.rig
+
+
+@pytest.fixture
+def line(shot):
+    found = pose_line(*shot)
     assert found.status == "ok"
     return found
 
@@ -76,12 +81,8 @@ def test_another_ring_is_not_compared(line, rng):
     assert all(warning is None for _, warning in monitored(lines))
 
 
-def test_given_radii_show_nothing(rng, line):
-    known = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.full(2, 5e-4))
-    scene = read_scene(PRESETS / "paper-physical-scene.yaml")
-    view = Approach(count=1, distances_m=(0.5,), lights=("normal",), seed=3, name="r", tilt_rad=0.15)
-    (shot,) = drawn_features(replace(scene, views=(), approaches=(view,)))
-    given = pose_line(shot.detection, scene.rig, known=known)
+def test_given_radii_show_nothing(shot, rng):
+    given = pose_line(*shot, known=KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.full(2, 5e-4)))
     sd_m = np.sqrt(given.pose.covariance[6, 6])
 
     found = monitored(stream(given, rng, 12, 30 * sd_m * np.array([0.0, 1.0, -1.0])))

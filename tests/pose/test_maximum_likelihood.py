@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ring_scenes import with_stripes, without
+from ring_scenes import face_points_of, make_scene, visible_edges_of, with_stripes, without
 
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
@@ -30,10 +30,10 @@ def without_line(points, laser):
     side=st.sampled_from([-1, 1]),
     size=st.sampled_from(["R597", "R1194"]),
 )
-def test_true_stripes_and_points_give_the_true_ring(scene_of, face_points, distance_m, tilt, turn_rad, side, size):
-    scene = scene_of("B", distance_m=distance_m, tilt_rad=tilt, turn_rad=turn_rad, side=side, size=size)
+def test_true_stripes_and_points_give_the_true_ring(distance_m, tilt, turn_rad, side, size):
+    scene = make_scene("B", distance_m=distance_m, tilt_rad=tilt, turn_rad=turn_rad, side=side, size=size)
 
-    pose = estimate_pose(face_points(scene, 1e-3, 1e-4), scene.rig)
+    pose = estimate_pose(face_points_of(scene, 1e-3, 1e-4), scene.rig)
 
     found = np.concatenate([pose.center_m, pose.normal, [pose.radius_inner_m, pose.radius_outer_m]])
     true = np.concatenate([scene.ring.center_m, scene.ring.normal, scene.ring.radius_m])
@@ -44,26 +44,26 @@ def test_true_stripes_and_points_give_the_true_ring(scene_of, face_points, dista
 
 
 @pytest.mark.parametrize("missing", [[], [(0, 0)], [(0, 0), (1, 1)], [(0, 0), (1, 0), (2, 0)]], ids=len)
-def test_break_points_alone_give_the_true_center(scene_of, missing):
-    scene = scene_of("B", distance_m=0.5)
+def test_break_points_alone_give_the_true_center(missing):
+    scene = make_scene("B", distance_m=0.5)
 
     pose = estimate_pose(without(scene.break_points(1e-3), *missing), scene.rig)
 
     np.testing.assert_allclose(pose.center_m, scene.ring.center_m, rtol=0, atol=1e-8)
 
 
-def test_without_one_edge_the_other_radius_and_the_grasp_point_are_not_known(scene_of, face_points):
-    scene = scene_of("B", distance_m=0.5)
+def test_without_one_edge_the_other_radius_and_the_grasp_point_are_not_known():
+    scene = make_scene("B", distance_m=0.5)
 
-    pose = estimate_pose(without(face_points(scene, 0.01, 0.001), (0, 0), (1, 0), (2, 0)), scene.rig)
+    pose = estimate_pose(without(face_points_of(scene, 0.01, 0.001), (0, 0), (1, 0), (2, 0)), scene.rig)
 
     assert (np.isnan(pose.radius_inner_m), np.isnan(pose.radius_outer_m)) == (True, False)
     assert np.isnan(pose.grasp_m).all()
 
 
-def test_two_stripes_give_the_normal_and_with_the_radius_the_center(scene_of, face_points):
-    scene = scene_of("B", distance_m=0.25)
-    points = with_stripes(face_points(scene, POINT_PX, LINE_PX), 0, 1)
+def test_two_stripes_give_the_normal_and_with_the_radius_the_center():
+    scene = make_scene("B", distance_m=0.25)
+    points = with_stripes(face_points_of(scene, POINT_PX, LINE_PX), 0, 1)
 
     alone, known = (estimate_pose(points, scene.rig, known=known) for known in (None, KNOWN))
 
@@ -72,9 +72,9 @@ def test_two_stripes_give_the_normal_and_with_the_radius_the_center(scene_of, fa
     np.testing.assert_allclose(known.center_m, scene.ring.center_m, rtol=0, atol=1e-8)
 
 
-def test_one_stripe_gives_a_grasp_point_without_a_normal(scene_of, face_points):
-    scene = scene_of("B", distance_m=0.25)
-    points = with_stripes(face_points(scene, POINT_PX, LINE_PX), 1)
+def test_one_stripe_gives_a_grasp_point_without_a_normal():
+    scene = make_scene("B", distance_m=0.25)
+    points = with_stripes(face_points_of(scene, POINT_PX, LINE_PX), 1)
 
     pose = estimate_pose(points, scene.rig)
 
@@ -84,18 +84,18 @@ def test_one_stripe_gives_a_grasp_point_without_a_normal(scene_of, face_points):
     assert PoseFlag.NORMAL_WEAK in pose.flags
 
 
-def test_no_break_point_is_a_reason(scene_of, face_points):
-    scene = scene_of("B")
+def test_no_break_point_is_a_reason():
+    scene = make_scene("B")
     every = [(laser, edge) for laser in range(3) for edge in range(2)]
 
-    assert estimate_pose(without(face_points(scene, 0.3, 0.01), *every), scene.rig) is NoPose.TOO_FEW_BREAK_POINTS
+    assert estimate_pose(without(face_points_of(scene, 0.3, 0.01), *every), scene.rig) is NoPose.TOO_FEW_BREAK_POINTS
 
 
 @pytest.mark.parametrize("wrong", [0.97, 0.98, 1.02, 1.03])
 @pytest.mark.parametrize("distance_m", [0.3, 0.5, 1.0])
-def test_a_radius_that_is_wrong_by_more_than_one_percent_is_named(scene_of, face_points, distance_m, wrong):
-    scene = scene_of("B", distance_m=distance_m)
-    points = face_points(scene, POINT_PX / 3, LINE_PX / 3)
+def test_a_radius_that_is_wrong_by_more_than_one_percent_is_named(distance_m, wrong):
+    scene = make_scene("B", distance_m=distance_m)
+    points = face_points_of(scene, POINT_PX / 3, LINE_PX / 3)
     known = KnownRadii(radius_m=wrong * KNOWN.radius_m, sd_m=KNOWN.sd_m)
 
     pose = estimate_pose(points, scene.rig, known=known)
@@ -103,20 +103,20 @@ def test_a_radius_that_is_wrong_by_more_than_one_percent_is_named(scene_of, face
     assert pose.flags & (PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED)
 
 
-def test_visible_edges_make_the_center_far_better_known_and_leave_it_true(scene_of, face_points, visible_edges):
-    scene = scene_of("B", distance_m=0.5)
-    points = face_points(scene, POINT_PX, LINE_PX)
+def test_visible_edges_make_the_center_far_better_known_and_leave_it_true():
+    scene = make_scene("B", distance_m=0.5)
+    points = face_points_of(scene, POINT_PX, LINE_PX)
 
-    poses = [estimate_pose(points, scene.rig, ring_edges=edges) for edges in (None, visible_edges(scene, 200, 0.3))]
+    poses = [estimate_pose(points, scene.rig, ring_edges=edges) for edges in (None, visible_edges_of(scene, 200, 0.3))]
 
     spread = [np.sqrt(np.trace(pose.covariance_center_m2)) for pose in poses]
     assert spread[0] > 3 * spread[1]
     np.testing.assert_allclose(poses[1].center_m, scene.ring.center_m, rtol=0, atol=1e-7)
 
 
-def poses_of_samples(scene, face_points, known, rng, samples):
+def poses_of_samples(scene, known, rng, samples):
     """Of noisy shots; one in a thousand looks contradictory by chance, and is left out."""
-    shots = [face_points(scene, POINT_PX, LINE_PX, rng) for _ in range(samples)]
+    shots = [face_points_of(scene, POINT_PX, LINE_PX, rng) for _ in range(samples)]
     poses = [estimate_pose(points, scene.rig, known=known) for points in shots]
     complete = [pose for pose in poses if not isinstance(pose, NoPose) and PoseFlag.POINT_REJECTED not in pose.flags]
     complete = [pose for pose in complete if np.isfinite(pose.center_m).all()]
@@ -132,11 +132,11 @@ def poses_of_samples(scene, face_points, known, rng, samples):
         pytest.param(1.0, None, 2000, id="radii unknown", marks=pytest.mark.slow),
     ],
 )
-def test_samples_scatter_as_the_covariance_says(scene_of, face_points, rng, distance_m, known, samples):
-    scene = scene_of("B", distance_m=distance_m)
-    predicted = estimate_pose(face_points(scene, POINT_PX, LINE_PX), scene.rig, known=known)
+def test_samples_scatter_as_the_covariance_says(rng, distance_m, known, samples):
+    scene = make_scene("B", distance_m=distance_m)
+    predicted = estimate_pose(face_points_of(scene, POINT_PX, LINE_PX), scene.rig, known=known)
 
-    poses = poses_of_samples(scene, face_points, known, rng, samples)
+    poses = poses_of_samples(scene, known, rng, samples)
 
     values = np.array([pose.grasp_m for pose in poses])
     root = np.linalg.cholesky(predicted.covariance_grasp_m2)
@@ -144,16 +144,16 @@ def test_samples_scatter_as_the_covariance_says(scene_of, face_points, rng, dist
     assert np.abs(np.linalg.eigvalsh(white) - 1).max() < 4 * np.sqrt(2 / (samples - 1))
 
 
-def test_edges_that_contradict_a_shot_without_redundancy_are_flagged(scene_of, face_points, visible_edges):
+def test_edges_that_contradict_a_shot_without_redundancy_are_flagged():
     """Shots with as many numbers of stripes and ends as a ring has parameters."""
-    scene = scene_of("B", distance_m=0.5)
+    scene = make_scene("B", distance_m=0.5)
     for seed in (21, 96):
         rng = np.random.default_rng(seed)
-        points = face_points(scene, 0.3, 0.03, rng)
+        points = face_points_of(scene, 0.3, 0.03, rng)
         points = without(points, *zip(*np.nonzero(rng.random((3, 2)) < 0.5), strict=True))
         for laser in np.flatnonzero(rng.random(3) < 0.5):
             points = without_line(points, laser)
-        edges = visible_edges(scene, int(rng.choice([4, 6, 20])), 0.3, rng)
+        edges = visible_edges_of(scene, int(rng.choice([4, 6, 20])), 0.3, rng)
         displaced_px = rng.normal(0, rng.choice([1, 5, 20]), len(edges.edge))[:, None] * edges.normal
 
         result = pose_result(points, scene.rig, ring_edges=replace(edges, position_px=edges.position_px + displaced_px))

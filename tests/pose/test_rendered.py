@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ring_scenes import break_points_of, make_scene
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
@@ -32,9 +33,9 @@ def truths(shared_data, folder):
 
 
 @pytest.fixture
-def poses(shared_data, folder, truths, method, break_points_at):
+def poses(shared_data, folder, truths, method):
     rig = read_rig(shared_data / "rendered" / folder / "rig.yaml")
-    return [estimate_pose(break_points_at(pixels(truth), ROUNDING_SIGMA_PX), rig, method) for truth in truths]
+    return [estimate_pose(break_points_of(pixels(truth), ROUNDING_SIGMA_PX), rig, method) for truth in truths]
 
 
 @FOLDERS
@@ -99,10 +100,10 @@ CARRIED = [json.loads(line) for line in (Path(__file__).parent / "true_break_poi
 
 
 @pytest.mark.parametrize("truth", CARRIED, ids=[truth["shot"] for truth in CARRIED])
-def test_the_center_of_carried_truth_is_true_to_the_rounding_of_the_pixels(scene_of, break_points_at, truth):
-    rig = scene_of(truth["groups"]["rig"]).rig
+def test_the_center_of_carried_truth_is_true_to_the_rounding_of_the_pixels(truth):
+    rig = make_scene(truth["groups"]["rig"]).rig
 
-    pose = estimate_pose(break_points_at(pixels(truth), ROUNDING_SIGMA_PX), rig)
+    pose = estimate_pose(break_points_of(pixels(truth), ROUNDING_SIGMA_PX), rig)
 
     error = np.array(truth["center_m"]) - pose.center_m
     assert np.sqrt(error @ np.linalg.solve(pose.covariance_center_m2, error)) < 4.0

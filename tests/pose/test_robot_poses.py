@@ -5,14 +5,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import Ring, Scene, pixels_of
+from ring_scenes import Scene, edges_in_frames, face_points_of, make_scene, scene_of
 
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import displacement_increments, ring_arcs
 from ringpose.pose.pipeline import pose_line, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, MotionPrior
-from ringpose.types.detection import Detection, joined_edge_points
+from ringpose.types.detection import Detection
 from ringpose.types.pose import NoPose, PoseFlag, RingPose
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
@@ -49,12 +49,7 @@ def robot(delay_s=0.0, sds=(0.0, 0.0, 0.0), mount=TOOL_FROM_CAMERA, until_s=100.
 def seen_at(ring, stamp_s, mount=TOOL_FROM_CAMERA, delay_s=0.0):
     """A ring at rest, given as the camera sees it at 100 s, as the camera sees it at a stamp of its clock."""
     then, now = (np.linalg.inv(base_from_tool(each + delay_s) @ mount) for each in (100.0, stamp_s))
-    moved = now @ np.linalg.inv(then)
-    return Ring(
-        center_m=moved[:3, :3] @ ring.center_m + moved[:3, 3],
-        normal=moved[:3, :3] @ ring.normal,
-        radius_m=ring.radius_m,
-    )
+    return ring.moved_by(now @ np.linalg.inv(then))
 
 
 def seen_by_robot(scene, **truth):
@@ -62,20 +57,20 @@ def seen_by_robot(scene, **truth):
     lasers = scene.rig.lasers
     rings = [seen_at(scene.ring, stamp_s, **truth) for stamp_s in STAMPS_S]
     points_m = np.array([ring.break_points_m(lasers)[laser] for laser, ring in enumerate(rings)])
-    return replace(scene, points_m=points_m, position_px=pixels_of(points_m, scene.rig.camera))
+    return scene_of(scene.rig, scene.ring, points_m)
 
 
-def measured(scene, face_points, rng, sigma_px=0.1):
-    return replace(face_points(scene, sigma_px, sigma_px / 10, rng), stamp_s=STAMPS_S)
+def measured(scene, rng, sigma_px=0.1):
+    return replace(face_points_of(scene, sigma_px, sigma_px / 10, rng), stamp_s=STAMPS_S)
 
 
 @pytest.fixture
-def scene(scene_of) -> Scene:
-    return scene_of("B", distance_m=0.5, tilt_rad=(0.15, -0.1))
+def scene() -> Scene:
+    return make_scene("B", distance_m=0.5, tilt_rad=(0.15, -0.1))
 
 
-def test_without_noise_a_still_ring_is_where_it_is_at_the_stamp_of_the_pose(scene, face_points):
-    points = measured(seen_by_robot(scene), face_points, None)
+def test_without_noise_a_still_ring_is_where_it_is_at_the_stamp_of_the_pose(scene):
+    points = measured(seen_by_robot(scene), None)
 
     result = pose_result(points, scene.rig, assumptions=STILL, camera=robot(period_s=0.001))
 
@@ -86,8 +81,8 @@ def test_without_noise_a_still_ring_is_where_it_is_at_the_stamp_of_the_pose(scen
     assert not result.measurement.nuisance_parameters
 
 
-def test_the_centre_is_right_with_the_robots_poses_and_not_without(scene, face_points, rng):
-    points = measured(seen_by_robot(scene), face_points, rng)
+def test_the_centre_is_right_with_the_robots_poses_and_not_without(scene, rng):
+    points = measured(seen_by_robot(scene), rng)
 
     def is_right(result):
         covariance = result.pose.covariance_center_m2 if isinstance(result.pose, RingPose) else None
@@ -99,24 +94,19 @@ def test_the_centre_is_right_with_the_robots_poses_and_not_without(scene, face_p
 
 
 @pytest.mark.parametrize(("delay_s", "flagged"), [(0.0, False), (0.25, True)])
-def test_a_wrong_delay_of_the_robots_clock_shows_as_a_motion(scene, face_points, visible_edges, rng, delay_s, flagged):
-    points = measured(seen_by_robot(scene, delay_s=delay_s), face_points, rng)
-    frames = []
-    for stamp_s in (STAMPS_S[0] - 1 / 30, STAMPS_S[-1] + 1 / 30):  # the ambient light shows the edges
-        ring = seen_at(scene.ring, stamp_s, delay_s=delay_s)
-        at_frame = replace(scene, ring=ring, points_m=ring.break_points_m(scene.rig.lasers))
-        seen = visible_edges(at_frame, 30, 0.2, rng)
-        frames.append(replace(seen, stamp_s=np.full(len(seen.edge), stamp_s)))
+def test_a_wrong_delay_of_the_robots_clock_shows_as_a_motion(scene, rng, delay_s, flagged):
+    points = measured(seen_by_robot(scene, delay_s=delay_s), rng)
+    stamps_s = STAMPS_S[0] - 1 / 30, STAMPS_S[-1] + 1 / 30  # the ambient light shows the edges
+    rings = {each: seen_at(scene.ring, each, delay_s=delay_s) for each in stamps_s}
+    edges = edges_in_frames(scene.rig, rings, 30, 0.2, rng)
 
-    result = pose_result(
-        points, scene.rig, ring_edges=joined_edge_points(frames), assumptions=STILL, camera=robot(delay_s=0.0)
-    )
+    result = pose_result(points, scene.rig, ring_edges=edges, assumptions=STILL, camera=robot(delay_s=0.0))
 
     assert bool(result.flags & PoseFlag.MOTION) == flagged
 
 
-def test_a_velocity_is_relative_to_the_base(scene, face_points, rng):
-    points = measured(seen_by_robot(scene), face_points, rng, sigma_px=0.02)
+def test_a_velocity_is_relative_to_the_base(scene, rng):
+    points = measured(seen_by_robot(scene), rng, sigma_px=0.02)
     motion = MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.04)
 
     result = pose_result(points, scene.rig, assumptions=Assumptions(motion=motion), camera=robot())
@@ -125,8 +115,8 @@ def test_a_velocity_is_relative_to_the_base(scene, face_points, rng):
     assert np.linalg.norm(result.velocity.center_m_s) < 0.1
 
 
-def test_poses_of_the_robot_that_end_before_the_shot_give_no_pose_and_a_line_that_says_why(scene, face_points, rng):
-    points = measured(seen_by_robot(scene), face_points, rng)
+def test_poses_of_the_robot_that_end_before_the_shot_give_no_pose_and_a_line_that_says_why(scene, rng):
+    points = measured(seen_by_robot(scene), rng)
     detection = Detection(shot="shot", stamp_s=float(STAMPS_S[0]), break_points=points)
 
     line = pose_line(detection, scene.rig, options=USUAL, camera=robot(until_s=100.02))
@@ -137,17 +127,17 @@ def test_poses_of_the_robot_that_end_before_the_shot_give_no_pose_and_a_line_tha
 
 
 @pytest.mark.slow
-def test_errors_of_mount_and_delay_are_covered_and_part_of_the_measurement(scene_of, face_points, rng):
+def test_errors_of_mount_and_delay_are_covered_and_part_of_the_measurement(rng):
     sds, errors = (ROTATION_SD_RAD, TRANSLATION_SD_M, DELAY_SD_S), []
     for _ in range(30):
-        scene = scene_of(
+        scene = make_scene(
             "B", distance_m=0.5, tilt_rad=tuple(0.15 * rng.normal(size=2)), turn_rad=rng.uniform(-0.3, 0.3)
         )
         mount = TOOL_FROM_CAMERA.copy()
         mount[:3, :3] = cv2.Rodrigues(ROTATION_SD_RAD * rng.normal(size=3))[0] @ mount[:3, :3]
         mount[:3, 3] += TRANSLATION_SD_M * rng.normal(size=3)
         truth = {"mount": mount, "delay_s": DELAY_SD_S * rng.normal()}
-        points = measured(seen_by_robot(scene, **truth), face_points, rng, sigma_px=0.03)
+        points = measured(seen_by_robot(scene, **truth), rng, sigma_px=0.03)
 
         result = pose_result(points, scene.rig, assumptions=STILL, camera=robot(sds=sds))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ring_scenes import pixels_of
+from ring_scenes import make_scene, pixels_of
 
 from ringpose.pose.closed_form import FORMS, constrained_form, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
@@ -24,8 +24,8 @@ def noisy_points(scene, seed=1, sigma_m=1e-4):
 
 @BOTH_METHODS
 @given(angles=ANGLES)
-def test_turning_rig_and_ring_about_the_camera_turns_the_pose(scene_of, method, angles):
-    still = scene_of("B")
+def test_turning_rig_and_ring_about_the_camera_turns_the_pose(method, angles):
+    still = make_scene("B")
     turn = cv2.Rodrigues(np.array(angles))[0]
     lasers = replace(still.rig.lasers, normal=still.rig.lasers.normal @ turn.T)
     position_px = pixels_of(still.points_m @ turn.T, still.rig.camera)
@@ -39,8 +39,8 @@ def test_turning_rig_and_ring_about_the_camera_turns_the_pose(scene_of, method, 
 
 
 @given(angles=ANGLES, shift=st.tuples(*[st.floats(-0.1, 0.1)] * 3))
-def test_moving_noisy_points_moves_the_constrained_center(scene_of, angles, shift):
-    points = noisy_points(scene_of("B"))
+def test_moving_noisy_points_moves_the_constrained_center(angles, shift):
+    points = noisy_points(make_scene("B"))
     turn, shift_m = cv2.Rodrigues(np.array(angles))[0], np.array(shift)
 
     before = constrained_form(points, EDGES).center_m[0]
@@ -51,8 +51,8 @@ def test_moving_noisy_points_moves_the_constrained_center(scene_of, angles, shif
 
 @pytest.mark.parametrize("form", [paper_form, constrained_form])
 @given(angles=ANGLES)
-def test_turning_noisy_points_about_the_camera_turns_the_center(scene_of, form, angles):
-    points = noisy_points(scene_of("B"))
+def test_turning_noisy_points_about_the_camera_turns_the_center(form, angles):
+    points = noisy_points(make_scene("B"))
     turn = cv2.Rodrigues(np.array(angles))[0]
 
     before = form(points, EDGES).center_m[0]
@@ -62,8 +62,8 @@ def test_turning_noisy_points_about_the_camera_turns_the_center(scene_of, form, 
 
 
 @given(factor=st.floats(0.1, 10.0))
-def test_the_constrained_center_knows_no_unit(scene_of, factor):
-    points = noisy_points(scene_of("B"))
+def test_the_constrained_center_knows_no_unit(factor):
+    points = noisy_points(make_scene("B"))
 
     before = constrained_form(points, EDGES).center_m[0]
     after = constrained_form(factor * points, EDGES).center_m[0]
@@ -71,8 +71,8 @@ def test_the_constrained_center_knows_no_unit(scene_of, factor):
     np.testing.assert_allclose(after, factor * before, rtol=1e-9)
 
 
-def test_the_papers_center_depends_on_the_unit(scene_of):
-    points = noisy_points(scene_of("B"))
+def test_the_papers_center_depends_on_the_unit():
+    points = noisy_points(make_scene("B"))
 
     in_millimetres = paper_form(points, EDGES).center_m[0]
     in_metres = paper_form(points / 1000.0, EDGES).center_m[0] * 1000.0
@@ -82,8 +82,8 @@ def test_the_papers_center_depends_on_the_unit(scene_of):
 
 @BOTH_METHODS
 @given(order=st.permutations([0, 1, 2]))
-def test_the_order_of_the_lasers_does_not_matter_to_true_points(scene_of, method, order):
-    scene = scene_of("B")
+def test_the_order_of_the_lasers_does_not_matter_to_true_points(method, order):
+    scene = make_scene("B")
     lasers = replace(
         scene.rig.lasers,
         normal=scene.rig.lasers.normal[order],
@@ -100,8 +100,8 @@ def test_the_order_of_the_lasers_does_not_matter_to_true_points(scene_of, method
 
 @BOTH_METHODS
 @given(count=st.integers(4, 7))
-def test_more_lasers_than_three_give_the_true_center(scene_of, method, count):
-    rig = scene_of("B").rig
+def test_more_lasers_than_three_give_the_true_center(method, count):
+    rig = make_scene("B").rig
     tilt = np.linspace(-0.2, 0.2, count)
     lasers = replace(
         rig.lasers,
@@ -110,7 +110,7 @@ def test_more_lasers_than_three_give_the_true_center(scene_of, method, count):
         distance_m=np.full(count, -0.05),
         projector_m=np.full((count, 3), np.nan),
     )
-    scene = scene_of(replace(rig, lasers=lasers), distance_m=0.6)
+    scene = make_scene(replace(rig, lasers=lasers), distance_m=0.6)
 
     pose = estimate_pose(scene.break_points(), scene.rig, method)
 

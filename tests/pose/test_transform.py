@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from whole_records import square
+from whole_records import complete_pose, square
 
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.transform import pose_in_frame
@@ -16,18 +18,8 @@ def rigid(rng):
 
 
 def some_pose(rng, **covariances) -> RingPose:
-    normal = rng.normal(size=3)
-    return RingPose(
-        center_m=rng.normal(size=3),
-        normal=normal / np.linalg.norm(normal),
-        radius_inner_m=0.567,
-        radius_outer_m=0.597,
-        grasp_m=rng.normal(size=3),
-        method="paper",
-        condition_number=10.0,
-        residual_rms_px=0.1,
-        **covariances,
-    )
+    without = {"covariance": None, "covariance_center_m2": None, "covariance_grasp_m2": None}
+    return replace(complete_pose(rng), **without | covariances)
 
 
 def test_vectors_are_moved_and_radii_stay(rng):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import axes_across, make_scene, moved_rig
 
 from ringpose.pose.triangulation import point_covariance, point_jacobians, points_wrt_plane, triangulated
 from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS
@@ -14,27 +15,17 @@ CAMERAS = pytest.mark.parametrize("distortion", [None, RATIONAL], ids=["plumb_bo
 
 
 @pytest.fixture
-def scene(scene_of, distortion):
-    rig = scene_of("B").rig
+def scene(distortion):
+    rig = make_scene("B").rig
     if distortion is None:
-        return scene_of(rig)
+        return make_scene(rig)
     camera = replace(rig.camera, distortion_model="rational_polynomial", distortion_coefficients=distortion)
-    return scene_of(replace(rig, camera=camera))
+    return make_scene(replace(rig, camera=camera))
 
 
 def points_of(scene, rig=None, offset_px=0.0):
     break_points = replace(scene.break_points(), position_px=scene.position_px + offset_px)
     return triangulated(break_points, scene.rig if rig is None else rig).position_m.reshape(-1, 3)
-
-
-def moved_camera(rig, name, step):
-    matrix, coefficients = rig.camera.camera_matrix.copy(), rig.camera.distortion_coefficients.copy()
-    place = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}.get(name)
-    if place is not None:
-        matrix[place] += step
-    else:
-        coefficients[("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6").index(name)] += step
-    return replace(rig, camera=replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients))
 
 
 @CAMERAS
@@ -56,7 +47,7 @@ def test_points_move_with_the_camera(scene, name):
     step = 1e-3 if name in ("fx", "fy", "cx", "cy") else 1e-6
     jacobians = point_jacobians(points_of(scene), scene.rig.lasers.normal[LASER], scene.rig.camera)
 
-    there, back = (points_of(scene, moved_camera(scene.rig, name, sign * step)) for sign in (1, -1))
+    there, back = (points_of(scene, moved_rig(scene.rig, (name,), (sign * step,))) for sign in (1, -1))
 
     analytic = jacobians.wrt_camera[:, :, CAMERA_PARAMETERS.index(name)]
     np.testing.assert_allclose(analytic, (there - back) / (2 * step), rtol=1e-4, atol=1e-8)
@@ -65,25 +56,11 @@ def test_points_move_with_the_camera(scene, name):
 @CAMERAS
 @pytest.mark.parametrize("parameter", PLANE_PARAMETERS)
 def test_points_move_with_their_light_plane(scene, parameter):
-    step = 1e-6
-    normal, distance_m = scene.rig.lasers.normal[0], scene.rig.lasers.distance_m[0]
-    first = np.cross([0.0, 0.0, 1.0], normal)
-    first /= np.linalg.norm(first)
-    basis = np.stack([first, np.cross(normal, first)])
-    axis = {"tilt_1": basis[0], "tilt_2": basis[1], "distance": np.zeros(3)}[parameter]
+    step, normal = 1e-6, scene.rig.lasers.normal[0]
 
-    moved = []
-    for sign in (1, -1):
-        turned = normal + sign * step * axis
-        lasers = replace(
-            scene.rig.lasers,
-            normal=np.stack([turned / np.linalg.norm(turned), *scene.rig.lasers.normal[1:]]),
-            distance_m=scene.rig.lasers.distance_m + sign * step * (parameter == "distance"),
-        )
-        moved.append(points_of(scene, replace(scene.rig, lasers=lasers))[:2])
+    moved = [points_of(scene, moved_rig(scene.rig, (f"left.{parameter}",), (sign * step,)))[:2] for sign in (1, -1)]
 
-    assert distance_m != 0
-    found = points_wrt_plane(points_of(scene)[:2], np.stack([normal] * 2), np.stack([basis] * 2))
+    found = points_wrt_plane(points_of(scene)[:2], np.stack([normal] * 2), np.stack([axes_across(normal)] * 2))
     analytic = found[:, :, PLANE_PARAMETERS.index(parameter)]
     np.testing.assert_allclose(analytic, (moved[0] - moved[1]) / (2 * step), rtol=1e-5, atol=1e-8)
 

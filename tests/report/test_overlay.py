@@ -1,5 +1,8 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from ring_scenes import break_points_of
 
 from ringpose.report.overlay import COLORS, EDGE_COLORS, SEGMENT_COLOR, UNLABELLED_COLOR, overlay
 from ringpose.types.detection import (
@@ -23,16 +26,9 @@ def detection(points=NoBreakPoints.NO_RING, **parts) -> Detection:
 
 
 def break_points(position, variance_px2=0.01, flags=0) -> BreakPoints:
-    nothing = np.full((2, 2), np.nan)
-    return BreakPoints(
-        position_px=np.array([[[np.nan, np.nan], [np.nan, np.nan]], [[np.nan, np.nan], position]]),
-        covariance_px2=np.full((2, 2, 2, 2), 1.0) * variance_px2 * np.eye(2),
-        flags=np.full((2, 2), flags),
-        face_start_px=nothing,
-        face_end_px=nothing,
-        face_sigma_px=nothing,
-        labelled=True,
-    )
+    pixels = np.full((2, 2, 2), np.nan)
+    pixels[1, 1] = position
+    return replace(break_points_of(pixels, np.sqrt(variance_px2)), flags=np.full((2, 2), flags))
 
 
 def test_the_picture_shows_the_dimmed_image_which_is_not_changed(rng):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ring_scenes import make_scene, pixels_of
+from ring_scenes import break_points_of, make_scene, pixels_of
 
 from ringpose.report.overlay import REJECTED_COLOR, RING_COLORS, STATUS_COLORS, WHITE, overlay, picture_of
-from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
+from ringpose.types.detection import Detection, NoBreakPoints, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import LaserState, PoseFlag, PoseLine, RingPose
@@ -158,15 +158,7 @@ def test_labels_at_the_border_are_moved_into_the_picture():
     counts = []
     for place in ((100.0, 100.0), (318.0, 238.0)):
         points_px[0, 0] = place
-        points = BreakPoints(
-            position_px=points_px.copy(),
-            covariance_px2=np.full((2, 2, 2, 2), np.nan),
-            flags=np.zeros((2, 2), np.int64),
-            face_start_px=np.full((2, 2), np.nan),
-            face_end_px=np.full((2, 2), np.nan),
-            face_sigma_px=np.full((2, 2), np.nan),
-            labelled=True,
-        )
+        points = break_points_of(points_px.copy())
         picture = overlay(np.zeros((240, 320), np.uint8), replace(NO_POINTS, break_points=points))
         counts.append(int((picture[40:].max(axis=2) > 200).sum()))  # below the summary
 

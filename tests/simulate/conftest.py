@@ -4,33 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ring_scenes import PROJECTED, make_camera
 
-from ringpose.types.rig import Camera, LaserPlanes, Rig
+from ringpose.types.rig import Rig
 from ringpose.types.scene import LaserLight, Lens, Light, RingView, Scene, Sensor, Speckle
 from ringpose.types.target import Body, RingShape
 
 
 @pytest.fixture(scope="session")
 def small_rig():
-    pitch_rad = np.radians([10.0, 0.0, -10.0])
-    normal = np.stack([np.zeros(3), np.cos(pitch_rad), -np.sin(pitch_rad)], axis=1)
-    projector_m = np.array([[-0.03, -0.04, 0.0], [0.0, -0.07, -0.02], [0.03, -0.04, 0.0]])
-    return Rig(
-        camera=Camera(
-            camera_name="small",
-            image_width=320,
-            image_height=240,
-            camera_matrix=np.array([[356.0, 0.0, 160.7], [0.0, 356.4, 119.2], [0.0, 0.0, 1.0]]),
-            distortion_model="plumb_bob",
-            distortion_coefficients=np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0]),
-        ),
-        lasers=LaserPlanes(
-            names=("left", "middle", "right"),
-            normal=normal,
-            distance_m=(normal * projector_m).sum(axis=1),
-            projector_m=projector_m,
-        ),
-    )
+    camera = make_camera((320, 240), (356.0, 356.4), (160.7, 119.2), (-0.105, 0.118, 0.00055, -0.0004, 0.0))
+    return Rig(camera=camera, lasers=PROJECTED)
 
 
 @pytest.fixture(scope="session")

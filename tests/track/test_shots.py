@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from moving_rings import START_S, Shots, drawn_motion, stream
+from recorded_shots import make_shot
 from ring_scenes import RIGS, pixels_of
 from tracked_rings import track_of
 
@@ -70,14 +71,8 @@ def test_the_motion_of_the_edges_in_the_image_is_that_of_the_ring(rng):
 
 
 def shot(masks, stamp_s: float) -> Shot:
-    count = len(masks)
-    return Shot(
-        name="shot",
-        images=np.zeros((count, RIG.camera.image_height, RIG.camera.image_width), np.uint8),
-        lasers=np.array(masks, np.uint8),
-        stamp_s=stamp_s + np.arange(count) / 30,
-        exposure_s=np.full(count, 1e-3),
-    )
+    images = np.zeros((len(masks), RIG.camera.image_height, RIG.camera.image_width), np.uint8)
+    return make_shot(images, masks, start_s=stamp_s, period_s=1 / 30, exposure_s=1e-3)
 
 
 def test_each_stripe_of_a_switched_shot_is_predicted_at_the_time_of_its_own_frame(tracker, moving):

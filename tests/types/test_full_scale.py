@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from recorded_shots import make_shot
 
-from ringpose.types.image import Shot, full_scale_dn
+from ringpose.types.image import full_scale_dn
 
 
 @pytest.mark.parametrize(
@@ -26,14 +27,6 @@ def test_eight_bits_are_full_at_255_however_dim():
 
 
 def test_saturation_in_the_metadata_takes_precedence_over_the_images():
-    one = np.ones(1)
-    shot = Shot(
-        name="dim",
-        images=np.full((1, 2, 2), 100, np.uint16),
-        lasers=np.array([7], np.uint8),
-        stamp_s=one,
-        exposure_s=one,
-        meta={"saturation_dn": 4095},
-    )
+    shot = make_shot(np.full((1, 2, 2), 100, np.uint16), [7], meta={"saturation_dn": 4095})
 
     assert shot.saturation_dn == 4095

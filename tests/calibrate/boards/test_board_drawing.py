@@ -47,10 +47,3 @@ def test_rulers_have_a_tick_every_ten_millimetres():
     thin = drawing.rectangles_m[(drawing.rectangles_m[:, 2] < 1e-3)]
     middles = np.sort(thin[:, 0] + thin[:, 2] / 2) - drawing.origin_m[0]
     assert middles == pytest.approx(0.01 * np.arange(37), abs=1e-12)
-
-
-def test_the_page_describes_the_board():
-    words = board_drawing(A4_BOARDS["four_markers"]).labels[-1].text
-
-    assert words.startswith("four_markers, DICT_4X4_50, marker 45 mm, width 250 mm, height 165 mm, margin 5 mm.")
-    assert words.endswith("Page A4 landscape, 297 x 210 mm: print at 100 %, then measure.")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from drawn_boards import FOUR, drawn_board
+from recorded_shots import make_shot
 
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.planes.shots import STILL_PX, board_shift_px
@@ -11,9 +12,7 @@ from ringpose.types.image import Shot
 
 
 def shot_of(*images: np.ndarray) -> Shot:
-    lasers = np.minimum(np.arange(len(images)), 1).astype(np.uint8)
-    times_s = np.arange(len(images)) / 10
-    return Shot(name="s", images=np.stack(images), lasers=lasers, stamp_s=times_s, exposure_s=0 * times_s + 0.01)
+    return make_shot(np.stack(images), [0, 1, 1, 1][: len(images)], period_s=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -10,24 +10,19 @@ CORNERS_PX = np.array([[40.3, 38.6], [140.3, 38.6], [140.3, 138.6], [40.3, 138.6
 BLUR_PX = 1.1
 
 
-@pytest.fixture
-def lit_square():
+def lit_square(slope: tuple[float, float]) -> np.ndarray:
     """Draws a dark square with blurred sides on paper; the brightness changes by `slope` a pixel."""
-
-    def drawn(slope: tuple[float, float]) -> np.ndarray:
-        row, column = np.indices((180, 180), dtype=np.float64)
-        inside = [
-            ndtr((place - low) / BLUR_PX) * ndtr((high - place) / BLUR_PX)
-            for place, low, high in ((column, 40.3, 140.3), (row, 38.6, 138.6))
-        ]
-        light = 1 + slope[0] * (column - 90) + slope[1] * (row - 90)
-        return np.rint((180 - 150 * inside[0] * inside[1]) * light).astype(np.uint8)
-
-    return drawn
+    row, column = np.indices((180, 180), dtype=np.float64)
+    inside = [
+        ndtr((place - low) / BLUR_PX) * ndtr((high - place) / BLUR_PX)
+        for place, low, high in ((column, 40.3, 140.3), (row, 38.6, 138.6))
+    ]
+    light = 1 + slope[0] * (column - 90) + slope[1] * (row - 90)
+    return np.rint((180 - 150 * inside[0] * inside[1]) * light).astype(np.uint8)
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.002, 0.0), (-0.0015, 0.0015)])
-def test_marker_corners_are_not_biased_by_a_brightness_gradient(slope, lit_square):
+def test_marker_corners_are_not_biased_by_a_brightness_gradient(slope):
     found = corners_from_sides(lit_square(slope), CORNERS_PX + 0.4)
 
     assert np.abs(found.points_px - CORNERS_PX).max() < 0.01
@@ -59,14 +54,14 @@ def test_sides_along_pixel_rows_are_not_biased_by_the_form_of_the_blur(tilt, pla
     assert np.abs(found.points_px - true).max() < 0.015
 
 
-def test_the_correlation_at_the_ends_grows_with_the_length_left_out(lit_square):
+def test_the_correlation_at_the_ends_grows_with_the_length_left_out():
     found = corners_from_sides(lit_square((0.0, 0.0)), CORNERS_PX + 0.4)
 
     assert 0.3 < found.end_correlation < 0.5
 
 
 @pytest.mark.parametrize("cut", [30, 34])
-def test_marker_corners_beside_the_border_of_the_image_are_not_biased(cut, lit_square):
+def test_marker_corners_beside_the_border_of_the_image_are_not_biased(cut):
     """Of the paper outside a side, 9 or 5 pixels are in the image, with a brightness gradient."""
     found = corners_from_sides(lit_square((0.002, 0.0))[cut:], CORNERS_PX - [0.0, cut] + 0.4)
 

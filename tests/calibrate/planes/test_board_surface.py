@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from known_views import TRUE_CAMERA
+from recorded_shots import make_shot
 
 from ringpose.calibrate.planes.stripes.extraction import BoardSurface, board_surface, triangulated
 from ringpose.geometry.rays import project
@@ -48,9 +49,7 @@ def seen(surface, lasers, first_is_dark) -> Shot:
     )
     parity = np.floor(place[:, :2] / 0.03).astype(int).sum(axis=1) % 2
     image = np.kron(np.where(parity == first_is_dark, 200, 60).reshape(x.shape), np.ones((4, 4))).astype(np.uint8)
-    count = len(lasers)
-    masks, times = np.array(lasers, np.uint8), np.zeros(count)
-    return Shot(name="s", images=np.stack([image] * count), lasers=masks, stamp_s=times, exposure_s=times)
+    return make_shot(np.stack([image] * len(lasers)), lasers)
 
 
 @pytest.mark.parametrize("first_is_dark", [True, False])

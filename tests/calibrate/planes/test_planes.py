@@ -7,6 +7,7 @@ import pytest
 from known_views import TRUE_CAMERA, plane_errors, stripe_views, true_poses
 from scipy.stats import chi2
 
+from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.plane_fit import paper_plane, robust_plane
 from ringpose.errors import DataError
@@ -163,13 +164,7 @@ def test_errors_of_calibrations_have_the_joint_covariance_that_is_reported(free_
 
 
 def wrong_camera(camera, wrong, covariance):
-    fx, fy, cx, cy = np.array([1781.3, 1780.6, 803.7, 596.2]) + wrong[:4]
-    return replace(
-        camera,
-        camera_matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-        distortion_coefficients=camera.distortion_coefficients + wrong[4:],
-        covariance=covariance,
-    )
+    return replace(camera_with(parameters_of(camera) + wrong, camera), covariance=covariance)
 
 
 def test_a_free_camera_comes_nearer_to_the_truth(rng, camera_covariance):

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from drawn_boards import drawn_board
 from known_views import plane_errors
+from recorded_shots import make_shot
+from ring_scenes import make_camera
 from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
@@ -12,18 +14,10 @@ from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.types.board import Board
 from ringpose.types.image import Shot
-from ringpose.types.rig import Camera
 
 MODEL = PlanesModel(names=("left", "middle", "right"), order=(2, 1, 0))
 FOCAL_PX, MIDDLE_PX = (889.0, 888.5), (402.3, 297.6)
-CAMERA = Camera(
-    camera_name="drawn",
-    image_width=800,
-    image_height=600,
-    camera_matrix=np.array([[FOCAL_PX[0], 0.0, MIDDLE_PX[0]], [0.0, FOCAL_PX[1], MIDDLE_PX[1]], [0.0, 0.0, 1.0]]),
-    distortion_model="plumb_bob",
-    distortion_coefficients=np.zeros(5),
-)
+CAMERA = make_camera((800, 600), FOCAL_PX, MIDDLE_PX)
 CHESSBOARD = Board(kind="chessboard", squares_x=11, squares_y=7, square_m=0.024)
 CHARUCO = Board(kind="charuco", squares_x=11, squares_y=7, square_m=0.024, marker_m=0.0175, dictionary="DICT_5X5_100")
 FOUR_MARKERS = Board(
@@ -64,9 +58,7 @@ def drawn_shot(drawn, rng, stand, name) -> Shot:
     speckle = cv2.resize(np.clip(1 + SPECKLE * grain / grain.std(), 0.2, None), depth_m.shape[::-1])
     lit = (60 + 220 * np.sum(sheets, axis=0) * speckle) * reflectance
     images = np.stack([noisy(60 * reflectance, rng), noisy(lit, rng)])
-    return Shot(
-        name=name, images=images, lasers=np.array([0, 7], np.uint8), stamp_s=np.arange(2.0), exposure_s=np.ones(2)
-    )
+    return make_shot(images, [0, 7], name=name, exposure_s=1.0)
 
 
 def fine(pixels: int) -> np.ndarray:

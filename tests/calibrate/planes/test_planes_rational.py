@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_views import plane_errors, stripe_views, true_poses
+from ring_scenes import make_camera
 from scipy.stats import chi2
 
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
@@ -14,14 +15,8 @@ from ringpose.files.rigs import read_rig, write_rig
 from ringpose.types.rig import Camera, ParameterCovariance
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
-CAMERA = Camera(
-    camera_name="wide",
-    image_width=1600,
-    image_height=1200,
-    camera_matrix=np.array([[1181.3, 0.0, 803.7], [0.0, 1180.6, 596.2], [0.0, 0.0, 1.0]]),
-    distortion_model="rational_polynomial",
-    distortion_coefficients=np.array([0.21, -0.06, 0.0005, -0.0004, 0.004, 0.47, -0.09, 0.01]),
-)
+DISTORTION = (0.21, -0.06, 0.0005, -0.0004, 0.004, 0.47, -0.09, 0.01)
+CAMERA = make_camera((1600, 1200), (1181.3, 1180.6), (803.7, 596.2), DISTORTION)
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 PRIOR = ParameterCovariance(
     parameters=NAMES,

@@ -8,20 +8,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from ring_scenes import moved_rig
 
-from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.cli.main import main
 from ringpose.detect.pipeline import detect
 from ringpose.files.boards import read_board
 from ringpose.files.images.shots import read_shot, write_shot
 from ringpose.files.rigs import read_rig
-from ringpose.geometry.rotations import tilted
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.scene import BoardSet, NamedBoardPose, Scene
 from ringpose.types.target import Body, RingShape
 
-CAMERA_PARAMETERS = 9
 DRAWS = 80
 
 
@@ -78,9 +76,10 @@ def excess_mm(rmse_mm, true_rig):
     def of(rig_file) -> tuple[float, np.ndarray]:
         estimated, with_true = read_rig(rig_file), rmse_mm(true_rig)
         covariance = estimated.covariance
+        true = replace(true_rig, covariance=covariance)
         rng = np.random.default_rng(1)
         wrong = rng.multivariate_normal(np.zeros(len(covariance.data)), covariance.data, DRAWS, method="eigh")
-        drawn = np.array([rmse_mm(moved(true_rig, step, covariance)) for step in wrong])
+        drawn = np.array([rmse_mm(moved_rig(true, covariance.parameters, step)) for step in wrong])
         return rmse_mm(estimated) - with_true, drawn - with_true
 
     return of
@@ -89,14 +88,6 @@ def excess_mm(rmse_mm, true_rig):
 @pytest.fixture(scope="module")
 def near_excess_mm(excess_mm, rig_of_rendered_boards):
     return excess_mm(rig_of_rendered_boards)
-
-
-def moved(rig, step, covariance):
-    camera = camera_with(parameters_of(rig.camera) + step[:CAMERA_PARAMETERS], rig.camera)
-    of_plane = step[CAMERA_PARAMETERS:].reshape(-1, 3)
-    normals = [tilted(normal, own[:2]) for normal, own in zip(rig.lasers.normal, of_plane, strict=True)]
-    lasers = replace(rig.lasers, normal=np.stack(normals), distance_m=rig.lasers.distance_m + of_plane[:, 2])
-    return replace(rig, camera=camera, lasers=lasers, covariance=covariance)
 
 
 @pytest.mark.slow

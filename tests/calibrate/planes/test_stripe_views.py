@@ -9,6 +9,8 @@ import pytest
 import scipy.io
 from drawn_boards import FOUR
 from known_views import TRUE_CAMERA
+from recorded_shots import make_shot
+from ring_scenes import make_camera
 
 from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.calibrate.camera.parameters import CameraModel
@@ -20,7 +22,6 @@ from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import Camera
 
 RENDERED = (
     np.array(
@@ -39,8 +40,7 @@ def shot_of(path: Path, channel: int | None = None) -> Shot:
     """An image, or one colour of it, as a shot with all lasers on."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE if channel is None else cv2.IMREAD_COLOR)
     grey = image if channel is None else np.ascontiguousarray(image[..., channel])
-    lasers = np.array([255], np.uint8)
-    return Shot(name=path.stem, images=grey[None], lasers=lasers, stamp_s=np.zeros(1), exposure_s=np.zeros(1))
+    return make_shot(grey[None], [255], name=path.stem)
 
 
 def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
@@ -95,15 +95,7 @@ def uba(shared_data):
     """
     folder = shared_data / "real" / "uba_laser_plane"
     published = scipy.io.loadmat(folder / "Calib_Results.mat")
-    (fx, fy), (cx, cy) = published["fc"].ravel(), published["cc"].ravel()
-    camera = Camera(
-        camera_name="uba",
-        image_width=1152,
-        image_height=768,
-        camera_matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-        distortion_model="plumb_bob",
-        distortion_coefficients=published["kc"].ravel().astype(np.float64),
-    )
+    camera = make_camera((1152, 768), *(published[key].ravel() for key in ("fc", "cc", "kc")))
     board = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167)
     views = []
     for path in sorted((folder / "color").glob("*.png")):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from recorded_shots import counted, make_shot
 
 from ringpose.capture.cameras.recorded import Recording, frames_of_steps
 from ringpose.errors import DataError
@@ -9,31 +10,13 @@ from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.session import parsed_sequence
 
 
-def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:
-    """A shot whose frame k has the grey value k and the stamp k seconds."""
-    places = np.arange(len(lasers))
-    return Shot(
-        name=name,
-        images=np.broadcast_to(places.astype(np.uint8)[:, None, None], (len(lasers), 2, 3)),
-        lasers=np.array(lasers, dtype=np.uint8),
-        stamp_s=places.astype(np.float64),
-        exposure_s=np.full(len(lasers), 0.01),
-        **fields,
-    )
-
-
 def image(name: str, value: int = 0, width: int = 3) -> Shot:
-    return Shot(
-        name=name,
-        images=np.full((1, 2, width), value, dtype=np.uint8),
-        lasers=np.array([ALL_LASERS], dtype=np.uint8),
-        stamp_s=np.array([float(value)]),
-        exposure_s=np.zeros(1),
-    )
+    pixels = np.full((1, 2, width), value, dtype=np.uint8)
+    return make_shot(pixels, [ALL_LASERS], name=name, start_s=value)
 
 
 def test_frames_are_selected_by_the_masks_of_the_steps():
-    shot = shot_of_masks(0, 1, 2, 4, 7, frame_id=np.arange(40, 45), name="kept")
+    shot = counted([0, 1, 2, 4, 7], frame_id=np.arange(40, 45), name="kept")
 
     chosen = frames_of_steps(shot, parsed_sequence("all,off,2"))
 
@@ -46,19 +29,19 @@ def test_frames_are_selected_by_the_masks_of_the_steps():
 
 
 def test_a_repeated_step_takes_the_next_frame_with_its_mask():
-    chosen = frames_of_steps(shot_of_masks(0, 1, 0), parsed_sequence("off,1,off"))
+    chosen = frames_of_steps(counted([0, 1, 0]), parsed_sequence("off,1,off"))
 
     assert chosen.images[:, 0, 0].tolist() == [0, 1, 2]
 
 
 def test_one_dark_frame_is_not_used_for_two_steps():
     with pytest.raises(DataError, match="only 1 of 2 frames with lasers off"):
-        frames_of_steps(shot_of_masks(0, 1), parsed_sequence("off,1,off"))
+        frames_of_steps(counted([0, 1]), parsed_sequence("off,1,off"))
 
 
 def test_a_shot_in_the_dark_has_no_frame_with_all_lasers_on():
     with pytest.raises(DataError, match="no frame with lasers all"):
-        frames_of_steps(shot_of_masks(0, 0), parsed_sequence("all"))
+        frames_of_steps(counted([0, 0]), parsed_sequence("all"))
 
 
 def test_images_of_two_sizes_are_bad_data():

@@ -1,6 +1,5 @@
 """Virtual relay boards, and processes of `ringpose capture` that use them."""
 
-import os
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -71,8 +70,7 @@ def capturing(scene_folder: Path, forker: socket.socket) -> Callable[..., Forked
         lasers: str, *words: str, before: str = "", first: tuple[str, ...] = ("capture", "--output", "s")
     ) -> Forked:
         command = [*first, "--camera", "sim:scene.yaml", "--lasers", lasers, *words]
-        job = {"before": before, "words": command, "folder": str(scene_folder), "environment": {**os.environ}}
-        return Forked(forker, job)
+        return Forked(forker, command, before)
 
     return start
 

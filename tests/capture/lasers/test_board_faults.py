@@ -92,6 +92,7 @@ def test_a_full_disk_ends_the_capture_with_lasers_off_and_keeps_finished_shots(b
         ("lcus:/dev/ttyNone?ch=0,1,2", 2, 'ch= has "0"; relays have numbers from 1'),
         ("lcus:/dev/ttyNone?ch=1,1,2", 2, "names a channel twice"),
         ("lcus:/dev/ttyNone?ch=1,2", 2, "has 2 channels for the 3 lasers of the rig"),
+        ("lcus:/dev/ttyNone?ch=1,2,3,4,5,6,7,8,9", 2, "has 9 channels; at most 8 lasers are possible"),
         (
             "lcus:/dev/ttyNone?ch=left:1,right:2,top:3",
             2,

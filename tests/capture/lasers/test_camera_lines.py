@@ -5,7 +5,7 @@ import pytest
 from ringpose.capture.lasers.camera_lines import LineLasers
 from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.uri import LASERS, device_uri, driver
-from ringpose.errors import DeviceError, LaserSafetyError, UsageError
+from ringpose.errors import DeviceError, LaserSafetyError
 
 
 class NotedLines:
@@ -68,13 +68,3 @@ def test_lines_may_be_named_by_their_lasers():
     lasers.set_mask(0b100)
 
     assert [line for line, high in camera.high.items() if high] == ["Line1"]
-
-
-def test_a_repeated_line_is_a_usage_error():
-    with pytest.raises(UsageError, match="names a channel twice"):
-        line_lasers(NotedLines(), "line:Line1,Line1")
-
-
-def test_a_camera_without_output_lines_is_a_usage_error():
-    with pytest.raises(UsageError, match="needs a camera that has output lines"):
-        line_lasers(object())

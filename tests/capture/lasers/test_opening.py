@@ -60,14 +60,6 @@ def test_a_board_of_eight_relays_that_is_silent_is_no_safety_fault(scheme):
     os.close(slave)
 
 
-def test_a_missing_port_is_an_error_with_a_remedy():
-    with (
-        pytest.raises(DeviceError, match="no such file or directory; see ls /dev/serial/by-id"),
-        lasers_at("lcus:/dev/ttyNone?ch=1"),
-    ):
-        pass
-
-
 def test_a_file_that_is_not_a_port_is_rejected(tmp_path):
     (tmp_path / "file").write_text("")
 

@@ -26,13 +26,6 @@ def test_relay_numbers_start_at_the_first_of_the_board(scheme, channels):
     assert settings_of(f"{scheme}:/dev/x?ch={channels}").relays == (1,)
 
 
-@pytest.mark.parametrize("count", range(1, 9))
-def test_up_to_eight_lasers_are_accepted(count):
-    channels = ",".join(map(str, range(1, count + 1)))
-
-    assert len(settings_of(f"lcus:/dev/x?ch={channels}").relays) == count
-
-
 def test_a_modbus_clone_has_its_own_base_and_value():
     settings = settings_of("modbus:/dev/x?ch=1,2&base=1&on=0100&unit=255&pulse=0.7&baud=19200")
 
