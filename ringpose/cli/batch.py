@@ -116,5 +116,6 @@ class Batch:
         self._report_count()
         for (file, found), count in self._records.items():
             if count > 1:
-                messages.echo(f"{file}: the same in {count - 1} further records: {found}")
+                records = "record" if count == 2 else "records"
+                messages.echo(f"{file}: the same in {count - 1} further {records}: {found}")
         raise typer.Exit(self.status)

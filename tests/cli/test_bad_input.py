@@ -175,7 +175,7 @@ def test_findings_that_differ_are_reported_each(rig, detections, run):
     assert [message.removeprefix(f"ringpose: {detections}").split(": ")[:2] for message in messages] == [
         [":1", "break_points.labelled"],
         [":3", "break_points.flags"],
-        ["", "the same in 1 further records"],
+        ["", "the same in 1 further record"],
     ]
 
 
