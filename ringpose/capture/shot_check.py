@@ -108,7 +108,7 @@ class ShotChecker:
         return checked, None
 
     def never_seen(self, shot: Shot, lost_attempts: int) -> int:
-        """The mask of the lasers of a lost shot that no shot has shown, after `lost_attempts` lost attempts at it.
+        """The mask of the lasers of a lost shot that no shot has shown, after `lost_attempts` lost ones in a row.
 
         Raises a safety fault if a laser is on in frames in which it should be off, and remains on.
         """

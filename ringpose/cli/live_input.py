@@ -32,8 +32,7 @@ def live_lines(
     """Pose lines of a live camera: after each measurement, the latest shot is measured next.
 
     A shot that is lost to changing ambient light has a line, too. A bad shot ends the stream, as all that follow would
-    be bad for the same reason. At the end of the block the lasers
-    are off and the devices closed.
+    be bad for the same reason. At the end of the block the lasers are off and the devices closed.
     """
     from ringpose.capture.latest_frame import NewestShots
     from ringpose.cli.acquisition import source_of

@@ -139,7 +139,6 @@ LIT_SHARE = 8 / 255
 """Range of grey values about the break points, as a share of the saturation value, from which ambient light shows the
 ring's edges. In 64 rendered shots without visible edges it is at most 3 / 255, in 26 of 27 with edges 13 / 255."""
 
-
 AROUND_PX = 24
 """Margin of the box about the break points in which the range of the grey values is taken."""
 
