@@ -33,6 +33,8 @@ random data has many lines."""
 _RECORD = re.compile(r"(?P<file>.+?):\d+(: (?P<key>.+))?")
 """Location of a record, `file:line` or `file:line: key`."""
 
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+
 
 class Batch:
     """The highest exit status of the inputs processed so far."""
@@ -41,7 +43,9 @@ class Batch:
         self.status = 0
         self._in_a_row, self._unreported = 0, 0
         self._records: Counter[tuple[str, str]] = Counter()
-        """Number of records with the same finding in the same key, by their file and the finding."""
+        """Number of records with the same finding in the same key but for numbers, by their file and the finding ..."""
+        self._first_found: dict[tuple[str, str], str] = {}
+        """... and what was found in the first of them."""
 
     def report(self, problem: DataError | NoInputError) -> None:
         """Report a problem on stderr; a file that exists is always named.
@@ -51,8 +55,10 @@ class Batch:
         self.record_status(problem.status)
         record = _RECORD.fullmatch(problem.location)
         if record is not None:
-            finding = record["file"], ": ".join(filter(None, [record["key"], problem.found]))
+            found = ": ".join(filter(None, [record["key"], problem.found]))
+            finding = record["file"], _NUMBER.sub("N", found)  # such as the column of an error in JSON
             self._records[finding] += 1
+            self._first_found.setdefault(finding, found)
             if self._records[finding] > 1:
                 return
         self._in_a_row += 1
@@ -114,8 +120,9 @@ class Batch:
     def finish(self) -> None:
         """Exit the command with the highest status."""
         self._report_count()
-        for (file, found), count in self._records.items():
+        for finding, count in self._records.items():
             if count > 1:
                 records = "record" if count == 2 else "records"
-                messages.echo(f"{file}: the same in {count - 1} further {records}: {found}")
+                found = self._first_found[finding]
+                messages.echo(f"{finding[0]}: the same in {count - 1} further {records}: {found}")
         raise typer.Exit(self.status)

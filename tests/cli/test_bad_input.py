@@ -179,6 +179,16 @@ def test_findings_that_differ_are_reported_each(rig, detections, run):
     ]
 
 
+def test_findings_that_differ_in_a_number_are_reported_once_and_counted(rig, run, tmp_path):
+    broken = tmp_path / "broken.jsonl"
+    broken.write_text("".join(f'{{"shot": {" " * spaces}?}}\n' for spaces in range(3)))
+
+    first, counted = run("pose", broken, "--rig", rig).messages
+
+    assert first.startswith(f"ringpose: {broken}:1: is not valid JSON")
+    assert "2 further records" in counted
+
+
 def test_a_file_of_records_is_no_shot(rig, detections, run):
     status, _, (message,) = run("detect", detections, "--rig", rig)
 
