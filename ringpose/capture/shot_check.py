@@ -53,12 +53,10 @@ class AmbientLightChanged(DeviceError):
         self.changes = changes
         largest = max(changes, key=lambda change: abs(change.size_dn))
         size = f"by up to {abs(largest.size_dn):.0f} dn ({100 * largest.share_of_full:.0f} % of the full grey value)"
-        shots, them = "the shot", "it"
-        if len(changes) > 1:
-            shots, them = f"each of {len(changes)} shots in a row", "any of them"
+        shots = "the shot" if len(changes) == 1 else f"each of {len(changes)} shots in a row"
         found = f"changed within {shots}, {size}"
-        if missing:
-            found += f", and {laser_list(missing)} not seen in {them}"
+        if missing and len(changes) >= TRIES:  # in fewer, the changes themselves may hide a laser that shines
+            found += f", and {laser_list(missing)} not seen in any of them"
         remedy = "shield the scene, or take shorter shots (--sequence off,all; lasers at line:)"
         if all(change.only_with_lasers for change in changes):
             remedy += "; if it is stray light of the lasers, expose shorter"
