@@ -79,7 +79,6 @@ def detect(
     """
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
-    still = assumptions.motion is None and camera is None
     nothing = Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
@@ -102,7 +101,9 @@ def detect(
     found, lit = on_ring.break_points, False
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         lit = edges_lit(found, shot)
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still=still, lit=lit, motion=on_ring.motion)
+        found, ring_edges = detect_ring_edges(
+            found, shot, stripes, rig, assumptions=assumptions, camera=camera, lit=lit, motion=on_ring.motion
+        )
     if isinstance(found, BreakPoints):
         found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
