@@ -78,7 +78,6 @@ def detect(
     """
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
-    still = assumptions.motion is None and camera is None
     nothing = Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
@@ -100,7 +99,9 @@ def detect(
         on_ring = _found(stripes, images, shot, rig, assumptions, camera)
     found, edges_missing = on_ring.break_points, False
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges, edges_missing = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
+        found, ring_edges, edges_missing = detect_ring_edges(
+            found, shot, stripes, rig, assumptions, camera, on_ring.motion
+        )
     if isinstance(found, BreakPoints):
         found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:

@@ -27,12 +27,17 @@ from ringpose.detect.edge_search import (
     stripe_mask,
 )
 from ringpose.detect.motion import RingMotion, moved_to
+from ringpose.detect.rim import IN_FRONT_M, PARALLEL_WITHIN
+from ringpose.estimate.explanation import explain
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
-from ringpose.estimate.solver import estimate_ring, refine_ring
+from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, refine_ring
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
+from ringpose.geometry.rays import intersect, undistorted_rays
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, STEP, TURN, RingArcs, edge_distances
 from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import (
     BreakPointFlag,
     BreakPoints,
@@ -42,6 +47,7 @@ from ringpose.types.detection import (
     joined_edge_points,
 )
 from ringpose.types.image import Shot
+from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
 
 PREDICTED_SIGMA_PX = 1.3
@@ -81,6 +87,8 @@ class FoundEdges(NamedTuple):
     """Number of places along the edges that show a step ..."""
     mostly_visible: bool = True
     """... and whether these are most of the places where the edges are predicted."""
+    arcs: RingArcs | None = None
+    """The ring fitted to these steps and the stripes."""
 
 
 MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 0.65, 3.0
@@ -108,7 +116,13 @@ class RingEdges(NamedTuple):
 
 
 def detect_ring_edges(
-    break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig, still: bool, motion: RingMotion | None
+    break_points: BreakPoints,
+    shot: Shot,
+    stripes: Stripes,
+    rig: Rig,
+    assumptions: Assumptions,
+    camera: CameraMotion | None,
+    motion: RingMotion | None,
 ) -> RingEdges:
     """The visible edges in the frames that show them best, and the break points with inner and outer edge resolved.
 
@@ -118,6 +132,7 @@ def detect_ring_edges(
     frames = [number for number, mask in enumerate(shot.lasers.tolist()) if not mask]
     if not frames:
         frames = [min(range(len(shot.lasers)), key=lambda each: int(shot.lasers[each]).bit_count())]
+    still = assumptions.motion is None and camera is None
     frames = frames[:1] if still else sorted({frames[0], frames[-1]})
 
     def searched(points: BreakPoints) -> list[FoundEdges]:
@@ -127,7 +142,8 @@ def detect_ring_edges(
     lit = any(each.mostly_visible for each in found)
     if not lit:
         lit = edges_lit(break_points, shot)
-        found = _without_displaced_stripe(found, break_points, searched) if lit else found
+        if lit:
+            found = _without_displaced_stripe(found, break_points, searched, rig, assumptions, camera)
     if not found:
         return RingEdges(break_points, None, missing=lit)
     if all(each.straight for each in found):
@@ -172,21 +188,64 @@ In 107 rendered shots it is at least 1.8 without a displaced stripe, in 27 at mo
 
 
 def _without_displaced_stripe(
-    found: list[FoundEdges], break_points: BreakPoints, searched: Callable[[BreakPoints], list[FoundEdges]]
+    found: list[FoundEdges],
+    break_points: BreakPoints,
+    searched: Callable[[BreakPoints], list[FoundEdges]],
+    rig: Rig,
+    assumptions: Assumptions,
+    camera: CameraMotion | None,
 ) -> list[FoundEdges]:
     """The edges found without one of the stripes, if these are far more; else `found`, those found with all stripes.
 
     A stripe that is not on the ring, or not where it seems to be, leads the search along another ring, where steps are
-    found by chance. The ring of the others leads to the edges, and the estimate rejects the stripe.
+    found by chance. The ring of the others leads to the edges, and the estimate rejects the stripe; if it is in front
+    of that ring, the others may be on a flange behind the face, the edges of which are visible, too. Of two stripes
+    each may be the wrong one, so that no edges count as found.
     """
     least, best = MORE_STEPS * sum(each.steps for each in found), found
     for laser in np.flatnonzero(break_points.of_lasers).tolist():
         lines = np.arange(len(break_points.flags)) == laser
         without = searched(break_points.without(lines[:, None] & break_points.seen, lines))
         steps = sum(each.steps for each in without)
-        if steps > least:
+        if steps > least and not any(_in_front(laser, break_points, each.arcs, rig) for each in without):
             least, best = steps, without
+    if best is found:
+        return found
+    of_two = np.count_nonzero(break_points.of_lasers) <= STRIPES_OF_A_PLANE
+    if of_two or (not found and not _contradict(best, break_points, rig, assumptions, camera)):
+        return []
     return best
+
+
+def _in_front(laser: int, break_points: BreakPoints, ring: RingArcs | None, rig: Rig) -> bool:
+    """Whether a laser's stripe is on a surface in front of a ring and parallel to it, which may be the ring's face."""
+    ends_px = np.stack([break_points.face_start_px[laser], break_points.face_end_px[laser]])
+    plane = rig.lasers.normal[[laser]], rig.lasers.distance_m[[laser]]
+    ends = intersect(undistorted_rays(ends_px, rig.camera), *plane)
+    if ring is None or not np.isfinite(ends).all():
+        return False
+    low_m, high_m = sorted(((ends - ring.origin) @ ring.normal).tolist())
+    parallel = high_m - low_m < PARALLEL_WITHIN * math.dist(*ends)
+    return IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel
+
+
+def _contradict(
+    found: list[FoundEdges], break_points: BreakPoints, rig: Rig, assumptions: Assumptions, camera: CameraMotion | None
+) -> bool:
+    """Whether no ring explains edges and stripes unless some of them are rejected.
+
+    If edges that agree with all stripes were not found with all of them, they are probably accidental.
+    """
+    points, edges = named_by_curvature(break_points, found)
+    named = not np.any(points.flags & int(BreakPointFlag.EDGE_UNKNOWN))
+    prior = Prior(assumptions=assumptions)
+    with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
+        measured = measurements_of(points, rig, edges, camera=camera)
+        try:
+            best = explain(measured, prior, labelled=points.labelled, edges_named=named, precise=False)
+        except np.linalg.LinAlgError:
+            return True
+    return best is None or bool(best.rejected) or PoseFlag.INCONSISTENT in best.flag
 
 
 def _edges_in_frame(
@@ -231,7 +290,9 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
         both = np.bincount(points.edge, minlength=2).min() >= MIN_OF_BOTH
         if not both or not (curved(curvature, curvature_sd) or straight(curvature, curvature_sd)):
             return None
-    return FoundEdges(points, curvature / curvature_sd, straight(curvature, curvature_sd), steps, mostly_visible)
+    return FoundEdges(
+        points, curvature / curvature_sd, straight(curvature, curvature_sd), steps, mostly_visible, refined.arcs
+    )
 
 
 WIDE_REACH_PX = 6

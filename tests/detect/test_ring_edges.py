@@ -19,14 +19,16 @@ from drawn_scene import RADII_M, DrawnScene, drawn_rig, light
 from ring_scenes import with_stripes
 from true_edges import edge_errors_px
 
+from ringpose.detect import ring_edges
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
-from ringpose.detect.ring_edges import FoundEdges, found_edges, named_by_curvature
+from ringpose.detect.ring_edges import FoundEdges, detect_ring_edges, found_edges, named_by_curvature
 from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
 from ringpose.pose.pipeline import pose_line
-from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.assumptions import IDEAL
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
 from ringpose.types.image import Shot
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
@@ -312,3 +314,91 @@ def test_a_displaced_stripe_does_not_lead_to_edges_of_another_ring(rig, rng, las
     error_m = line.pose.center_m - np.array(scene.center_m)
     named = line.flags & (PoseFlag.CENTER_WEAK | PoseFlag.INCONSISTENT)
     assert named or mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 16
+
+
+def with_stripe_of(points: BreakPoints, other: BreakPoints, laser: int) -> BreakPoints:
+    """The break points, those of one laser from another measurement."""
+    taken = np.arange(len(points.flags)) == laser
+    return replace(
+        points,
+        position_px=np.where(taken[:, None, None], other.position_px, points.position_px),
+        face_start_px=np.where(taken[:, None], other.face_start_px, points.face_start_px),
+        face_end_px=np.where(taken[:, None], other.face_end_px, points.face_end_px),
+    )
+
+
+def edges_in(image: np.ndarray, points: BreakPoints, rig: Rig) -> RingEdgePoints | None:
+    """The edges in a frame without lasers."""
+    shot = Shot(
+        name="off",
+        images=image[None],
+        lasers=np.zeros(1, dtype=np.uint8),
+        stamp_s=np.zeros(1),
+        exposure_s=np.full(1, 0.001),
+    )
+    stripes = Stripes(
+        position_px=np.zeros((0, 2)),
+        sigma_px=np.zeros(0),
+        peak_dn=np.zeros(0),
+        piece=np.zeros(0, dtype=np.int64),
+        laser=np.zeros(0, dtype=np.int64),
+    )
+    return detect_ring_edges(points, shot, stripes, rig, IDEAL, camera=None, motion=None).points
+
+
+@pytest.mark.parametrize("laser", [0, 1, 2])
+def test_edges_are_not_searched_without_a_stripe_in_front_of_the_others(rig, rng, monkeypatch, laser):
+    """It may be on the face, and the others on a flange behind it, whose edges are visible, too."""
+    flange = DrawnScene()
+    normal = np.array(flange.normal) / np.linalg.norm(flange.normal)
+    face = replace(flange, center_m=tuple(np.array(flange.center_m) + 0.03 * normal))
+    points = with_stripe_of(measured(flange, rig, rng), measured(face, rig, rng), laser)
+    image = picture(flange, rig, Surroundings(inside_dn=58.0, outside_dn=62.0, clutter_dn=12.0), rng)
+
+    found = edges_in(image, points, rig)
+
+    monkeypatch.setattr(ring_edges, "edges_lit", lambda *_: False)  # then they are searched with all stripes only
+    with_all = edges_in(image, points, rig)
+    assert (found is None) == (with_all is None)
+    assert found is None or np.array_equal(found.position_px, with_all.position_px)
+
+
+def displaced_along(points: BreakPoints, along_px: float) -> BreakPoints:
+    """The break points, all of them displaced along the rows."""
+    along = np.array([along_px, 0.0])
+    return replace(
+        points,
+        position_px=points.position_px + along,
+        face_start_px=points.face_start_px + along,
+        face_end_px=points.face_end_px + along,
+    )
+
+
+@pytest.mark.parametrize("along_px", [-12.0, 12.0])
+def test_of_two_contradictory_stripes_neither_leads_to_edges(rig, rng, along_px):
+    scene = DrawnScene()
+    right = measured(scene, rig, rng)
+    points = with_stripe_of(right, displaced_along(right, along_px), 2)
+    image = picture(scene, rig, Surroundings(inside_dn=58.0, outside_dn=62.0, clutter_dn=12.0), rng)
+
+    assert edges_in(image, with_stripes(right, 0, 2), rig) is not None
+    assert edges_in(image, with_stripes(points, 0, 2), rig) is None
+
+
+@pytest.mark.parametrize("displaced_px", [0.0, 12.0])
+def test_edges_found_only_without_a_stripe_are_used_if_they_contradict_it(rig, rng, monkeypatch, displaced_px):
+    scene, laser = DrawnScene(), 1
+    points = measured(scene, rig, rng)
+    seen = seen_edges(points, lit(picture(scene, rig, Surroundings(), rng)), rig)
+
+    def without_laser(given: BreakPoints, *_) -> FoundEdges | None:
+        few = FoundEdges(seen, side_sigmas=50.0, steps=60, mostly_visible=False)
+        return None if given.of_lasers[laser] else few
+
+    monkeypatch.setattr(ring_edges, "found_edges", without_laser)
+    image = picture(scene, rig, Surroundings(), rng)
+
+    given = with_stripe_of(points, displaced_along(points, displaced_px), laser)
+    found = edges_in(image, given, rig)
+
+    assert (found is not None) == (displaced_px > 0)
