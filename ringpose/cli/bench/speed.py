@@ -53,12 +53,12 @@ def start_calls(folder: Path, shot: "Shot", rig: "Rig") -> dict[str, Callable[[]
     from ringpose.files.images.shots import write_shot
     from ringpose.files.records import line_of
     from ringpose.files.records.detections import detection_record
-    from ringpose.files.rigs import write_rig
+    from ringpose.files.rigs import read_rig, write_rig
 
     rig_file, shot_file, detection_file = folder / "rig.yaml", folder / "shot.npz", folder / "detection.jsonl"
     write_rig(rig_file, rig)
     write_shot(shot_file, shot)
-    detection_file.write_text(line_of(detection_record(detect(shot, rig), full=False)))
+    detection_file.write_text(line_of(detection_record(detect(shot, read_rig(rig_file)), full=False)))
     pose = ["-c", COMMAND, "pose", "--rig", str(rig_file)]
     return {
         "import numpy, cv2": partial(_first_line, ["-c", "import numpy, cv2"], folder),
