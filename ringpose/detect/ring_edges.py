@@ -305,6 +305,13 @@ steps of what is behind: a third of the steps are on the edge."""
 INDEPENDENT_STEPS = 1.25
 """Steps for each independent one: neighbouring ones are partly on the same facet of foil."""
 
+OPEN_CURVATURE_PER_M = 0.5
+"""Standard deviation of the curvature by the stripes alone from which it is the visible edges that determine it."""
+
+MOSTLY_ON_EDGE, UNCONFIRMED = 0.8, 5.0
+"""Share of the steps that must then be on the edges, with `MIN_OF_BOTH` points on either one, and the factor on the
+standard deviations if they are not: other edges than the ring's may have been found."""
+
 CURVATURES = np.linspace(-5.0, 5.0, 101)
 """Inverse hyperbolic sines of the alternative curvatures, in standard deviations: close to the one found and far."""
 
@@ -323,6 +330,9 @@ def uncertainty_factor(
     steps are on foil as bright as the face, other curvatures explain about as many steps as the one that the tracking
     arrived at. The likelihood of the curvature, with steps on the edge and steps of what is behind (a mixture), shows
     how well it is known; its second moment about the curvature found is the variance that the points must have.
+
+    If the stripes do not determine the curvature, nothing shows that these are edges of the ring, unless most steps are
+    on them, and on both; a single one may be any circle, and the factor is infinite.
     """
     covariance = stripes.start.covariance
     direction = covariance[:, CURVATURE] / math.sqrt(covariance[CURVATURE, CURVATURE])
@@ -335,12 +345,20 @@ def uncertainty_factor(
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
     slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px
+    unconfirmed = 1.0
+    if covariance[CURVATURE, CURVATURE] > OPEN_CURVATURE_PER_M**2:
+        on_other_edge = int(np.bincount(points.edge, minlength=2).min())
+        if on_other_edge < 2:
+            return math.inf
+        share_on_edge = np.mean(np.abs(residual_px) < 2.0 * STEP_ON_EDGE_PX)
+        if share_on_edge < MOSTLY_ON_EDGE or on_other_edge < MIN_OF_BOTH:
+            unconfirmed = UNCONFIRMED
     away = np.sinh(CURVATURES) / math.sqrt(information)
     on_edge = np.exp(-0.5 * ((residual_px + away[:, None] * slope_px) / STEP_ON_EDGE_PX) ** 2)
     logarithm = np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1) / INDEPENDENT_STEPS
     weight = np.exp(logarithm - logarithm.max()) * np.cosh(CURVATURES)
     variance = float(weight @ away**2 / weight.sum())
-    return max(1.0, math.sqrt(variance * information)) if math.isfinite(variance) else math.inf
+    return unconfirmed * max(1.0, math.sqrt(variance * information)) if math.isfinite(variance) else math.inf
 
 
 def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:

@@ -22,7 +22,14 @@ from true_edges import edge_errors_px
 from ringpose.detect import ring_edges
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
-from ringpose.detect.ring_edges import FoundEdges, detect_ring_edges, found_edges, named_by_curvature
+from ringpose.detect.ring_edges import (
+    FoundEdges,
+    detect_ring_edges,
+    found_edges,
+    named_by_curvature,
+    stripe_evidence,
+    uncertainty_factor,
+)
 from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
@@ -402,3 +409,20 @@ def test_edges_found_only_without_a_stripe_are_used_if_they_contradict_it(rig, r
     found = edges_in(image, given, rig)
 
     assert (found is not None) == (displaced_px > 0)
+
+
+def factor_of(rig: Rig, rng: np.random.Generator, edges: list[int]) -> float:
+    """The factor on the standard deviations of the points of these edges, as if few places showed them."""
+    scene = DrawnScene()
+    break_points, frame = measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng))
+    found = found_edges(break_points, frame, rig)
+    stripes = stripe_evidence(break_points, rig)
+    of_edges = np.isin(found.points.edge, edges)
+    parts = {name: getattr(found.points, name)[of_edges] for name in ("position_px", "normal", "sigma_px", "edge")}
+    return uncertainty_factor(RingEdgePoints(**parts), found.arcs, stripes, break_points, frame, rig)
+
+
+def test_points_of_one_edge_are_not_used_if_the_stripes_leave_the_curvature_open(rig, rng):
+    assert np.isfinite(factor_of(rig, rng, [1]))
+    assert factor_of(narrow(rig), rng, [1]) == np.inf
+    assert np.isfinite(factor_of(narrow(rig), rng, [0, 1]))
