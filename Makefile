@@ -10,6 +10,8 @@ KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
 
 # Modules that are instrumented or rewritten for the tests are kept from run to run: half of the time to collect them.
 export PYTHONDONTWRITEBYTECODE =
+# As the commands do: the matrices are small, and threads that share them mostly wait for each other (tests 3:08 -> 2:48).
+export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: help demo bench-speed bench-targets compare-baseline baseline structure test test-slow test-lowest \
   check lint types layers man clean
