@@ -17,7 +17,7 @@ from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import BORDER_PX, lens
-from ringpose.estimate.explanation import Explanation, explain
+from ringpose.estimate.explanation import Explanation, decision
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
@@ -126,10 +126,7 @@ def without_outliers(
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, camera=camera)
-        try:
-            best = explain(measured, prior, labelled=points.labelled, edges_named=False, precise=False)
-        except np.linalg.LinAlgError:
-            best = None
+        best = decision(measured, prior, labelled=points.labelled, edges_named=False)
     if best is not None and straight(*best.estimate.curvature_alone):
         return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:

@@ -314,14 +314,20 @@ def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig:
         return False
     _, lengths_m, origin, normal = _plane_of(face, rig)
     for row in others:
-        ends = _points_m(row, int(row[LASER]), rig)
-        length_m = math.dist(*ends)
-        low_m, high_m = sorted(((np.array(ends) - origin) @ normal).tolist())
-        parallel = high_m - low_m < PARALLEL_WITHIN * length_m
-        as_long = MIN_LENGTH_RATIO * min(lengths_m) < length_m < MAX_TO_SHORTEST * max(lengths_m)
-        if IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel and as_long:
+        ends = np.array(_points_m(row, int(row[LASER]), rig))
+        as_long = MIN_LENGTH_RATIO * min(lengths_m) < math.dist(*ends) < MAX_TO_SHORTEST * max(lengths_m)
+        if as_long and parallel_in_front(ends, origin, normal):
             return True
     return False
+
+
+def parallel_in_front(
+    ends_m: Float64[Array, "end=2 xyz=3"], origin_m: Float64[Array, "xyz=3"], normal: Float64[Array, "xyz=3"]
+) -> bool:
+    """Whether a stripe with these ends is on a surface in front of a plane (`IN_FRONT_M`) and parallel to it."""
+    low_m, high_m = sorted(((ends_m - origin_m) @ normal).tolist())
+    parallel = high_m - low_m < PARALLEL_WITHIN * math.dist(*ends_m)
+    return IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel
 
 
 def displaced_lasers(

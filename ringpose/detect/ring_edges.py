@@ -27,8 +27,8 @@ from ringpose.detect.edge_search import (
     stripe_mask,
 )
 from ringpose.detect.motion import RingMotion, moved_to
-from ringpose.detect.rim import IN_FRONT_M, PARALLEL_WITHIN
-from ringpose.estimate.explanation import explain
+from ringpose.detect.rim import parallel_in_front
+from ringpose.estimate.explanation import decision
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
 from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, refine_ring
@@ -224,9 +224,7 @@ def _in_front(laser: int, break_points: BreakPoints, ring: RingArcs | None, rig:
     ends = intersect(undistorted_rays(ends_px, rig.camera), *plane)
     if ring is None or not np.isfinite(ends).all():
         return False
-    low_m, high_m = sorted(((ends - ring.origin) @ ring.normal).tolist())
-    parallel = high_m - low_m < PARALLEL_WITHIN * math.dist(*ends)
-    return IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel
+    return parallel_in_front(ends, ring.origin, ring.normal)
 
 
 def _contradict(
@@ -241,10 +239,7 @@ def _contradict(
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, edges, camera=camera)
-        try:
-            best = explain(measured, prior, labelled=points.labelled, edges_named=named, precise=False)
-        except np.linalg.LinAlgError:
-            return True
+        best = decision(measured, prior, labelled=points.labelled, edges_named=named)
     return best is None or bool(best.rejected) or PoseFlag.INCONSISTENT in best.flag
 
 
@@ -335,6 +330,10 @@ def uncertainty_factor(
     on them, and on both; a single one may be any circle, and the factor is infinite.
     """
     covariance = stripes.start.covariance
+    confirmed = covariance[CURVATURE, CURVATURE] <= OPEN_CURVATURE_PER_M**2
+    of_fewer = int(np.bincount(points.edge, minlength=2).min())
+    if not confirmed and of_fewer < 2:
+        return math.inf
     direction = covariance[:, CURVATURE] / math.sqrt(covariance[CURVATURE, CURVATURE])
     edges = measurements_of(break_points, rig, points).edges
     at = edge_distances(arcs, edges.ray, 2.0 * edges.edge - 1.0)
@@ -345,20 +344,16 @@ def uncertainty_factor(
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
     slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px
-    unconfirmed = 1.0
-    if covariance[CURVATURE, CURVATURE] > OPEN_CURVATURE_PER_M**2:
-        on_other_edge = int(np.bincount(points.edge, minlength=2).min())
-        if on_other_edge < 2:
-            return math.inf
-        share_on_edge = np.mean(np.abs(residual_px) < 2.0 * STEP_ON_EDGE_PX)
-        if share_on_edge < MOSTLY_ON_EDGE or on_other_edge < MIN_OF_BOTH:
-            unconfirmed = UNCONFIRMED
+    mostly_on_edge = np.count_nonzero(np.abs(residual_px) < 2.0 * STEP_ON_EDGE_PX) >= MOSTLY_ON_EDGE * len(residual_px)
+    confirmed = confirmed or (mostly_on_edge and of_fewer >= MIN_OF_BOTH)
     away = np.sinh(CURVATURES) / math.sqrt(information)
     on_edge = np.exp(-0.5 * ((residual_px + away[:, None] * slope_px) / STEP_ON_EDGE_PX) ** 2)
     logarithm = np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1) / INDEPENDENT_STEPS
     weight = np.exp(logarithm - logarithm.max()) * np.cosh(CURVATURES)
     variance = float(weight @ away**2 / weight.sum())
-    return unconfirmed * max(1.0, math.sqrt(variance * information)) if math.isfinite(variance) else math.inf
+    if not math.isfinite(variance):
+        return math.inf
+    return max(1.0, math.sqrt(variance * information)) * (1.0 if confirmed else UNCONFIRMED)
 
 
 def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:

@@ -183,6 +183,14 @@ def explain(
     return replace(best, differing=differing)
 
 
+def decision(measured: Measurements, prior: Prior, *, labelled: bool, edges_named: bool) -> Explanation | None:
+    """The explanation of `explain` without the precision of a pose; None also if the normal equations are singular."""
+    try:
+        return explain(measured, prior, labelled=labelled, edges_named=edges_named, precise=False)
+    except np.linalg.LinAlgError:
+        return None
+
+
 def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
     """The ring at the reference time."""
     arcs = RingArcs(
