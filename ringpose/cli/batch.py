@@ -1,7 +1,6 @@
 """Batches of inputs: an invalid input is reported on stderr and skipped, and the highest exit status is returned."""
 
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -42,10 +41,8 @@ class Batch:
     def __init__(self) -> None:
         self.status = 0
         self._in_a_row, self._unreported = 0, 0
-        self._records: Counter[tuple[str, str]] = Counter()
-        """Number of records with the same finding in the same key but for numbers, by their file and the finding ..."""
-        self._first_found: dict[tuple[str, str], str] = {}
-        """... and what was found in the first of them."""
+        self._records: dict[tuple[str, str], tuple[str, int]] = {}
+        """By file, and finding but for its numbers: what was found in the first such record, and their number."""
 
     def report(self, problem: DataError | NoInputError) -> None:
         """Report a problem on stderr; a file that exists is always named.
@@ -57,9 +54,9 @@ class Batch:
         if record is not None:
             found = ": ".join(filter(None, [record["key"], problem.found]))
             finding = record["file"], _NUMBER.sub("N", found)  # such as the column of an error in JSON
-            self._records[finding] += 1
-            self._first_found.setdefault(finding, found)
-            if self._records[finding] > 1:
+            first, count = self._records.get(finding, (found, 0))
+            self._records[finding] = first, count + 1
+            if count:
                 return
         self._in_a_row += 1
         is_line = isinstance(problem, NoInputError) or problem.location.startswith("standard input")
@@ -120,9 +117,8 @@ class Batch:
     def finish(self) -> None:
         """Exit the command with the highest status."""
         self._report_count()
-        for finding, count in self._records.items():
+        for (file, _), (found, count) in self._records.items():
             if count > 1:
                 records = "record" if count == 2 else "records"
-                found = self._first_found[finding]
-                messages.echo(f"{finding[0]}: the same in {count - 1} further {records}: {found}")
+                messages.echo(f"{file}: the same in {count - 1} further {records}: {found}")
         raise typer.Exit(self.status)
