@@ -178,14 +178,17 @@ def scores_of_lines(
     from ringpose.bench.score import matching, scores
     from ringpose.files.rigs import read_rig
 
-    files = [(file, rig or file.with_name("rig.yaml")) for file in truth_files]
-    sets = [(_truths(file), read_rig(own).camera if rig or own.exists() else None) for file, own in files]
+    given = None if rig is None else read_rig(rig)
+    sets = []
+    for file in truth_files:
+        own = file.with_name("rig.yaml")
+        known = given or (read_rig(own) if own.exists() else None)
+        sets.append((_truths(file), None if known is None else known.camera))
     truths = [truth for of_set, _ in sets for truth in of_set]
     names = Counter(truth.shot for truth in truths)
     if twice := [name for name, count in names.items() if count > 1]:
         raise DataError(twice[0], "stands in two truth files", "give data sets whose shots have different names")
-    own_rig = "" if rig is None or any_rig else read_rig(rig).sha256
-    estimates = _estimates_in(inputs, truths, own_rig, batch)
+    estimates = _estimates_in(inputs, truths, "" if given is None or any_rig else given.sha256, batch)
     if since_s > -inf:
         estimates = [estimate for estimate in estimates if estimate.line.stamp_s >= since_s]
         recent = {estimate.shot for estimate in estimates}
