@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.estimate.nuisance import FORM_PARAMETERS
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
@@ -237,16 +238,15 @@ class Tracker:
                 found = "has other nuisance parameters than the records before"
                 raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
             self._common = common
-        if (
-            common.with_form
-        ):  # a record with the flag `ring_form` assumes a larger tolerance than the others, or one at all
+        if common.with_form:
+            # a record with the flag `ring_form` assumes a larger tolerance than the others, or one at all
             tolerance_m = 0.0 if line.priors is None else line.priors.assumptions.ring_tolerance_m
             self._form_tolerance_m = max(tolerance_m, self._form_tolerance_m or 0.0)
         return self._common
 
 
 def _without_form(common: CommonErrors) -> tuple[str, ...]:
-    return tuple(name for name in common.names if not name.startswith("form."))
+    return tuple(name for name in common.names if name not in FORM_PARAMETERS)
 
 
 def _alike(first: CommonErrors, second: CommonErrors) -> bool:
