@@ -168,7 +168,7 @@ class _Sequencer:
             if isinstance(found, AmbientLightChanged):
                 self._lost += found.changes
                 problem = AmbientLightChanged(self._lost, self._checker.never_seen(shot, len(self._lost)))
-                self._report_loss(name, problem)
+                self._report_loss(shot.name, problem)
                 if self._procedure.yields_lost and len(self._lost) < MAX_LOST:
                     return lost_shot(shot, found.changes[0])
             else:
@@ -312,7 +312,7 @@ class _Sequencer:
 
 
 def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], meta: dict[str, Any]) -> Shot:
-    """The frames as a shot; what some frames do not report is left out for all."""
+    """The frames as a shot; what some frames do not report is left out for all. Names of the camera come first."""
 
     def reported(values: Sequence[int | float | None], dtype: type[np.generic]) -> Any:
         return None if any(value is None for value in values) else np.array(values, dtype=dtype)
@@ -323,7 +323,7 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
     if dropped:
         meta = {**meta, "dropped_frames": dropped}
     return Shot(
-        name=name,
+        name=frames[-1].shot or name,
         images=np.stack([frame.image for frame in frames]),
         lasers=np.array([frame.lasers for frame in frames], dtype=np.uint8),
         stamp_s=np.array([frame.stamp_s for frame in frames], dtype=np.float64),

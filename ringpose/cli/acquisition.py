@@ -155,6 +155,6 @@ def _served(request: CaptureRequest) -> Source:
 
     def shots(on_read: OnRead, existing: Container[str]) -> Iterator[Shot]:
         for shot in source.shots(on_read, existing):
-            yield replace(shot, name=camera.shot_name, meta={**shot.meta, "simulated": True})
+            yield replace(shot, meta={**shot.meta, "simulated": True})
 
     return replace(source, shots=shots, waits_for_consumer=greeting.clock == "lockstep")

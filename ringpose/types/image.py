@@ -39,6 +39,8 @@ class Frame:
     """Number of triggers until this frame was received completely."""
     dropped: int = 0
     """Number of frames lost since the previous one, by the camera's frame numbers."""
+    shot: str = ""
+    """Name of its shot, if the camera names shots."""
 
     @property
     def mid_exposure_s(self) -> float:

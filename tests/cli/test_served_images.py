@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from forked import Forked
 from served_scene import small_scene
+from small_rig import SERVED_RIG, write_scene
 
 from ringpose.cli.main import main
 from ringpose.files.images.shots import read_shot
@@ -49,6 +50,24 @@ def test_in_lockstep_each_shot_gives_a_line_that_names_its_truth(serve_images, c
     truths = [json.loads(line)["shot"] for line in Path("truth.jsonl").read_text().splitlines()]
     assert [line["shot"] for line in lines] == truths[:4]
     assert [line["shots_dropped"] for line in lines] == [0, 0, 0, 0]
+
+
+def test_shots_that_are_lost_to_changing_light_have_the_servers_names_and_stamps(serve_images, capsys):
+    beacon = "lights: {dim: {ambient_w_m2: 0.5, beacon: {ambient_w_m2: 8.0, on_s: 0.45, off_s: 0.45}}}"
+    lines = "exposure_s: 0.005", "start_s: 100.0", "sequence: off,1,2,3,off", "sensor: {pixel_m: 18.0e-6}", beacon
+    write_scene(Path(), *lines, rig=SERVED_RIG)
+    _, uris = serve_images("--clock", "lockstep", "--rate", "20")
+
+    assert main(["pose", "--rig", "rig.yaml", "--camera", uris["camera"], "--count", "8", "--brief"]) == 3
+
+    lines, messages = capsys.readouterr()
+    records = [json.loads(line) for line in lines.splitlines()]
+    lost = [record["shot"] for record in records if "ambient_changed" in record["flags"]]
+    assert len(lost) < len(records)
+    assert messages.startswith(f"ringpose: {lost[0]}: lost")
+    for record in records:
+        begin_s = 100.0 + 5 * 0.05 * (int(record["shot"][-6:]) - 1)
+        assert record["stamp_s"] == pytest.approx(begin_s + 0.05 + 0.0025)  # the second frame is the first one lit
 
 
 def test_a_client_with_the_secret_file_is_admitted(serve_images, capsys):

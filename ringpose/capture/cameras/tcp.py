@@ -46,7 +46,6 @@ class TcpCamera(CameraDriver):
         """Exposure that this client has set since it connected."""
         self._valid_from = 0
         """Number of the first frame with the settings of this client."""
-        self._shot = ""
         self._payload = b""
         self.commands_lasers = False
         """Whether each trigger sets the lasers of the next frame, for all clients, instead of following the server."""
@@ -92,11 +91,6 @@ class TcpCamera(CameraDriver):
         if self._greeting is None:
             raise DeviceError(self.uri.text, "is not connected")
         return self._greeting
-
-    @property
-    def shot_name(self) -> str:
-        """The server's name of the shot to which the last frame belongs."""
-        return self._shot
 
     def describe(self) -> CameraDescription:
         """The served camera."""
@@ -145,7 +139,6 @@ class TcpCamera(CameraDriver):
             frame = self._next_frame()
             missed += frame.missed
             if frame.lasers == lasers and frame.frame_id >= self._valid_from:
-                self._shot = frame.shot
                 return Frame(
                     image=frame.image,
                     lasers=lasers,
@@ -153,6 +146,7 @@ class TcpCamera(CameraDriver):
                     exposure_s=frame.exposure_s,
                     frame_id=frame.frame_id,
                     dropped=missed,
+                    shot="" if self.commands_lasers else frame.shot,
                 )
         raise DeviceError(self.uri.text, "sends no frames of its sequence", "a client has set its lasers; reset them")
 
