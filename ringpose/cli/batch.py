@@ -36,13 +36,23 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 class Batch:
-    """The highest exit status of the inputs processed so far."""
+    """The highest exit status of the inputs processed so far.
+
+    The counts of findings without a message of their own are reported at the end, also that of a `with` block that an
+    error or a signal ends.
+    """
 
     def __init__(self) -> None:
         self.status = 0
         self._in_a_row, self._unreported = 0, 0
         self._records: dict[tuple[str, str], tuple[str, int]] = {}
         """By file, and finding but for its numbers: what was found in the first such record, and their number."""
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        self._report_counts()
 
     def report(self, problem: DataError | NoInputError) -> None:
         """Report a problem on stderr; a file that exists is always named.
@@ -114,11 +124,15 @@ class Batch:
         """Include one exit status in that of the batch."""
         self.status = max(self.status, status)
 
-    def finish(self) -> None:
-        """Exit the command with the highest status."""
+    def _report_counts(self) -> None:
         self._report_count()
         for (file, _), (found, count) in self._records.items():
             if count > 1:
                 records = "record" if count == 2 else "records"
                 messages.echo(f"{file}: the same in {count - 1} further {records}: {found}")
+        self._records = {}
+
+    def finish(self) -> None:
+        """Exit the command with the highest status."""
+        self._report_counts()
         raise typer.Exit(self.status)

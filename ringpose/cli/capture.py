@@ -130,7 +130,7 @@ def _take(source: "Source", writer: "SessionWriter", batch: Batch, still: bool, 
     from ringpose.capture.ambient import lost_attempts_dn
     from ringpose.files import records
 
-    with ExitStack() as stack:
+    with batch, ExitStack() as stack:
         stack.enter_context(writer)
         for device in source.devices:
             stack.enter_context(device)

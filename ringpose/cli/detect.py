@@ -91,18 +91,19 @@ def detect(
         options=assumed.options,
     )
     found = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
-    for path, shot, detection in with_progress(found, "shots", quiet):
-        with batch.guarded():
-            if overlays is not None:  # first, so that all files exist when the detection's name is printed
-                from ringpose.report.overlay import overlay as drawn
-                from ringpose.report.overlay import picture_of
+    with batch:
+        for path, shot, detection in with_progress(found, "shots", quiet):
+            with batch.guarded():
+                if overlays is not None:  # first, so that all files exist when the detection's name is printed
+                    from ringpose.report.overlay import overlay as drawn
+                    from ringpose.report.overlay import picture_of
 
-                overlays.write(shot.name, drawn(picture_of(shot), detection))
-            sink.write(detection, path)
-            if verbose:
-                messages.echo(f"{shot.name}: {detection.summary}")
-            if not (detection.found or segments_only):
-                batch.record_status(NO_POSE)
+                    overlays.write(shot.name, drawn(picture_of(shot), detection))
+                sink.write(detection, path)
+                if verbose:
+                    messages.echo(f"{shot.name}: {detection.summary}")
+                if not (detection.found or segments_only):
+                    batch.record_status(NO_POSE)
     batch.finish()
 
 

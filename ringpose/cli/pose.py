@@ -117,7 +117,7 @@ def pose(
             camera, loaded_rig, choose=None if shots.sequence else stream.sequence, on_frame=early.add
         )
         lines = live_lines(request, loaded_rig, batch, stream.measured)
-    with ExitStack() as stack:
+    with batch, ExitStack() as stack:
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures
 

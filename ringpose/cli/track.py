@@ -72,7 +72,7 @@ def track(
     tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
-    with ExitStack() as stack:
+    with batch, ExitStack() as stack:
         write = track_writer(record_writer(stack, newest), output_format, brief, verbose, batch)
         for line in _lines(items, tracker, batch, quiet) if rate is None else _at_rate(items, tracker, batch, rate):
             write(line)

@@ -184,6 +184,27 @@ def test_closed_pipe_ends_quietly(started, rig, detections):
     assert (process.returncode, said) == (141, "")
 
 
+@pytest.mark.parametrize(("is_closed", "status"), [(False, 143), (True, 141)], ids=["signal", "closed pipe"])
+def test_repeated_findings_are_counted_at_any_end(started, rig, detections, is_closed, status):
+    line = detections.read_text().splitlines(keepends=True)[0]
+    with started("pose", "-", "--rig", rig) as process:
+        process.stdin.write(3 * '{"schema": 1}\n' + line)
+        process.stdin.flush()
+        process.stdout.readline()
+        if is_closed:
+            process.stdout.close()
+            process.stdin.write(line)
+            process.stdin.flush()
+        else:
+            process.send_signal(signal.SIGTERM)
+        process.wait(DEADLINE_S)
+        first, counted = process.stderr.read().splitlines()
+
+    assert process.returncode == status
+    assert first.startswith("ringpose: standard input:1: ")
+    assert "2 further records" in counted
+
+
 @pytest.mark.parametrize("words", [["--help"], ["--version"]])
 def test_help_into_a_closed_pipe_ends_quietly(started, words):
     with started(*words) as process:
