@@ -187,7 +187,8 @@ class Tracker:
         """Insert an entry by its stamp, and process the entries after it again."""
         place = bisect_left([each.key for each in self._entries], entry.key)
         if place < len(self._entries) and self._entries[place].key == entry.key:
-            raise DataError(entry.observed.shot, "repeats a record", "give each record once")
+            shot = entry.observed.shot
+            raise DataError(shot, f"repeats the record of shot {shot}", "give each record once")
         before, again = self._entries[:place], []
         track = before[-1].track if before else self._base
         for each in (entry, *self._entries[place:]):

@@ -139,6 +139,7 @@ def test_a_bad_record_is_reported_in_one_line_and_the_stream_goes_on(capsys, tmp
     assert (status, len(messages)) == (65, 1)
     assert f"{file}:3" in messages[0]
     assert word in messages[0]
+    assert case != "repeated" or json.loads(bad)["shot"] in messages[0]
     assert [record["fusion_status"] for record in records] == ["fused"] * 5
 
 
