@@ -88,7 +88,7 @@ def _lines_by_shot(
     """The line of each shot; invalid ones are reported by the batch."""
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.rigs import reject_other_rig
+    from ringpose.types.rig import reject_other_rig
 
     lines: dict[str, PoseLine] = {}
     for file in map(str, files):

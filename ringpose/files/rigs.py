@@ -74,12 +74,6 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
     )
 
 
-def reject_other_rig(of_record: str, rig: str, location: str, remedy: str) -> None:
-    """Reject a record of another rig than the one given, by the SHA-256 of their files; an empty one is unknown."""
-    if of_record and rig and of_record != rig:
-        raise DataError(location, f"is of another rig ({of_record:.12}, not {rig:.12})", remedy)
-
-
 def steep_stripes(lasers: LaserPlanes) -> list[str]:
     """For each laser, why it cannot measure rings (the angle of its stripe to the rows), as text; empty if it can."""
     angles_deg = np.degrees(np.arctan2(np.abs(lasers.normal[:, 0]), np.abs(lasers.normal[:, 1]))).tolist()

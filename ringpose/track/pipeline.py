@@ -18,7 +18,7 @@ from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import track_line
 from ringpose.track.observation import Observation, observation
 from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Rig, reject_other_rig
 from ringpose.types.track import Attempt, FusionStatus, TrackLine
 
 BUFFER_S = 1.0
@@ -226,9 +226,8 @@ class Tracker:
 
     def _check_rig(self, line: PoseLine) -> None:
         self._hash = self._hash or line.rig
-        if line.rig and line.rig != self._hash:
-            found = f"is of another rig ({line.rig:.12}, not {self._hash:.12})"
-            raise DataError(line.shot, found, "track the records of one rig at a time, and give its file with --rig")
+        remedy = "track the records of one rig at a time, and give its file with --rig"
+        reject_other_rig(line.rig, self._hash, line.shot, remedy)
 
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None

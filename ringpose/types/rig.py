@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.options import DistortionModel
@@ -156,3 +157,9 @@ class Rig:
     def tool_from_camera(self) -> Float64[Array, "4 4"] | None:
         """The camera's pose in the tool frame; None without a mount."""
         return None if self.mount is None else self.mount.tool_from_camera
+
+
+def reject_other_rig(of_record: str, rig: str, location: str, remedy: str) -> None:
+    """Reject a record of another rig than the one given, by the SHA-256 of their files; an empty one is unknown."""
+    if of_record and rig and of_record != rig:
+        raise DataError(location, f"is of another rig ({of_record:.12}, not {rig:.12})", remedy)

@@ -222,7 +222,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Bat
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records import tracks
     from ringpose.files.records.poses import pose_line_of, recorded_status
-    from ringpose.files.rigs import reject_other_rig
+    from ringpose.types.rig import reject_other_rig
 
     by_shot = {truth.shot: truth for truth in truths}
     estimates, unnamed = [], []

@@ -302,8 +302,8 @@ def _stream_evidence(
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.poses import pose_line_of
-    from ringpose.files.rigs import reject_other_rig
     from ringpose.pose.drift import CONTRADICTORY, RigEvidence, evidence_for_file
+    from ringpose.types.rig import reject_other_rig
 
     evidence, depths, shots, contradictory = RigEvidence(rig, rig.stability), [], 0, 0
     for item in batch.valid_inputs(named(inputs, [RECORDS_SUFFIX])):

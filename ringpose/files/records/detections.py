@@ -14,7 +14,6 @@ from ringpose.files import atomic, records
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.records.rejections import rejections_in
-from ringpose.files.rigs import reject_other_rig
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import (
@@ -29,7 +28,7 @@ from ringpose.types.detection import (
     Stripes,
     outside_image,
 )
-from ringpose.types.rig import Camera, Rig
+from ringpose.types.rig import Camera, Rig, reject_other_rig
 
 SCHEMA = "ringpose/detection/2"
 
