@@ -76,14 +76,13 @@ class SessionWriter:
 
     def __enter__(self) -> None:
         is_free = self._is_free()
-        if self.folder.exists() and not self.folder.is_dir():
-            raise CannotCreateError(str(self.folder), "is not a folder, must be one", "choose another --output")
+        make_folder(self.folder)
         if not is_free and self._existing == "refuse":
             remedy = "add --append to go on with it, or --force to replace it"
             raise CannotCreateError(str(self.folder), "exists already", remedy)
         if not is_free and not (self.folder / FILE).exists():
             raise CannotCreateError(str(self.folder), f"is not a session: it has no {FILE}", "choose another --output")
-        self._lock = _locked(make_folder(self.folder))
+        self._lock = _locked(self.folder)
         try:
             self._take_over(is_free)
         except BaseException:
