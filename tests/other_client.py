@@ -13,12 +13,12 @@ class Port:
 
     def __init__(self, address: str) -> None:
         self.control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.control.settimeout(2.0)
+        self.control.settimeout(60.0)
         self.control.connect((address, 3956))
         self.stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 << 20)
         self.stream.bind((self.control.getsockname()[0], 0))
-        self.stream.settimeout(2.0)
+        self.stream.settimeout(60.0)
         self.number = 0
 
     def command(self, command: int, payload: bytes) -> bytes:

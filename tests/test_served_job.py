@@ -53,7 +53,7 @@ def serve(tmp_path, monkeypatch, example_folder, loopback_address):
 
 def end(process: subprocess.Popen) -> None:
     process.send_signal(signal.SIGTERM)
-    assert process.wait(20) == 143
+    assert process.wait(300) == 143
     process.stdout.close()
 
 

@@ -61,7 +61,7 @@ def test_no_datagram_whatsoever_stops_the_camera(identity, port, rng):
             port.control.send(rng.bytes(int(rng.integers(0, 40))))
             port.control.send(HEADER.pack(0x42, 0, int(rng.choice(commands)), len(payload), k) + payload)
         time.sleep(0.1)
-        port.control.settimeout(2.0)
+        port.control.settimeout(60.0)
         write(port, features.PIXEL_FORMAT, 0x01080001)
         write(port, features.EXPOSURE_TIME, 100.0)
         write(port, bootstrap.STREAM_PACKET_SIZE, 1400)

@@ -34,7 +34,7 @@ from ringpose.types.target import FreeMotion
 class ImageClient:
     """A connection; `frame()` and `answer()` read messages of one kind and keep those of the other."""
 
-    def __init__(self, port, *, secret=None, receive_buffer=None, timeout_s=20.0, hello=True):
+    def __init__(self, port, *, secret=None, receive_buffer=None, timeout_s=120.0, hello=True):
         self.socket = socket.socket()
         if receive_buffer is not None:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
@@ -186,7 +186,7 @@ def test_lockstep_time_advances_by_the_rate_and_only_while_every_subscriber_wait
         first.socket.settimeout(0.3)
         with pytest.raises(TimeoutError):  # the second client is busy
             first.frame()
-        first.socket.settimeout(20.0)
+        first.socket.settimeout(120.0)
         second.send(type="unsubscribe")
         before += [first.frame()[0]["stamp_s"] for _ in range(2)]
 
@@ -547,7 +547,7 @@ def test_a_client_with_the_secret_is_admitted_and_others_are_not(serve):
 
 def test_browsers_receive_pictures_of_the_frames_with_all_lasers(serve):
     server = serve()
-    with urllib.request.urlopen(server.uris["stream"], timeout=20) as stream:
+    with urllib.request.urlopen(server.uris["stream"], timeout=120) as stream:
         assert stream.headers["Content-Type"].startswith("multipart/x-mixed-replace")
         lines = [stream.readline() for _ in range(4)]
         length = int(lines[2].split(b":")[1])
@@ -559,7 +559,7 @@ def test_browsers_receive_pictures_of_the_frames_with_all_lasers(serve):
 
 def status_of(url, **headers):
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=10) as answer:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=120) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         return error.code

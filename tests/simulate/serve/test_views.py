@@ -1,7 +1,7 @@
 """Exposures of the virtual camera: lasers that are on for part of an exposure, and the sequence of views."""
 
 import math
-import time
+from concurrent.futures import Executor, Future
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -95,12 +95,18 @@ def stage(number: int) -> RenderedView:
     return RenderedView(sensor=Sensor(), ambient=layer, laser=layer[None], generator=np.random.default_rng(0))
 
 
+class AtOnce(Executor):
+    """Runs what is submitted before it returns: the next view is ready at once."""
+
+    def submit(self, run, /, *words):
+        done = Future()
+        done.set_result(run(*words))
+        return done
+
+
 def shown(move, after_s: float, looks_s) -> list[str]:
     views = MovingViews(["a", "b", "c"], stage, move, after_s)
-    names = []
-    for at_s in looks_s:
-        time.sleep(0.02)  # the next view is ready at once
-        names.append(views.at(at_s)[0])
+    names = [views.at(at_s)[0] for at_s in looks_s]
     views.close()
     return names
 
@@ -113,5 +119,6 @@ def shown(move, after_s: float, looks_s) -> list[str]:
         (AdvancePolicy.NEVER, 0.0, [0.0, 5.0], "aa"),
     ],
 )
-def test_the_next_view_is_shown_after_a_pause_or_a_time_or_never(move, after_s, looks_s, names):
+def test_the_next_view_is_shown_after_a_pause_or_a_time_or_never(monkeypatch, move, after_s, looks_s, names):
+    monkeypatch.setattr("ringpose.simulate.serve.views.ThreadPoolExecutor", lambda **_: AtOnce())
     assert "".join(shown(move, after_s, looks_s)) == names
