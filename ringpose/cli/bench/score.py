@@ -1,8 +1,8 @@
 """`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from math import inf, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
+from ringpose.cli.app import with_option_groups
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.common import (
     STDOUT,
@@ -27,6 +28,7 @@ from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
+    from ringpose.bench.summary import Summary
     from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
@@ -52,7 +54,46 @@ By = Annotated[
 Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit is missed.")]
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The limits on errors and counts, as given; None for no limit."""
+
+    max_center_mm: Annotated[float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)] = (
+        None
+    )
+    max_normal_deg: Annotated[
+        float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)
+    ] = None
+    max_radius_mm: Annotated[float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)] = (
+        None
+    )
+    max_grasp_mm: Annotated[
+        float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)
+    ] = None
+    max_missed: Annotated[
+        int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
+    ] = None
+    max_wrong: Annotated[
+        int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")
+    ] = None
+
+    def missed(self, lines: "Sequence[Summary]") -> list[str]:
+        """A message for each limit that is missed."""
+        from ringpose.bench.summary import exceeded_count_limits, exceeded_error_limits
+
+        limits = {
+            "center_m": self.max_center_mm and 1e-3 * self.max_center_mm,
+            "normal_rad": self.max_normal_deg and radians(self.max_normal_deg),
+            "radius_inner_m": self.max_radius_mm and 1e-3 * self.max_radius_mm,
+            "radius_outer_m": self.max_radius_mm and 1e-3 * self.max_radius_mm,
+            "grasp_m": self.max_grasp_mm and 1e-3 * self.max_grasp_mm,
+        }
+        return [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, self.max_missed, self.max_wrong)]
+
+
+@with_option_groups
 def bench(
+    *,
     inputs: Annotated[
         list[str],
         typer.Argument(metavar="INPUT...", help="Pose lines (- for stdin) if --truth is given, else data set folders."),
@@ -65,24 +106,7 @@ def bench(
     ] = None,
     json: JsonFile = None,
     csv: CsvFile = None,
-    max_center_mm: Annotated[
-        float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)
-    ] = None,
-    max_normal_deg: Annotated[
-        float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)
-    ] = None,
-    max_radius_mm: Annotated[
-        float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)
-    ] = None,
-    max_grasp_mm: Annotated[
-        float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)
-    ] = None,
-    max_missed: Annotated[
-        int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
-    ] = None,
-    max_wrong: Annotated[
-        int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")
-    ] = None,
+    limits: Limits,
     since: Annotated[
         str | None,
         typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d)."),
@@ -96,7 +120,7 @@ def bench(
     Further commands, each with its own --help: bench compare, bench study, bench design, bench speed.
     """
     from ringpose.bench.report import csv_rows, report
-    from ringpose.bench.summary import exceeded_count_limits, exceeded_error_limits, summaries
+    from ringpose.bench.summary import summaries
     from ringpose.bench.table import table
     from ringpose.files import records
     from ringpose.files.io import csv_text, provenance, sha256, write_result
@@ -117,14 +141,7 @@ def bench(
         batch.finish()
     names = group_names(scores, by)
     lines = summaries(scores, names)
-    limits = {
-        "center_m": max_center_mm and 1e-3 * max_center_mm,
-        "normal_rad": max_normal_deg and radians(max_normal_deg),
-        "radius_inner_m": max_radius_mm and 1e-3 * max_radius_mm,
-        "radius_outer_m": max_radius_mm and 1e-3 * max_radius_mm,
-        "grasp_m": max_grasp_mm and 1e-3 * max_grasp_mm,
-    }
-    missed = [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, max_missed, max_wrong)]
+    missed = limits.missed(lines)
     report_missed(missed, batch)
     if STDOUT not in (json, csv) and (missed or not cron):
         records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
