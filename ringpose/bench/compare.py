@@ -52,7 +52,7 @@ MIN_ERROR = 1e-12
 SEED = 20240613
 
 
-class Verdict(StrEnum):
+class RowVerdict(StrEnum):
     """Result of comparing B with A in one row."""
 
     BETTER = "better"
@@ -177,7 +177,7 @@ class Row:
     """95 % confidence interval of the difference, None for a single shot."""
     p_value: float
     p_adjusted: float
-    verdict: Verdict
+    verdict: RowVerdict
     spread: float
     """Standard deviation of one shot's contribution to the difference."""
     shots_needed: int | None
@@ -305,11 +305,11 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
     interval = bootstrap_interval(a, b, quantity.loss, resamples) if resamples and len(a) > 1 else None
     directed = quantity.monotone or interval is None or interval[0] > 0 or interval[1] < 0
     if not (a != b).any():
-        verdict = Verdict.SAME
+        verdict = RowVerdict.SAME
     elif not directed or adjusted >= FALSE_DISCOVERY_RATE or difference == 0:
-        verdict = Verdict.CANNOT_TELL
+        verdict = RowVerdict.CANNOT_TELL
     else:
-        verdict = Verdict.WORSE if difference > 0 else Verdict.BETTER
+        verdict = RowVerdict.WORSE if difference > 0 else RowVerdict.BETTER
     change = difference / scale if scale > 0 else 0.0 if difference == 0 else None
     spread = shot_spread(a, b, quantity.loss)
     return Row(
@@ -328,9 +328,9 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
         verdict=verdict,
         spread=spread,
         shots_needed=shots_needed(spread, max(abs(difference), tolerance * scale), rows)
-        if verdict is Verdict.CANNOT_TELL
+        if verdict is RowVerdict.CANNOT_TELL
         else None,
-        beyond_tolerance=quantity.judged and verdict is Verdict.WORSE and (change is None or change > tolerance),
+        beyond_tolerance=quantity.judged and verdict is RowVerdict.WORSE and (change is None or change > tolerance),
     )
 
 

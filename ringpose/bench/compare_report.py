@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ringpose.bench.assumptions import assumption_lines, counted_records
-from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
+from ringpose.bench.compare import COMPARED, Pair, Row, RowVerdict, testable_shots
 from ringpose.bench.score import Judgement
 from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
 from ringpose.bench.table import COLUMNS, NEES, aligned, group_cells
@@ -32,7 +32,7 @@ MAX_NAMED = 10
 
 def nothing_changed(rows: Sequence[Row]) -> bool:
     """Whether no judged score of any shot changed."""
-    return all(row.verdict is Verdict.SAME for row in rows if COMPARED[row.quantity].judged)
+    return all(row.verdict is RowVerdict.SAME for row in rows if COMPARED[row.quantity].judged)
 
 
 def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str, str]]:
@@ -80,7 +80,7 @@ def comparison_text(
         shots = len({a.shot for _, members in paired for a, _ in members})
         return f"nothing changed: {shots} shots, {len({row.quantity for row in judged})} quantities ({matched})\n"
     of_row = ("quantity", "shots", "A", "B", "difference", "95 % interval", "p", "verdict", "needs shots")
-    changed = [row for row in rows if row.verdict is not Verdict.SAME]
+    changed = [row for row in rows if row.verdict is not RowVerdict.SAME]
     shown = [row for row in changed if testable_shots(row.changed)]
     cells = [_cells(row, by) for row in shown]
     lines = ["B beside A; a positive difference is worse"]
@@ -92,9 +92,9 @@ def comparison_text(
     counts = Counter(row.verdict for row in judged)
     beyond = sum(row.beyond_tolerance for row in judged)
     lines.append(
-        f"{counts[Verdict.WORSE]} rows worse ({beyond} beyond the tolerance of {tolerance:g}), "
-        f"{counts[Verdict.BETTER]} better, {counts[Verdict.CANNOT_TELL]} cannot tell, {counts[Verdict.SAME]} the same; "
-        f"{matched}"
+        f"{counts[RowVerdict.WORSE]} rows worse ({beyond} beyond the tolerance of {tolerance:g}), "
+        f"{counts[RowVerdict.BETTER]} better, {counts[RowVerdict.CANNOT_TELL]} cannot tell, "
+        f"{counts[RowVerdict.SAME]} the same; {matched}"
     )
     lines += assumption_lines([b.assumptions or a.assumptions for _, members in paired for a, b in members])
     return "\n".join(lines) + "\n"
@@ -110,7 +110,7 @@ def _cells(row: Row, by: Sequence[str]) -> list[str]:
     heading, factor = UNITS[row.quantity]
     low_high = ABSENT if row.interval is None else " .. ".join(f"{end * factor:+.3g}" for end in row.interval)
     verdict = str(row.verdict)
-    if row.verdict is Verdict.WORSE and not row.beyond_tolerance:
+    if row.verdict is RowVerdict.WORSE and not row.beyond_tolerance:
         verdict = "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
     return [
         *group_cells(row.method, row.group, by),

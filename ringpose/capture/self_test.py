@@ -24,7 +24,7 @@ MIN_USABLE = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
+class DeviceCheck:
     """The result of one check."""
 
     check: str
@@ -33,7 +33,7 @@ class Check:
     remedy: str = ""
 
 
-def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> Iterator[Check]:
+def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> Iterator[DeviceCheck]:
     """Yields the checks as they are made, with both devices open; all lasers are off at the end.
 
     Raises `LaserSafetyError` if a laser is seen that should be off.
@@ -45,8 +45,8 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     size = f"{description.image_width} x {description.image_height}"
     limits = "" if bounds is None else f", exposure {1e-6 * bounds[0]:g} to {1e-6 * bounds[1]:g} s"
     found = f"{description.name}, {size}, {description.saturation_dn} dn{limits}"
-    yield Check(check="camera", verdict="ok", found=found)
-    yield from (Check(check="camera", verdict="warning", found=line) for line in camera.warnings())
+    yield DeviceCheck(check="camera", verdict="ok", found=found)
+    yield from (DeviceCheck(check="camera", verdict="warning", found=line) for line in camera.warnings())
     yield _check_frames(camera)
     dark = camera.trigger(0).image
     share = float(dark.mean()) / description.saturation_dn
@@ -59,21 +59,23 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
             slowest_s = max(slowest_s, response.settle_s)
             yield _check_exposure(camera, lasers, response.laser, response.pixels)
     if slowest_s >= MAX_SETTLE_S:
-        yield Check(check="settle", verdict="fault", found=f"a laser has not followed within {MAX_SETTLE_S} s")
+        yield DeviceCheck(check="settle", verdict="fault", found=f"a laser has not followed within {MAX_SETTLE_S} s")
     elif slowest_s:
         within = f"the slowest laser follows within {1e3 * slowest_s:.0f} ms"
-        yield Check(check="settle", verdict="ok", found=f"{within}; --settle {SETTLE_MARGIN * slowest_s:.3f} is enough")
+        yield DeviceCheck(
+            check="settle", verdict="ok", found=f"{within}; --settle {SETTLE_MARGIN * slowest_s:.3f} is enough"
+        )
 
 
-def summary(checks: Sequence[Check]) -> Check:
+def summary(checks: Sequence[DeviceCheck]) -> DeviceCheck:
     """The worst verdict, and the number of checks with each verdict."""
     verdicts = [check.verdict for check in checks]
     worst = next(verdict for verdict in get_args(Verdict)[::-1] if verdict in verdicts)
     counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in get_args(Verdict))
-    return Check(check="verdict", verdict=worst, found=counts)
+    return DeviceCheck(check="verdict", verdict=worst, found=counts)
 
 
-def _check_frames(camera: CameraDriver) -> Check:
+def _check_frames(camera: CameraDriver) -> DeviceCheck:
     began_s = time.perf_counter()
     frames = [camera.trigger(0) for _ in range(FRAMES)]
     rate_hz = FRAMES / (time.perf_counter() - began_s)
@@ -82,12 +84,12 @@ def _check_frames(camera: CameraDriver) -> Check:
     return _check("frames", found, again > 0, "warning", "look for lost packets: cable, switch")
 
 
-def _check_laser(response: LaserResponse, full_dn: int) -> Check:
+def _check_laser(response: LaserResponse, full_dn: int) -> DeviceCheck:
     """Whether a laser is seen when it is on, and whether it saturates the image."""
     check, pixels = f"laser {response.laser + 1}", response.pixels
     if pixels is None:
         remedy = "check that it shines on something in the image, and that the exposure is long enough"
-        return Check(check=check, verdict="fault", found="is not seen", remedy=remedy)
+        return DeviceCheck(check=check, verdict="fault", found="is not seen", remedy=remedy)
     found = f"seen at {len(pixels.pixel)} pixels, {float(np.median(pixels.contrast_dn)):.0f} dn above the dark"
     full = float((pixels.contrast_dn + pixels.dark_dn >= full_dn).mean())
     found += f", {100 * full:.0f} % saturated"
@@ -95,7 +97,7 @@ def _check_laser(response: LaserResponse, full_dn: int) -> Check:
     return _check(check, found, full > 0.5, "warning", remedy)
 
 
-def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> Check:
+def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> DeviceCheck:
     """Checks that half the exposure gives half the light."""
     check, light_dn = f"exposure, laser {laser + 1}", []
     whole_s = camera.trigger(0).exposure_s
@@ -116,6 +118,6 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
     return _check(check, found, not 0.4 < half / whole < 0.65, "fault", remedy)
 
 
-def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> Check:
+def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> DeviceCheck:
     """The check with its verdict: `ok`, or, if the finding is bad, `verdict` together with the remedy."""
-    return Check(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")
+    return DeviceCheck(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")

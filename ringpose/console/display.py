@@ -71,7 +71,7 @@ def opened_server(host: str, port: int) -> viser.ViserServer:
     return server
 
 
-class Picture:
+class ImagePanel:
     """An image in the panel, which is passed as JPEG."""
 
     def __init__(self, server: viser.ViserServer, label: str) -> None:

@@ -15,7 +15,7 @@ import viser.transforms
 
 from ringpose.console.display import (
     CHEAP,
-    Picture,
+    ImagePanel,
     Plots,
     SceneView,
     line_text,
@@ -131,7 +131,7 @@ class ConsolePage:
 
     def _add_gui(self) -> None:
         gui = self._server.gui
-        self._live = Picture(self._server, "camera")
+        self._live = ImagePanel(self._server, "camera")
         self._text = gui.add_markdown("waiting for the first measurement")
         self._playing = gui.add_checkbox("play", False)
         tabs = gui.add_tab_group()
@@ -141,7 +141,7 @@ class ConsolePage:
             self._add_rig_controls()
             self._add_light_controls()
         with tabs.add_tab("Measured"):
-            self._result = Picture(self._server, "newest measurement")
+            self._result = ImagePanel(self._server, "newest measurement")
             self._details = gui.add_markdown("")
         with tabs.add_tab("Errors"):
             self._plots = Plots(self._server, "number")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.console.display import Picture, Plots, SceneView, line_text, opened_server, plotted, track_text
+from ringpose.console.display import ImagePanel, Plots, SceneView, line_text, opened_server, plotted, track_text
 from ringpose.report.overlay import pose_in_camera_frame
 from ringpose.report.replay import ReplayShot, times_s
 from ringpose.types.rig import Rig
@@ -32,7 +32,7 @@ class RecordedPage:
         target_m = next((center for center in centers if np.isfinite(center).all()), np.array([0.0, 0.0, 1.0]))
         self._view3d = SceneView(self._server, self._rig, target_m)
         self._view3d.show_rig(self._rig, 255, 1.1 * float(np.linalg.norm(target_m)))
-        self._picture = Picture(self._server, "shot")
+        self._picture = ImagePanel(self._server, "shot")
         self._text = gui.add_markdown("")
         self._playing: Any = gui.add_checkbox("play", False)
         with gui.add_folder("Time"):

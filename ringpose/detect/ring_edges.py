@@ -261,7 +261,7 @@ def _edges_in_frame(
 
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
     """Points of the ring's edges, and the significance of which edge is the inner one; None where no edge was found."""
-    stripes = stripe_evidence(break_points, rig)
+    stripes = ring_from_stripes(break_points, rig)
     tracked = None if stripes is None else tracked_ring(stripes, frame, rig)
     if stripes is None or tracked is None:
         return None
@@ -314,7 +314,7 @@ CURVATURES = np.linspace(-5.0, 5.0, 101)
 def uncertainty_factor(
     points: RingEdgePoints,
     arcs: RingArcs,
-    stripes: "StripeEvidence",
+    stripes: "RingFromStripes",
     break_points: BreakPoints,
     frame: EdgeImage,
     rig: Rig,
@@ -396,7 +396,7 @@ OPEN_TURN_SIGMA_RAD = 0.2
 """Standard deviation of the edges' direction above which it is first searched in the image."""
 
 
-def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> PredictedRing | None:
+def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> PredictedRing | None:
     """The ring with its edges as far as they can be tracked from the stripes; None if they cannot."""
     ring: PredictedRing | None = stripes.start
     if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
@@ -482,7 +482,7 @@ POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StripeEvidence:
+class RingFromStripes:
     """The measurements of the stripes, and the ring by them alone."""
 
     measured: Measurements
@@ -497,7 +497,7 @@ class StripeEvidence:
 
 
 @lru_cache(maxsize=1)  # the frames of a shot share it, unless the ring moves between them
-def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | None:
+def ring_from_stripes(break_points: BreakPoints, rig: Rig) -> RingFromStripes | None:
     """The evidence in the break points; None without a stripe's line on the face and one end on each edge."""
     if not bool(break_points.seen.any(axis=0).all()):
         return None
@@ -512,7 +512,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     estimate = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
-    return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))
+    return RingFromStripes(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))
 
 
 def plausible(arcs: RingArcs) -> bool:

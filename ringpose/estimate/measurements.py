@@ -21,7 +21,7 @@ import numpy as np
 
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort, undistorted_rays
-from ringpose.geometry.ring import RingView
+from ringpose.geometry.ring import RingSamples
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Camera, Rig
@@ -101,7 +101,7 @@ class Observations(NamedTuple):
     """The measurements with the light planes of their lasers, as one view of the ring."""
 
     measured: "Measurements"
-    view: RingView
+    view: RingSamples
     laser: Int64[Array, "sample"]
     wrt_camera: Float64[Array, "ray xy=2 parameter"]
     """Derivatives of the rays of samples and visible edge points by the camera's parameters."""
@@ -162,7 +162,7 @@ class Measurements:
             whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
         stamp_s = np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, self.edges.stamp_s])
         instant_s, instant = np.unique(self.times_s(stamp_s), return_inverse=True)
-        view = RingView(
+        view = RingSamples(
             rays=rays,
             light_normal=planes.normal[laser],
             light_distance_m=planes.distance_m[laser],

@@ -397,7 +397,7 @@ class CameraDisplacements(NamedTuple):
     """Rotation vector (rad) and translation (m) by which errors displace what is seen; zero at t_0."""
 
 
-class RingView(NamedTuple):
+class RingSamples(NamedTuple):
     """What a shot sees of a ring: samples on stripes (ends of lines, then break points) and visible edge points."""
 
     rays: Float64[Array, "sample xyz=3"]
@@ -430,7 +430,7 @@ class RingPrediction(NamedTuple):
     """Distances of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
 
 
-def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingPrediction:
+def predicted_view(arcs: RingArcs, view: RingSamples, rates: Rates | None) -> RingPrediction:
     """The prediction of a view of a ring that is `arcs` at the reference time and moves at `rates` (None: still)."""
     moves = rates is not None or view.camera is not None
     of_samples = of_edges = arcs
@@ -455,7 +455,7 @@ def predicted_view(arcs: RingArcs, view: RingView, rates: Rates | None) -> RingP
 
 
 def _linearized_on_edges(
-    measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], view: RingView
+    measured: EdgeDistances, arcs: RingArcs, rays: Float64[Array, "n xyz=3"], view: RingSamples
 ) -> EdgeDistances:
     """The distances of visible points, linearised at the predicted edge along the direction of the points' errors.
 
@@ -474,7 +474,7 @@ def _linearized_on_edges(
 
 
 def _at_instants(
-    arcs: RingArcs, view: RingView, rates: Rates | None
+    arcs: RingArcs, view: RingSamples, rates: Rates | None
 ) -> tuple[RingArcs, Float64[Array, "instant step=7 parameter"]]:
     """The ring at each instant in the camera frame of that instant, and the derivatives of its increments.
 

@@ -27,7 +27,7 @@ from ringpose.simulate.break_points import form_deviations, in_gap, inside_image
 from ringpose.simulate.pipeline import ring_truth
 from ringpose.simulate.placement import READOUT_S, ring_views
 from ringpose.simulate.stripe_ends import (
-    CommonErrors,
+    RunErrors,
     ShotMotion,
     StripeEnds,
     drawn_common_errors,
@@ -82,7 +82,7 @@ class DrawnShot:
 
     detection: Detection
     truth: Truth
-    common: CommonErrors
+    common: RunErrors
 
 
 def drawn_features(
@@ -112,7 +112,7 @@ def _looks_like(view: RingView, shown: RingView) -> bool:
     return bool(moved_m < MAX_CHANGE * np.linalg.norm(view.center_m) and turned < MAX_CHANGE)
 
 
-def common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations) -> CommonErrors:
+def common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations) -> RunErrors:
     """True rig and form of the ring of one run: the scene's form, and what is drawn."""
     drawn = drawn_common_errors(
         scene.rig, rng, ring_tolerance_m=deviations.ring_tolerance_m, with_rig_errors=deviations.rig_errors
@@ -132,7 +132,7 @@ def draw_detection(
     view: RingView,
     rng: np.random.Generator,
     deviations: Deviations = Deviations(),
-    common: CommonErrors | None = None,
+    common: RunErrors | None = None,
     stamp_s: float = 0.0,
     appearance: Appearance | None = None,
 ) -> DrawnShot:
@@ -267,7 +267,7 @@ def _drawn_points(
 def _drawn_edges(
     scene: Scene,
     appearance: Appearance,
-    common: CommonErrors,
+    common: RunErrors,
     shot_motion: ShotMotion,
     middle_s: Float64[Array, "frame"],
     stamp_s: float,

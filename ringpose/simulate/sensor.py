@@ -5,12 +5,12 @@ import functools
 import numpy as np
 
 from ringpose.types.arrays import Array, Float32, UInt
-from ringpose.types.scene import Lens, Sensor
+from ringpose.types.scene import Optics, Sensor
 
 _PLANCK_TIMES_LIGHT_J_M = 6.62607015e-34 * 299792458.0
 
 
-def electrons_per_radiance(sensor: Sensor, lens: Lens) -> float:
+def electrons_per_radiance(sensor: Sensor, lens: Optics) -> float:
     """Electrons per second in a pixel for a surface radiance of 1 W/(m2 sr)."""
     irradiance_per_radiance = np.pi * lens.transmission / (4 * lens.f_number**2)
     photons_per_j = sensor.wavelength_m / _PLANCK_TIMES_LIGHT_J_M

@@ -26,7 +26,7 @@ from ringpose.types.scene import RingView, Scene
 from ringpose.types.target import RingForm, RingShape
 
 
-class CommonErrors(NamedTuple):
+class RunErrors(NamedTuple):
     """The true rig and the true ring's form, whose errors all shots of a run have in common."""
 
     rig: Rig
@@ -37,7 +37,7 @@ class CommonErrors(NamedTuple):
 
 def drawn_common_errors(
     rig: Rig, rng: np.random.Generator, *, ring_tolerance_m: float = 0.0, with_rig_errors: bool = False
-) -> CommonErrors:
+) -> RunErrors:
     """Draw the true rig and the form of the true ring of a run; `rig` is the calibrated rig.
 
     The form's deviations have the standard deviation `ring_tolerance_m` at any angle (ringpose-method(7), section 12).
@@ -48,7 +48,7 @@ def drawn_common_errors(
         radial_m=scale_m * rng.standard_normal((2, len(FORM_ORDERS), 2)),
         axial_m=scale_m * rng.standard_normal((len(FORM_ORDERS), 2)),
     )
-    return CommonErrors(drawn_rig(rig, rng) if with_rig_errors else rig, form)
+    return RunErrors(drawn_rig(rig, rng) if with_rig_errors else rig, form)
 
 
 def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
@@ -137,7 +137,7 @@ _SAMPLES = 257
 def stripe_ends(
     ring: RingShape,
     appearance: Appearance,
-    common: CommonErrors,
+    common: RunErrors,
     shot_motion: ShotMotion,
     time_s: Float64[Array, "laser"],
     behind_m: Float64[Array, "laser"],

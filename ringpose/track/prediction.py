@@ -1,9 +1,8 @@
 """What the next frames should show of a tracked ring: the stripes on its face, and how well they are predicted."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ringpose.detect.ring_edges import PredictedRing
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import STEP, RingArcs, edge_points, predicted_break_points
@@ -23,14 +22,6 @@ LABELLED_FROM = 5.0
 
 SHOWN_M = 0.2
 """Length of the face to both sides of the place seen whose motion in the image counts as that of the background."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PredictedRing:
-    """The ring in the camera frame at one instant, with the covariance of its step."""
-
-    arcs: RingArcs
-    covariance: Float64[Array, "step=7 step=7"]
 
 
 def predicted_ring(track: Track, stamp_s: float, camera: CameraMotion | None = None) -> PredictedRing | None:

@@ -13,10 +13,11 @@ import numpy as np
 
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.pipeline import MOVED_PX, detect
+from ringpose.detect.ring_edges import PredictedRing
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker
-from ringpose.track.prediction import PredictedRing, motion_px, predicted_ring, predicted_stripes
+from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import BreakPoints, Detection, Stripes

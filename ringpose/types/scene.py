@@ -96,7 +96,7 @@ class Light:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lens:
+class Optics:
     """Optical parameters of the lens; its distortion is part of the rig."""
 
     f_number: float = 8.0
@@ -218,7 +218,7 @@ class Scene:
     parts: tuple[Part, ...] = ()
     """Parts of the target other than its ring and `body`."""
     lasers: LaserLight = LaserLight()
-    lens: Lens = Lens()
+    lens: Optics = Optics()
     sensor: Sensor = Sensor()
     speckle: Speckle = Speckle()
     exposure_s: float = 0.005

@@ -6,7 +6,7 @@ from scipy import stats
 
 from ringpose.bench.compare import (
     COMPARED,
-    Verdict,
+    RowVerdict,
     bootstrap_interval,
     compare,
     pairs,
@@ -97,7 +97,7 @@ def test_two_equal_results_raise_a_false_alarm_in_no_more_than_5_percent_of_comp
         shared = rng.normal(size=(60, 8))
         paired = pairs(result(rng, shared=shared), result(rng, shared=shared))
         rows = [row for row in compare(paired, ["distance_m"], 0.0, resamples=0) if row.quantity != "latency_s"]
-        alarms += any(row.verdict in (Verdict.BETTER, Verdict.WORSE) for row in rows)
+        alarms += any(row.verdict in (RowVerdict.BETTER, RowVerdict.WORSE) for row in rows)
 
     assert len(rows) == 3 * 13
     assert alarms <= stats.binom.ppf(0.99, draws, 0.05)
@@ -110,12 +110,12 @@ def test_errors_that_grew_by_10_percent_are_worse_beyond_2_percent_and_not_beyon
     rows, tolerant = (compare(pairs(a, b), [], *options) for options in ((0.02, 99), (0.2, 0)))
 
     center = row_of(rows, "center_m")
-    assert (center.verdict, center.beyond_tolerance) == (Verdict.WORSE, True)
+    assert (center.verdict, center.beyond_tolerance) == (RowVerdict.WORSE, True)
     assert center.change == pytest.approx(0.1, abs=0.04)
     assert center.interval[0] < center.difference < center.interval[1]
-    assert row_of(tolerant, "center_m").verdict is Verdict.WORSE
+    assert row_of(tolerant, "center_m").verdict is RowVerdict.WORSE
     assert not row_of(tolerant, "center_m").beyond_tolerance
-    assert row_of(compare(pairs(b, a), [], 0.02, resamples=0), "center_m").verdict is Verdict.BETTER
+    assert row_of(compare(pairs(b, a), [], 0.02, resamples=0), "center_m").verdict is RowVerdict.BETTER
 
 
 def test_the_same_result_twice_or_changed_in_the_last_digits_changes_nothing(rng):
@@ -136,7 +136,7 @@ def test_too_few_shots_are_undecided_with_the_number_that_is_needed(rng):
 
     row = row_of(compare(pairs(a, b), [], 0.02), "grasp_m")
 
-    assert (row.verdict, row.p_adjusted, row.beyond_tolerance) == (Verdict.CANNOT_TELL, 1.0, False)
+    assert (row.verdict, row.p_adjusted, row.beyond_tolerance) == (RowVerdict.CANNOT_TELL, 1.0, False)
     assert 6 <= row.shots_needed <= 10
 
 
@@ -188,8 +188,8 @@ def test_a_line_that_only_b_lost_counts_as_no_pose_and_one_that_both_lost_not_at
     rows = compare(pairs(a, b), [], 0.02, resamples=0)
 
     assert [(row_of(rows, name).shots, row_of(rows, name).verdict) for name in ("available", "no_pose")] == [
-        (8, Verdict.WORSE),
-        (8, Verdict.WORSE),
+        (8, RowVerdict.WORSE),
+        (8, RowVerdict.WORSE),
     ]
 
 
@@ -200,7 +200,7 @@ def test_a_slower_result_is_reported_and_is_no_failure():
     rows = compare(pairs(a, b), [], 0.02)
 
     time = row_of(rows, "latency_s")
-    assert (time.verdict, time.beyond_tolerance) == (Verdict.WORSE, False)
+    assert (time.verdict, time.beyond_tolerance) == (RowVerdict.WORSE, False)
     assert nothing_changed(rows)
 
 
@@ -220,4 +220,4 @@ def test_nees_that_passes_from_below_one_to_above_is_neither_better_nor_worse():
 
     (row,) = [row for row in compare(pairs(before, after), [], 0.02) if row.quantity == "center_nees"]
 
-    assert (row.verdict, row.p_value < 0.001) == (Verdict.CANNOT_TELL, True)
+    assert (row.verdict, row.p_value < 0.001) == (RowVerdict.CANNOT_TELL, True)

@@ -27,7 +27,7 @@ from ringpose.detect.ring_edges import (
     detect_ring_edges,
     found_edges,
     named_by_curvature,
-    stripe_evidence,
+    ring_from_stripes,
     uncertainty_factor,
 )
 from ringpose.estimate.pose_errors import mahalanobis_squared
@@ -416,7 +416,7 @@ def factor_of(rig: Rig, rng: np.random.Generator, edges: list[int]) -> float:
     scene = DrawnScene()
     break_points, frame = measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng))
     found = found_edges(break_points, frame, rig)
-    stripes = stripe_evidence(break_points, rig)
+    stripes = ring_from_stripes(break_points, rig)
     of_edges = np.isin(found.points.edge, edges)
     parts = {name: getattr(found.points, name)[of_edges] for name in ("position_px", "normal", "sigma_px", "edge")}
     return uncertainty_factor(RingEdgePoints(**parts), found.arcs, stripes, break_points, frame, rig)

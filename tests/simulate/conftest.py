@@ -7,7 +7,7 @@ import pytest
 from ring_scenes import PROJECTED, make_camera
 
 from ringpose.types.rig import Rig
-from ringpose.types.scene import LaserLight, Lens, Light, RingView, Scene, Sensor, Speckle
+from ringpose.types.scene import LaserLight, Light, Optics, RingView, Scene, Sensor, Speckle
 from ringpose.types.target import Body, RingShape
 
 
@@ -54,7 +54,7 @@ def clean_scene(scene):
     return replace(
         scene,
         speckle=Speckle(contrast=0.0),
-        lens=Lens(blur_px=0.0),
+        lens=Optics(blur_px=0.0),
         sensor=replace(scene.sensor, photo_response_non_uniformity=0.0),
         lasers=LaserLight(sigma_m=0.0008, divergence_rad=0.0),
     )

@@ -11,7 +11,7 @@ from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import simulate
-from ringpose.types.scene import LaserLight, Lens, RingView, Sensor, Speckle
+from ringpose.types.scene import LaserLight, Optics, RingView, Sensor, Speckle
 from ringpose.types.target import Body, Foil, RingShape
 
 SHOTS = ["B_z0300_p00_dim", "B_z0500_p00_dim", "B_z1000_p00_dim"]
@@ -31,7 +31,7 @@ def pair_of(scene, shared_data):
             ring=RingShape(profile_m=np.array([[inner, 0], [inner, 0.06], [outer, 0.06], [outer, 0]])),
             body=Body(size_m=np.array([2.2, 2.2, 1.0]), foil=Foil()),
             sensor=Sensor(),
-            lens=Lens(),
+            lens=Optics(),
             lasers=LaserLight(),
             speckle=Speckle(),
             stripe_dn=150.0,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
-from ringpose.types.scene import Lens, Sensor
+from ringpose.types.scene import Optics, Sensor
 
 EVEN = Sensor(photo_response_non_uniformity=0.0, bits=12, overall_system_gain_dn_per_e=0.3, black_level_dn=20.0)
 
@@ -50,11 +50,11 @@ def test_grey_values_are_black_level_plus_gain_times_electrons_up_to_the_capacit
 
 
 def test_electrons_scale_with_the_inverse_square_of_the_f_number():
-    wide, narrow = (electrons_per_radiance(Sensor(), Lens(f_number=stop)) for stop in (4.0, 8.0))
+    wide, narrow = (electrons_per_radiance(Sensor(), Optics(f_number=stop)) for stop in (4.0, 8.0))
 
     assert wide == pytest.approx(4 * narrow)
 
 
 def test_electrons_per_radiance_by_hand():
     """1 W/(m2 sr) at f/8, 0.9 transmitted: 11 mW/m2; on 4.5 um: 0.22 pW = 7.3e5 photons of 650 nm a second."""
-    assert electrons_per_radiance(Sensor(), Lens()) == pytest.approx(0.5 * 7.32e5, rel=0.01)
+    assert electrons_per_radiance(Sensor(), Optics()) == pytest.approx(0.5 * 7.32e5, rel=0.01)

@@ -37,9 +37,9 @@ from ringpose.types.scene import (
     BoardSet,
     Earth,
     LaserLight,
-    Lens,
     Light,
     NamedBoardPose,
+    Optics,
     RingView,
     Scene,
     Sensor,
@@ -53,7 +53,7 @@ SCHEMA = "scene/1"
 
 _NUMBERS = ("exposure_s", "stripe_dn", "period_s", "start_s")
 
-_RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Lens, "sensor": Sensor, "speckle": Speckle}
+_RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Optics, "sensor": Sensor, "speckle": Speckle}
 
 _PARTS = (
     "target", "ring", "body", "sun", "earth", "lasers", "lights", "lens", "sensor", "speckle", "sequence",
