@@ -51,11 +51,11 @@ static void distance_wrt_step(const RingArcs *arcs, const double ray[AXES], doub
     for (int i = 0; i < AXES; i++) offset[i] = ray[i] * depth - arcs->origin[i];
     const double x = dot(offset, arcs->axes[0]), y = dot(offset, arcs->axes[1]), curvature = arcs->curvature;
     const double h_x = 1 - curvature * x, h_y = curvature * y, h = sqrt(h_x * h_x + h_y * h_y);
-    const double by_x = -h_x / h, by_y = h_y / h, square = x * x + y * y;
+    const double wrt_x = -h_x / h, wrt_y = h_y / h, square = x * x + y * y;
     const double outside = (curvature * square - 2 * x) / (1 + h);
-    const double by_lift = (by_x * dot(ray, arcs->axes[0]) + by_y * dot(ray, arcs->axes[1])) / denominator;
-    const double derivative[STATE] = {-x * by_lift,          -y * by_lift, by_lift, -by_x,
-                                      by_x * y - by_y * x, (square - outside * outside) / (2 * h), -sign};
+    const double wrt_lift = (wrt_x * dot(ray, arcs->axes[0]) + wrt_y * dot(ray, arcs->axes[1])) / denominator;
+    const double derivative[STATE] = {-x * wrt_lift,           -y * wrt_lift, wrt_lift, -wrt_x,
+                                      wrt_x * y - wrt_y * x, (square - outside * outside) / (2 * h), -sign};
     memcpy(jacobian, derivative, sizeof derivative);
 }
 

@@ -15,7 +15,7 @@ enum { LAGS = 5 };
 #define LEVEL_TO_POSITION (0.5 * ROOT_OF_TWO_PI)
 
 /* Columns up to this distance from the edge enter the goodness of fit. */
-#define MISFIT_WIDTHS 3
+#define CHI2_WIDTHS 3
 
 #define MIN_INFORMATION 1e-12
 
@@ -133,10 +133,10 @@ static double slow_level_variance(const Columns *columns, const Edge *edge, cons
 }
 
 /* Reduced chi-square of the columns about an edge, at least 1: glints and foil raise it. */
-static double misfit(const Columns *columns, const Shapes *shapes, const Edge *edge) {
+static double reduced_chi2(const Columns *columns, const Shapes *shapes, const Edge *edge) {
     double square = 0, count = 0;
     for (int i = 0; i < columns->count; i++) {
-        if (fabs(columns->along[i] - edge->position) > MISFIT_WIDTHS * edge->width + 1) continue;
+        if (fabs(columns->along[i] - edge->position) > CHI2_WIDTHS * edge->width + 1) continue;
         double off = columns->amplitude[i] / columns->level - shapes->shown[i] - edge->outside * shapes->beyond[i];
         square += off * off * columns->level * columns->level * shapes->weight[i];
         count += 1;
@@ -178,7 +178,8 @@ double edge_variance(const Columns *columns, const Edge *edge, double correlatio
     fill_influence(columns, &shapes, edge->outside > 0, influence);
     double variance = column_variance_sum(columns, &shapes, influence, 1) + texture_variance(columns, influence) +
                   speckle_variance(columns, &shapes, influence, correlation);
-    return variance * misfit(columns, &shapes, edge) + slow_level_variance(columns, edge, params) * shift * shift +
+    return variance * reduced_chi2(columns, &shapes, edge) +
+           slow_level_variance(columns, edge, params) * shift * shift +
            edge->per_width * edge->per_width / information + params->shape_sigma * params->shape_sigma;
 }
 

@@ -21,7 +21,7 @@ static const double FAR_M = 100, LIFT_M = 1e-7;
 static const double EVERYWHERE_M = 1e9;
 
 /* Smallest distance of an intersection that casts a shadow. */
-static const double NEAREST_M = 1e-9;
+static const double MIN_DISTANCE_M = 1e-9;
 
 /* Code of a pixel: surface + 1 in the upper half, then what else changes at edges; laser k has bit k. */
 enum { SUN_SHADOW = 1 << 8, EARTH_SHADOW = 1 << 9, SECOND = 1 << 10, SKY_EARTH = 1 << 11, SKY_SUN = 1 << 12 };
@@ -177,7 +177,7 @@ static void find_shadows(const Scene *scene, const Hits *hits, const Choice *cho
         rays.oy[at] = hits->y[i] + lift * hits->fy[i];
         rays.oz[at] = hits->z[i] + lift * hits->fz[i];
         rays.dx[at] = reach * beam->x[i], rays.dy[at] = reach * beam->y[i], rays.dz[at] = reach * beam->z[i];
-        rays.least[at] = NEAREST_M / reach;
+        rays.least[at] = MIN_DISTANCE_M / reach;
         rays.best[at] = 1;
         rays.own[at] = scene->target.part[hits->part[i]].kind == BOX ? hits->part[i] : EMPTY;
     }
@@ -775,7 +775,7 @@ PyObject *call_hits(PyObject *module, PyObject *tuple) {
             const Vector to = {direction[at], direction[n + at], direction[2 * n + at]};
             rays.ox[i] = origin[at], rays.oy[i] = origin[n + at], rays.oz[i] = origin[2 * n + at];
             rays.dx[i] = to.x, rays.dy[i] = to.y, rays.dz[i] = to.z;
-            rays.least[i] = NEAREST_M / sqrt(dot(to, to)), rays.best[i] = INFINITY, rays.own[i] = EMPTY;
+            rays.least[i] = MIN_DISTANCE_M / sqrt(dot(to, to)), rays.best[i] = INFINITY, rays.own[i] = EMPTY;
             surface[at] = EMPTY;
             for (size_t k = 0; k < 3; k++) point[k * n + at] = normal[k * n + at] = NAN;
         }

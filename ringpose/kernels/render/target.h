@@ -1,6 +1,6 @@
 /* Ray casting of a target made of parts: tables as NumPy passes them, and what the sources share.
 
-   Points and directions are in the target frame, in metres, unless a name says otherwise. */
+   Points and directions are in the target frame, in metres, unless a name states otherwise. */
 #ifndef RINGPOSE_RENDER_TARGET_H
 #define RINGPOSE_RENDER_TARGET_H
 
