@@ -329,20 +329,20 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     h = np.sqrt(h_x * h_x + h_y * h_y)
     outside_m = (k * square - 2.0 * x) / (1.0 + h)
     # derivatives of the distance by x and y: the outward direction
-    by_x, by_y = -h_x / h, h_y / h
-    by_lift = (by_x * ray_inward + by_y * ray_along) / ray_normal
+    wrt_x, wrt_y = -h_x / h, h_y / h
+    wrt_lift = (wrt_x * ray_inward + wrt_y * ray_along) / ray_normal
 
     wrt_step = np.empty((len(STEP), len(rays)))
-    wrt_step[TILT_INWARD] = -x * by_lift
-    wrt_step[TILT_ALONG] = -y * by_lift
-    wrt_step[LIFT] = by_lift
-    wrt_step[SHIFT] = -by_x
-    wrt_step[TURN] = by_x * y - by_y * x
+    wrt_step[TILT_INWARD] = -x * wrt_lift
+    wrt_step[TILT_ALONG] = -y * wrt_lift
+    wrt_step[LIFT] = wrt_lift
+    wrt_step[SHIFT] = -wrt_x
+    wrt_step[TURN] = wrt_x * y - wrt_y * x
     wrt_step[CURVATURE] = (square - outside_m * outside_m) / (2.0 * h)
     wrt_step[HALF_BAND] = -edge_sign
     # P = depth r: dP/dr = depth (1 - r n^T / (n . r))
-    by_axes = np.array([by_x, by_y, -by_lift]) * depth
-    wrt_ray = by_axes.T @ arcs.axes[:, :2] if arcs.axes.ndim == 2 else (by_axes.T[:, None] @ arcs.axes)[:, 0, :2]
+    wrt_axes = np.array([wrt_x, wrt_y, -wrt_lift]) * depth
+    wrt_ray = wrt_axes.T @ arcs.axes[:, :2] if arcs.axes.ndim == 2 else (wrt_axes.T[:, None] @ arcs.axes)[:, 0, :2]
     return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, wrt_step.T, wrt_ray)
 
 
