@@ -385,8 +385,8 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
     of_rig = rates + estimate.fixed.mean_ray_wrt_rig.shape[1]
     own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
-    by_rig, _ = rig_jacobian(residuals, measured.observations, errors)
-    rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
+    wrt_rig, _ = rig_jacobian(residuals, measured.observations, errors)
+    rows = np.concatenate([residuals.jacobian, own, wrt_rig, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))
     diagonal = range(eliminated)

@@ -178,8 +178,8 @@ def explain(
         best = _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
     if best is None:
         return None
-    rivals = (*best.competing, *([] if best.other_side is None else [best.other_side]))
-    differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in rivals))
+    competing = (*best.competing, *([] if best.other_side is None else [best.other_side]))
+    differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in competing))
     return replace(best, differing=differing)
 
 
@@ -345,9 +345,9 @@ def _explained(
         others = (each for each in hypotheses if each.both and each.laser == laser)
         return known[0] if known else next((solved(each) for each in others), None)
 
-    best, rivals = _select(everything, tried, both_ends)
+    best, competing = _select(everything, tried, both_ends)
     best = _with_form(best, search)
-    return _explanation(best, everything, [*rivals, *_single_stripes(best)])
+    return _explanation(best, everything, [*competing, *_single_stripes(best)])
 
 
 def _with_form(best: Solved, search: Search) -> Solved:
@@ -418,11 +418,11 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas:
 def _select(
     everything: Solved | None, tried: list[Solved], both_ends: Callable[[int], Solved | None]
 ) -> tuple[Solved, list[Solved]]:
-    """The best of the explanations, and its comparable rivals."""
+    """The best of the explanations, and those that are comparable."""
     ranked = sorted([*([] if everything is None else [everything]), *tried], key=lambda each: each.score)
     near = [each for each in ranked if each.score < ranked[0].score + _margin(ranked[0], each)]
     best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, both_ends) or near[0], both_ends)
-    rivals = [each for each in near if each is not best and not _nested(best, each)]
+    competing = [each for each in near if each is not best and not _nested(best, each)]
     if _contradicts_itself(best.estimate):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
         best = everything or best
@@ -430,9 +430,9 @@ def _select(
         if best.hypothesis.remark:
             remark = f"{best.hypothesis.remark}, but the rest disagrees, too"
         inconsistent = best.hypothesis._replace(flag=best.hypothesis.flag | PoseFlag.INCONSISTENT, remark=remark)
-        rivals = [each for each in near if each is not best and each.score < best.score]
-        return Solved(inconsistent, best.estimate), rivals
-    return best, rivals
+        competing = [each for each in near if each is not best and each.score < best.score]
+        return Solved(inconsistent, best.estimate), competing
+    return best, competing
 
 
 def _margin(best: Solved, other: Solved) -> float:
@@ -448,11 +448,11 @@ def _margin(best: Solved, other: Solved) -> float:
     return MORE_CLEARLY if (both_reject and two_left) or without_edges else CLEARLY
 
 
-def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solved]) -> Explanation:
+def _explanation(best: Solved, everything: Solved | None, competing: Sequence[Solved]) -> Explanation:
     hypothesis = best.hypothesis
     reduction = nan if everything is None else everything.estimate.chi2 - best.estimate.chi2
     flag = hypothesis.flag
-    for each in rivals:  # another assignment of the lasers is possible
+    for each in competing:  # another assignment of the lasers is possible
         flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
     return Explanation(
         measured=hypothesis.measured,
@@ -463,7 +463,7 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
         penalty=hypothesis.penalty,
         rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
         side_known=True,
-        competing=tuple(each.estimate for each in rivals),
+        competing=tuple(each.estimate for each in competing),
         everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
     )
 

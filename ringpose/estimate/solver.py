@@ -266,8 +266,8 @@ class _Steps:
 
 def nuisance_columns(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
     """Matrix B: derivatives with respect to the rates, then the other common errors, in sigmas of their priors."""
-    by_rates = residuals.wrt_rates * residuals.rate_sds
-    return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
+    wrt_rates = residuals.wrt_rates * residuals.rate_sds
+    return wrt_rates if fixed is None else np.concatenate([wrt_rates, fixed.columns], axis=1)
 
 
 def refine_ring(
@@ -591,13 +591,13 @@ WALL_SD_M = 0.03
 def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior) -> FixedColumns:
     """Derivatives of the residuals with respect to the errors of rig, form, mount and visible edges."""
     measured = observations.measured
-    by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
+    wrt_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
     mean_ray = np.zeros((2, 0))
     errors = rig_errors(measured.rig, prior.assumptions.stability)
     if errors is not None:
-        by_rig, mean_ray = rig_jacobian(residuals, observations, errors)
+        wrt_rig, mean_ray = rig_jacobian(residuals, observations, errors)
         mean_ray = mean_ray @ errors.root
-        columns.append(by_rig @ errors.root)
+        columns.append(wrt_rig @ errors.root)
     if prior.assumptions.ring_tolerance_m > 0.0:
         form = form_jacobian(residuals, measured)
         columns.append(FORM_SHARE * prior.assumptions.ring_tolerance_m * form)
@@ -607,7 +607,7 @@ def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior
         columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
     columns.append(edge_jacobian(residuals, observations, prior))
     return FixedColumns(
-        by_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
+        wrt_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
     )
 
 
@@ -636,8 +636,8 @@ def rig_jacobian(
     if len(which):
         blocks.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
     if len(edge_ray):
-        by_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
-        blocks.append((by_ray[:, :, None] * edge_ray).sum(axis=1))
+        wrt_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
+        blocks.append((wrt_ray[:, :, None] * edge_ray).sum(axis=1))
     blocks.append(np.zeros((len(residuals.residual) - residuals.data_rows, len(errors.parameters))))
     mean_ray = np.array([ray[ends:, 0].mean(axis=0), (predicted_y + sloped)[ends:].mean(axis=0)])
     return np.concatenate(blocks), mean_ray
