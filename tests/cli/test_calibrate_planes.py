@@ -134,7 +134,7 @@ def test_images_without_the_number_of_lasers_are_rejected(plane_folder, capsys):
     stderr = capsys.readouterr().err
     assert status == 2
     assert stderr.count("\n") == 1
-    assert "--laser-names: lit does not say how many lasers are on; give one" in stderr
+    assert "--laser-names: lit does not state how many lasers are on; give one" in stderr
 
 
 def test_the_errors_of_poses_are_predicted_at_the_working_distance(plane_folder, capsys):

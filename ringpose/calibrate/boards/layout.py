@@ -18,7 +18,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import Check
 
-MAX_MISFIT = 0.25
+MAX_CENTER_ERROR = 0.25
 """Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1
 for another board."""
 
@@ -99,7 +99,7 @@ def outline_m(board: Board) -> tuple[float, float]:
 class MarkerLayout:
     """Agreement of the detected markers with the board, in the board frame fitted to their centres."""
 
-    misfit: float
+    center_error: float
     """Median distance of a marker's centre from its position on the board, in sides of a marker."""
     size_ratio: tuple[float, float]
     """Median width and height of the markers over those of the board; 1 if the deviation is not significant."""
@@ -127,18 +127,18 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
         ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / side_m))
         # For markers of this size, the bias of the corners can explain smaller deviations.
         ratios.append(ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0)
-    misfit = float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side_m
-    return MarkerLayout(misfit=misfit, size_ratio=(ratios[0], ratios[1]))
+    center_error = float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side_m
+    return MarkerLayout(center_error=center_error, size_ratio=(ratios[0], ratios[1]))
 
 
 def other_layout(board: Board, markers: Markers) -> str | None:
     """If the markers do not lie as on the board: the numbers of squares that would fit, as text; else None."""
     layout = marker_layout(board, markers)
-    if layout is None or layout.misfit < MAX_MISFIT:
+    if layout is None or layout.center_error < MAX_CENTER_ERROR:
         return None
     for other in _other_boards(board, int(markers.ids.max())):
         found = marker_layout(other, markers)
-        if found is not None and found.misfit < MAX_MISFIT:
+        if found is not None and found.center_error < MAX_CENTER_ERROR:
             legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
             return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
     return "nor with any other squares_x"

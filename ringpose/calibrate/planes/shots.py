@@ -121,7 +121,7 @@ class StripeShots:
         """Determine the lasers' names with the first shot; later ones must not refer to other lasers."""
         number = lasers_in_masks(shot)
         if not (self.names or self.given_names or number):
-            found = f"{shot.name} does not say how many lasers are on"
+            found = f"{shot.name} does not state how many lasers are on"
             raise UsageError("--laser-names", found, "give one name for each laser that there is, seen or not")
         self.names = self.names or laser_names(self.given_names, number)
         if number > len(self.names):

@@ -7,7 +7,7 @@ OpenCV's ellipse centres depend on a threshold, which is biased by uneven illumi
 changes by 0.1 % per pixel. Here the share of ink of each pixel is measured between the grey levels of ink and paper,
 both planes, and centre and size of an ellipse with a blurred edge are fitted to these shares. The fit is one linear
 least-squares step for each circle, and is done twice, the homography estimated again in between. It is not iterated to
-convergence, by `scipy.optimize.least_squares` or otherwise: eight more rounds change the rms misfit of the homography
+convergence, by `scipy.optimize.least_squares` or otherwise: eight more rounds change the rms error of the homography
 by at most 0.002 px on nine photographs (0.06 to 0.5 px).
 """
 
