@@ -333,7 +333,7 @@ def _radius_prior(fields: Fields) -> RadiusPrior:
 
 
 def _lasers(fields: Fields) -> dict[str, LaserState]:
-    """States by laser; a state that this version does not know is ignored."""
+    """States by laser; an unknown state is ignored."""
     states = {name: fields.text(name) for name in fields.values}
     return {name: LaserState(state) for name, state in states.items() if state in tuple(LaserState)}
 
