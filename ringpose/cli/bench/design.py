@@ -173,7 +173,7 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
 
     judged, base = read_rig(rig), read_scene(scene or PRESETS / "paper-physical-scene.yaml")
     if np.isnan(judged.lasers.projector_m).any():
-        raise DataError(str(rig), "does not say where the projectors are", "add projector_m to each laser")
+        raise DataError(str(rig), "has no positions of the projectors", "add projector_m to each laser")
     count = len(judged.lasers.names)
     sequence = (0, *(1 << laser for laser in range(count)), (1 << count) - 1)
     ring = base.ring

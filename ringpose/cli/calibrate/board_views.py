@@ -27,7 +27,7 @@ class BoardImages:
 
     def __init__(self, board: Board, overlay: Path | None, *, channel: str | None, force: bool) -> None:
         if board.dictionary is not None:
-            marker_dictionary(board)  # a name that OpenCV does not know is rejected once, not with every image
+            marker_dictionary(board)  # an unknown name is rejected once, not with every image
         self.board = board
         self.overlay = None if overlay is None else make_folder(overlay)
         self.channel = channel

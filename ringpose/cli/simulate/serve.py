@@ -227,7 +227,7 @@ def _loopback(address: str) -> str:
             return address
     except ValueError:
         pass
-    raise UsageError("--camera", f'"{address}" is no loopback address', "say one such as 127.0.0.1")
+    raise UsageError("--camera", f'"{address}" is not a loopback address', "give one such as 127.0.0.1")
 
 
 @contextmanager
