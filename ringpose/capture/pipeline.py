@@ -197,7 +197,7 @@ class _Sequencer:
     def _completed(self, shot: Shot, wrong: int, *, is_first: bool) -> Shot:
         """The accepted shot; its `meta` lists the changes of ambient light in lost attempts, for `lost_attempts_dn`.
 
-        Lost shots that were yielded (`yields_lost`) are no attempts at this one.
+        Lost shots that were yielded (`yields_lost`) do not count as attempts at this one.
         A longer settling time is kept for later shots if two shots in a row needed one; a single shot may have been
         disturbed.
         """

@@ -231,7 +231,7 @@ class TcpCamera(CameraDriver):
         try:
             yield
         except MalformedMessage as problem:
-            raise DeviceError(self.uri.text, f"is no image server of this version: {problem}") from problem
+            raise DeviceError(self.uri.text, f"is not an image server of this version: {problem}") from problem
 
     def _connected(self) -> socket.socket:
         if self._socket is None:
