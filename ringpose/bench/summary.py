@@ -162,7 +162,7 @@ def wrong_quantities(scores: Sequence[Score]) -> WrongQuantities:
 def exceeded_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float | None]) -> list[str]:
     """A message for each group whose RMSE exceeds a limit, and for each limit to which no group has an error.
 
-    `limits`: by the names of `QUANTITIES`, in metres and radians; None is no limit.
+    `limits`: by the names of `QUANTITIES`, in metres and radians; None for no limit.
     """
     sentences = []
     for name, limit in limits.items():

@@ -110,13 +110,13 @@ def ellipse_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose 
     directions = rays(edges.position_px, rig.camera)
     inner = edges.edge == 0
 
-    def misfit(pose: tuple[Float64[Array, "3"], Float64[Array, "3"]]) -> float:
+    def criterion(pose: tuple[Float64[Array, "3"], Float64[Array, "3"]]) -> float:
         if not inner.any():
             return float(pose[1][2])
         off_m = _radial_distances_m(*pose, directions[inner], edges.edge[inner], radii)
         return float(np.abs(off_m).mean()) if np.isfinite(off_m).all() else inf
 
-    center_m, normal = min(poses, key=misfit)
+    center_m, normal = min(poses, key=criterion)
     return _edge_pose(StudyMethod.ELLIPSE, center_m, normal, directions, radii)
 
 
