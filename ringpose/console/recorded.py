@@ -11,8 +11,8 @@ from ringpose.report.overlay import pose_in_camera_frame
 from ringpose.report.replay import ReplayShot, times_s
 from ringpose.types.rig import Rig
 
-LONGEST_S = 2.0
-"""Longest time for which a shot is shown while the replay plays, at speed 1."""
+MAX_SHOWN_S = 2.0
+"""Maximum time for which a shot is shown while the replay plays, at speed 1."""
 
 
 class RecordedPage:
@@ -80,7 +80,7 @@ class RecordedPage:
                 self._playing.value = False
                 continue
             gap_s = self._times_s[shown + 1] - self._times_s[shown]
-            wait_s = min(gap_s, LONGEST_S) / float(self._speed.value)
+            wait_s = min(gap_s, MAX_SHOWN_S) / float(self._speed.value)
             self._step(1)
 
     def _show(self) -> None:
