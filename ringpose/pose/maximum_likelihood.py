@@ -132,8 +132,8 @@ def most_likely_pose(
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, source)
-    doubts, remark = untimed or _displaced(rejected) or _ring_doubts(best, break_points)
-    result = replace(result, flags=result.flags | doubts, remark="; ".join(filter(None, [result.remark, remark])))
+    flags, remark = untimed or _displaced(rejected) or _ring_flags(best, break_points)
+    result = replace(result, flags=result.flags | flags, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
     flags |= result.flags
@@ -246,7 +246,7 @@ def _displaced(rejected: Sequence[Rejection]) -> tuple[PoseFlag, str] | None:
     return PoseFlag.INCONSISTENT, f"the stripe of laser {lasers[0]} is near the ring of the others, but not on it"
 
 
-def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
+def _ring_flags(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
     """Flags of a shot that something else than a ring may have left, such as the side of a board, and why.
 
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
