@@ -298,7 +298,8 @@ def _compared(truth: Truth, line: PoseLine) -> Compared:
     if "velocity" in reported and velocity is not None and moves:
         true_m_s = np.zeros(3) if truth.velocity_m_s is None else truth.velocity_m_s
         true_rad_s = np.zeros(3) if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
-        rate_error_rad_s = tilt_basis(pose.normal) @ (velocity.rate_rad_s - true_rad_s)
+        across_rad_s = true_rad_s - (true_rad_s @ normal) * normal  # the spin about the true normal is not observable
+        rate_error_rad_s = tilt_basis(pose.normal) @ (velocity.rate_rad_s - across_rad_s)
         found["velocity"] = np.concatenate([velocity.center_m_s - true_m_s, rate_error_rad_s]), velocity.covariance
     return found
 

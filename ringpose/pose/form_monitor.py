@@ -27,6 +27,12 @@ _LIMIT_SIGMAS = sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * log(STREAM_SHOTS))
 
 _EDGES = 2
 
+_MAX_SQUARED_DEVIATION = chi2_quantile(_EDGES, FALSE_ALARM_SIGMAS)
+"""What a shot contributes at most: one of a thousand right shots deviates more."""
+
+_REFITS = 3
+"""Number of times that a ring is fitted to the shots that agree with it."""
+
 
 class FormMonitor:
     """Compares the radii of the last shots of a ring, and flags the following ones if they differ."""
@@ -62,15 +68,9 @@ class FormMonitor:
         return replace(line, flags=flags, pose=replace(line.pose, flags=line.pose.flags | flags), reason=reason)
 
     def _finding(self) -> str:
-        """The reason why the ring is not round; empty if the radii agree.
-
-        The shot that deviates most is left out, as a single one may be wrong.
-        """
-        if len(self._shots) < MIN_SHOTS:
-            return ""
-        worst = int(np.argmax(_squared_deviations(self._shots)))
-        shots = [*self._shots[:worst], *self._shots[worst + 1 :]]
-        if sum(_squared_deviations(shots)) <= chi2_quantile(_EDGES * (len(shots) - 1), _LIMIT_SIGMAS):
+        """The reason why the ring is not round; empty if the radii agree."""
+        count = len(self._shots)
+        if count < MIN_SHOTS or _disagreement(self._shots) <= chi2_quantile(_EDGES * (count - 1), _LIMIT_SIGMAS):
             return ""
         spread_mm = 1e3 * float(np.std([1.0 / curvature[1] for curvature, _ in self._shots]))
         return (
@@ -79,14 +79,18 @@ class FormMonitor:
         )
 
 
-def _squared_deviations(
-    shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]],
-) -> list[float]:
-    """Squared deviations of the curvatures from their weighted mean, each in units of its variance."""
-    information = [np.linalg.inv(covariance) for _, covariance in shots]
-    weighted = sum(each @ curvature for each, (curvature, _) in zip(information, shots, strict=True))
-    mean = np.linalg.solve(np.sum(information, axis=0), weighted)
-    return [
-        float((curvature - mean) @ each @ (curvature - mean))
-        for each, (curvature, _) in zip(information, shots, strict=True)
-    ]
+def _disagreement(shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]]) -> float:
+    """Sum of the squared deviations of the curvatures from one ring, each in units of its variance and bounded.
+
+    The ring is the one with the least sum of those found from the curvatures of each shot. A few wrong shots, however
+    far they are off, are not evidence: of a ring that is not round, most shots deviate.
+    """
+    curvature = np.stack([each for each, _ in shots])
+    information = np.linalg.inv([covariance for _, covariance in shots])
+    weighted, rings = (information @ curvature[..., None])[..., 0], curvature
+    for _ in range(_REFITS):
+        error = curvature - rings[:, None]
+        chi2 = np.einsum("rsi,sij,rsj->rs", error, information, error)
+        agrees = chi2 < _MAX_SQUARED_DEVIATION
+        rings = np.linalg.solve(np.einsum("rs,sij->rij", agrees, information), (agrees @ weighted)[..., None])[..., 0]
+    return float(np.minimum(chi2, _MAX_SQUARED_DEVIATION).sum(axis=1).min())

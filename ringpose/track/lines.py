@@ -69,7 +69,7 @@ def track_line(
 
     `in_base`: whether the track is in the robot's base frame, since the motion of the camera is known.
     """
-    stamp_s = max(stamp_s, track.stamp_s) if track.banks else stamp_s
+    stamp_s = max(track.stamp_s, stamp_s) if track.banks else stamp_s  # that of the track if the instant is unknown
     lost = TrackLine(
         stamp_s=stamp_s,
         attempt=attempts[-1] if attempts else NO_ATTEMPT,

@@ -102,6 +102,13 @@ def test_a_velocity_is_wrong_from_five_standard_deviations(sigmas, wrong):
     assert "velocity" not in without_truth.judgements
 
 
+def test_a_spin_about_the_true_normal_is_not_an_error_of_a_pose_whose_normal_is_off():
+    truth = truth_of(**MOVING)
+    off = estimate_of(normal=tilted(truth.normal, np.array([0.002, 0.0])), line={"velocity": velocity_of(truth)})
+
+    assert score(truth, off, "ml", None).errors["rate_rad_s"] < 1e-6  # of a spin of 3 rad/s
+
+
 def turned(angle_rad: float) -> np.ndarray:
     return np.array([-np.sin(angle_rad), 0.0, -np.cos(angle_rad)])
 

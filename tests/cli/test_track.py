@@ -156,6 +156,18 @@ def test_records_without_a_measurement_are_reported_in_their_line(capsys, tmp_pa
     assert records[0]["reason"] is None
 
 
+def test_a_record_without_a_time_stamp_gives_a_line_at_the_time_of_the_track(capsys, tmp_path, lines):
+    file = tmp_path / "poses.jsonl"
+    timeless = json.dumps(json.loads(lines[1]) | {"stamp_s": None, "pose_stamp_s": None}) + "\n"
+    file.write_text("".join([lines[0], timeless, lines[2]]))
+
+    status, records, _ = tracked(capsys, file)
+
+    assert status == 0
+    assert [record["fusion_status"] for record in records] == ["fused", "none", "fused"]
+    assert validated(records[1])["stamp_s"] == records[0]["stamp_s"]
+
+
 def test_poses_without_measurements_are_reported_once(capsys, tmp_path, rig, detections):
     main(["pose", str(detections), "--rig", str(rig), "--brief"])
     file = tmp_path / "poses.jsonl"

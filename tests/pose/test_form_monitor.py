@@ -74,6 +74,16 @@ def test_a_single_shot_with_another_radius_is_not_evidence(line, rng):
     assert all(warning is None for _, warning in monitored(lines))
 
 
+def test_a_few_wrong_shots_are_not_evidence(line, rng):
+    sd_m = np.sqrt(line.pose.covariance[6, 6])
+    lines = stream(line, rng, 50)
+    for place, sigmas in ((5, -9.0), (17, 8.0), (30, -7.0)):
+        radius_m = [lines[place].pose.radius_inner_m, lines[place].pose.radius_outer_m]
+        lines[place] = with_radii(line, radius_m + sigmas * sd_m)
+
+    assert all(warning is None for _, warning in monitored(lines))
+
+
 def test_another_ring_is_not_compared(line, rng):
     radius_m = np.array([0.438, 0.468])
     lines = [*stream(line, rng, 6), *(with_radii(line, radius_m) for _ in range(6)), *stream(line, rng, 6)]
