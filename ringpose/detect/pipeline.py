@@ -22,7 +22,7 @@ from ringpose.detect.difference_images import (
     saturated_along_stripes,
 )
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CONFIRMED, Face, displaced_lasers, planes_per_m, ring_face, surface_in_front
+from ringpose.detect.rim import CONFIRMED, Face, displaced_lasers, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.camera_motion import CameraMotion
@@ -369,7 +369,7 @@ def _face(tracks: Float64[Array, "track column=11"], unlabelled: list[int], rig:
         return NoBreakPoints.NO_RING
     if face.ambiguous:
         return NoBreakPoints.AMBIGUOUS_LABELS
-    return NoBreakPoints.SURFACE_IN_FRONT if surface_in_front(face, tracks, rig) else face
+    return NoBreakPoints.SURFACE_IN_FRONT if face.behind else face
 
 
 def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:

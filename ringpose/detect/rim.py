@@ -96,6 +96,8 @@ class Face:
     score: float
     ambiguous: bool
     """Another assignment explains the same segments about as well, or explains them as stripes on the body."""
+    behind: bool = False
+    """Another segment is on a flat surface in front of these, which may be the face."""
 
 
 class Group(NamedTuple):
@@ -120,9 +122,10 @@ class Faces(NamedTuple):
 
 
 def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
-    """The face of the best score, from as many lasers as are consistent; None if no segment can be on a face.
+    """The foremost face, from as many lasers as are consistent; None if no segment can be on a face.
 
-    `lasers` are those that an unlabelled segment may belong to.
+    It is the one of the best score, unless there is one in front of it. `lasers` are those that an unlabelled segment
+    may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
     every, found = ring_faces(
@@ -143,9 +146,9 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
         or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
     )
-    if not CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
-        return face
-    return _with_further_lasers(face, every, lasers, rig)
+    if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
+        face = _with_further_lasers(face, every, lasers, rig)
+    return _foremost(face, tracks, rig)
 
 
 def _with_further_lasers(
@@ -302,23 +305,31 @@ def _others(face: Face, tracks: Float64[Array, "track column=11"]) -> list[list[
     return [row for row in long.tolist() if row not in used]
 
 
-def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
-    """Whether one of these lasers has a further stripe, as long, on a flat surface parallel to the ring in front of it.
+def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> Face:
+    """The face, or the one in front of it; `behind` if another surface in front of it may be the face.
 
-    A ring's face is its foremost flat surface: that stripe may be on the face, and the selected ones on a flange behind
-    it, which is an annulus, too. False for a single laser, whose stripe does not determine a plane; segments that are
-    not assigned to a laser are not examined.
+    A ring's face is its foremost flat surface; a flange behind it is an annulus, too, and a wider one has longer
+    stripes. Three stripes in front that make a face are on it. Stripes of two lasers there, or one that is about as
+    long as the selected ones, may be all that is seen of it; a shorter one may be a reflection, and a much longer one
+    is not on a ring. A single laser's stripe does not determine a plane; segments that are not assigned to a laser are
+    not examined.
     """
     others = [row for row in _others(face, tracks) if int(row[LASER]) in face.lasers]
     if len(face.lasers) < 2 or not others:
-        return False
+        return face
     _, lengths_m, origin, normal = _plane_of(face, rig)
-    for row in others:
-        ends = np.array(_points_m(row, int(row[LASER]), rig))
-        as_long = MIN_LENGTH_RATIO * min(lengths_m) < math.dist(*ends) < MAX_TO_SHORTEST * max(lengths_m)
-        if as_long and parallel_in_front(ends, origin, normal):
-            return True
-    return False
+    ends_m = [np.array(_points_m(row, int(row[LASER]), rig)) for row in others]
+    front = {
+        index: math.dist(*ends)
+        for index, ends in enumerate(ends_m)
+        if math.dist(*ends) < MAX_TO_SHORTEST * max(lengths_m) and parallel_in_front(ends, origin, normal)
+    }
+    rows = [others[index] for index in front]
+    nearer = ring_face(np.array(rows), (), rig) if len(rows) >= CONFIRMED else None
+    if nearer is not None and len(nearer.lasers) >= CONFIRMED:
+        return nearer
+    as_long = any(length_m > MIN_LENGTH_RATIO * min(lengths_m) for length_m in front.values())
+    return replace(face, behind=as_long or len({row[LASER] for row in rows}) > 1)
 
 
 def parallel_in_front(

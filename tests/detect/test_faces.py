@@ -8,7 +8,7 @@ from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 from ring_scenes import break_points_of, line_of_face, make_scene, with_lines
 
 from ringpose.detect.break_points import without_outliers
-from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face, surface_in_front
+from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.lines import TRACK_COLUMNS
 from ringpose.types.detection import UNLABELLED, BreakPointFlag
@@ -146,11 +146,39 @@ def in_front(ends, laser, height_m, slope, shift_m=0.05):
 @pytest.mark.parametrize("laser", ALL)
 def test_a_ring_behind_a_parallel_surface_may_be_a_flange_below_the_face(laser, height_m, slope, expected):
     faces = [row(*ends, own) for own, ends in enumerate(face_ends(1))]
-    face = ring_face(np.array(faces), (), RIG)
     tracks = np.array([*faces, row(*in_front(face_ends(1)[laser], laser, height_m, slope), laser)])
 
+    face = ring_face(tracks, (), RIG)
+
+    np.testing.assert_array_equal(face.tracks, faces)
+    assert face.behind is expected
+
+
+def part_of(ends, share):
+    """The ends of a stripe about the middle of another one, of this share of its length."""
+    middle = ends.mean(axis=0)
+    return middle + share * (ends - middle)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8])
+def test_the_face_is_the_foremost_of_two_rings_however_narrow(share):
+    flange = [row(*ends, laser) for laser, ends in enumerate(face_ends(1))]
+    ends_in_front = [in_front(part_of(ends, share), laser, 0.03, 0.0) for laser, ends in enumerate(face_ends(1))]
+    faces = [row(*ends, laser) for laser, ends in enumerate(ends_in_front)]
+
+    face = ring_face(np.array([*flange, *faces]), (), RIG)
+
     assert face.lasers == ALL
-    assert surface_in_front(face, tracks, RIG) is expected
+    np.testing.assert_array_equal(face.tracks, faces)
+    assert not face.behind
+
+
+def test_two_narrow_stripes_in_front_may_be_all_that_is_seen_of_the_face():
+    flange = [row(*ends, laser) for laser, ends in enumerate(face_ends(1))]
+    faces = [row(*in_front(part_of(face_ends(1)[laser], 0.4), laser, 0.03, 0.0), laser) for laser in (0, 1)]
+
+    assert ring_face(np.array([*flange, *faces]), (), RIG).behind
+    assert not ring_face(np.array([*flange, *faces[:1]]), (), RIG).behind
 
 
 def points_with_one_wrong(seed, by_px, *, labelled):
