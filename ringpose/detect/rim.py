@@ -35,7 +35,7 @@ from ringpose.kernels.lines import (
     RingParams,
     UnionParams,
 )
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Camera, Rig
 
@@ -71,6 +71,9 @@ IN_FRONT_M = (0.005, 0.3)
 
 PARALLEL_WITHIN = 0.05
 """Maximum slope of a stripe on it to that plane; the normal of two short stripes is known to a few degrees."""
+
+MAX_TILT_OF_FACES = 0.1
+"""Maximum angle in rad between two parallel faces of three stripes each: the planes of short stripes err."""
 
 MIN_LENGTH_RATIO, MIN_COLUMNS_IN_FRONT = 0.5, 30
 """Minimum length of that stripe, as a share of those on the ring, and in columns; shorter ones may be reflections."""
@@ -188,9 +191,9 @@ def _segments_on_plane(
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
             if laser in found or row in found.values():
                 continue
-            length_m = math.dist(*_points_m(row, laser, rig))
-            as_long = max(lengths_m) / MAX_TO_SHORTEST < length_m < MAX_TO_SHORTEST * min(lengths_m)
-            in_front = min(_depths_m(row, laser, rig)) > DEPTH_RANGE_M[0]
+            (own_m,) = _ends_m(np.array([row]), [laser], rig)
+            as_long = max(lengths_m) / MAX_TO_SHORTEST < math.dist(*own_m) < MAX_TO_SHORTEST * min(lengths_m)
+            in_front = own_m[:, 2].min() > DEPTH_RANGE_M[0]
             if in_front and as_long and _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX:
                 found[laser] = row
     return found
@@ -204,7 +207,7 @@ def _off_plane_px(
     That line is (a - n / (n . o)) . (x, y, 1) = 0, with the light plane a . P = 1.
     """
     optics = lens(rig.camera)
-    line = np.array(_plane_numbers(rig)[laser]) - normal / (normal @ origin_m)
+    line = planes_per_m(rig)[laser] - normal / (normal @ origin_m)
     off_px = []
     for x_px in (row[X_START], row[X_END]):
         x = (x_px - optics.cx) / optics.fx
@@ -254,10 +257,9 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
 
 def _lengths_consistent(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
     """Whether the segments may cross one band: none is much shorter than the longest, unless the image truncates it."""
-    rows = tracks.tolist()
-    lengths_m = [math.dist(*_points_m(row, laser, rig)) for row, laser in zip(rows, lasers, strict=True)]
-    whole_m = [length_m for row, length_m in zip(rows, lengths_m, strict=True) if not row[CLIPPED]]
-    return not whole_m or max(lengths_m) < MAX_TO_SHORTEST * min(whole_m)
+    lengths_m = _lengths_m(_ends_m(tracks, lasers, rig))
+    whole_m = lengths_m[tracks[:, CLIPPED] == 0]
+    return bool(lengths_m.max() < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
 
 
 def may_be_background(
@@ -268,13 +270,15 @@ def may_be_background(
     On the light plane of that laser, the segment is longer than any stripe on a face, and farther away than on the
     plane of its own laser, within range.
     """
-    for row, laser in zip(tracks.tolist(), own, strict=True):
-        nearest, farthest = _depths_m(row, laser, rig)
-        for other in lasers if row[LASER] == UNLABELLED else ():
-            low, high = _depths_m(row, other, rig)
-            farther = other != laser and low > max(nearest, BODY_RANGE_M[0]) and high < BODY_RANGE_M[1]
-            if farther and high > farthest and math.dist(*_points_m(row, other, rig)) > FACE_LENGTH_M[1]:
-                return True
+    own_m = _ends_m(tracks, own, rig)[..., 2]
+    for other in lasers:
+        ends_m = _ends_m(tracks, [other] * len(tracks), rig)
+        depth_m = ends_m[..., 2]
+        farther = (depth_m.min(axis=1) > own_m.min(axis=1)) & (depth_m.max(axis=1) > own_m.max(axis=1))
+        in_range = (depth_m.min(axis=1) > BODY_RANGE_M[0]) & (depth_m.max(axis=1) < BODY_RANGE_M[1])
+        possible = (tracks[:, LASER] == UNLABELLED) & (np.array(own) != other)
+        if bool((possible & farther & in_range & (_lengths_m(ends_m) > FACE_LENGTH_M[1])).any()):
+            return True
     return False
 
 
@@ -289,20 +293,17 @@ class _Plane(NamedTuple):
 
 
 def _plane_of(face: Face, rig: Rig) -> _Plane:
-    ends_m = np.array(
-        [_points_m(row, laser, rig) for row, laser in zip(face.tracks.tolist(), face.lasers, strict=True)]
-    )
+    ends_m = _ends_m(face.tracks, face.lasers, rig)
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
     normal = np.linalg.svd(points_m - origin_m, full_matrices=False)[2][2]
-    return _Plane(ends_m, [math.dist(*ends) for ends in ends_m], origin_m, -np.sign(normal @ origin_m) * normal)
+    return _Plane(ends_m, _lengths_m(ends_m).tolist(), origin_m, -np.sign(normal @ origin_m) * normal)
 
 
-def _others(face: Face, tracks: Float64[Array, "track column=11"]) -> list[list[float]]:
+def _others(face: Face, tracks: Float64[Array, "track column=11"]) -> Float64[Array, "other column=11"]:
     """The other segments that are not truncated by the image, and longer than most reflections."""
-    long = tracks[(tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
-    used = face.tracks.tolist()
-    return [row for row in long.tolist() if row not in used]
+    used = (tracks[:, None] == face.tracks).all(axis=2).any(axis=1)
+    return tracks[~used & (tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
 
 
 def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> Face:
@@ -311,34 +312,43 @@ def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -
     A ring's face is its foremost flat surface; a flange behind it is an annulus, too, and a wider one has longer
     stripes. Three stripes in front that make a face are on it. Stripes of two lasers there, or one that is about as
     long as the selected ones, may be all that is seen of it; a shorter one may be a reflection, and a much longer one
-    is not on a ring. A single laser's stripe does not determine a plane; segments that are not assigned to a laser are
-    not examined.
+    is not on a ring. A single laser's stripe does not determine a plane. Segments that are not assigned to a laser are
+    examined only as three that make a face: by the plane of another laser, a stripe on the body may be anywhere.
     """
-    others = [row for row in _others(face, tracks) if int(row[LASER]) in face.lasers]
-    if len(face.lasers) < 2 or not others:
+    others = _others(face, tracks)
+    if len(face.lasers) < 2 or not len(others):
         return face
-    _, lengths_m, origin, normal = _plane_of(face, rig)
-    ends_m = [np.array(_points_m(row, int(row[LASER]), rig)) for row in others]
-    front = {
-        index: math.dist(*ends)
-        for index, ends in enumerate(ends_m)
-        if math.dist(*ends) < MAX_TO_SHORTEST * max(lengths_m) and parallel_in_front(ends, origin, normal)
-    }
-    rows = [others[index] for index in front]
-    nearer = ring_face(np.array(rows), (), rig) if len(rows) >= CONFIRMED else None
+    plane, lasers = _plane_of(face, rig), np.array(face.lasers)
+    which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
+    ends_m = _ends_m(others[which], lasers[number], rig)
+    rows = others[np.unique(which[_in_front(ends_m, plane.origin_m, plane.normal)])]
+    nearer = ring_face(rows, face.lasers, rig) if len(rows) >= CONFIRMED else None
     if nearer is not None and len(nearer.lasers) >= CONFIRMED:
-        return nearer
-    as_long = any(length_m > MIN_LENGTH_RATIO * min(lengths_m) for length_m in front.values())
-    return replace(face, behind=as_long or len({row[LASER] for row in rows}) > 1)
+        nearer_m, _, _, normal = _plane_of(nearer, rig)
+        parallel = float(np.linalg.norm(normal - plane.normal)) < MAX_TILT_OF_FACES
+        if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
+            return nearer
+    length_m, may_be_face = _lengths_m(ends_m), parallel_in_front(ends_m, plane.origin_m, plane.normal)
+    short = length_m < MAX_TO_SHORTEST * max(plane.lengths_m)
+    assigned = np.flatnonzero((others[which, LASER] != UNLABELLED) & may_be_face & short)
+    as_long = length_m[assigned].max(initial=0.0) > MIN_LENGTH_RATIO * min(plane.lengths_m)
+    return replace(face, behind=bool(as_long) or len(np.unique(number[assigned])) > 1)
+
+
+def _in_front(
+    ends_m: Float64[Array, "n end=2 xyz=3"], origin_m: Float64[Array, "xyz=3"], normal: Float64[Array, "xyz=3"]
+) -> Bool[Array, "n"]:
+    """Whether stripes with these ends are on surfaces in front of a plane (`IN_FRONT_M`)."""
+    off_m = (ends_m - origin_m) @ normal
+    return (off_m.min(axis=1) > IN_FRONT_M[0]) & (off_m.max(axis=1) < IN_FRONT_M[1])
 
 
 def parallel_in_front(
-    ends_m: Float64[Array, "end=2 xyz=3"], origin_m: Float64[Array, "xyz=3"], normal: Float64[Array, "xyz=3"]
-) -> bool:
-    """Whether a stripe with these ends is on a surface in front of a plane (`IN_FRONT_M`) and parallel to it."""
-    low_m, high_m = sorted(((ends_m - origin_m) @ normal).tolist())
-    parallel = high_m - low_m < PARALLEL_WITHIN * math.dist(*ends_m)
-    return IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel
+    ends_m: Float64[Array, "n end=2 xyz=3"], origin_m: Float64[Array, "xyz=3"], normal: Float64[Array, "xyz=3"]
+) -> Bool[Array, "n"]:
+    """Whether these surfaces are parallel to the plane, too."""
+    slope_m = np.abs((ends_m[:, 1] - ends_m[:, 0]) @ normal)
+    return _in_front(ends_m, origin_m, normal) & (slope_m < PARALLEL_WITHIN * _lengths_m(ends_m))
 
 
 def displaced_lasers(
@@ -350,48 +360,48 @@ def displaced_lasers(
     are those that an unlabelled segment may belong to.
     """
     others = _others(face, tracks)
-    if len(face.lasers) != CONFIRMED - 1 or not others:
+    if len(face.lasers) != CONFIRMED - 1 or not len(others):
         return ()
-    ends_m, lengths_m, origin, normal = _plane_of(face, rig)
-    across = ends_m[1].mean(axis=0) - ends_m[0].mean(axis=0)
+    plane = _plane_of(face, rig)
+    across = plane.ends_m[1].mean(axis=0) - plane.ends_m[0].mean(axis=0)
     along = across / np.linalg.norm(across)
+    shortest_m, longest_m = min(plane.lengths_m), max(plane.lengths_m)
     found = []
-    for row in others:
-        for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
-            ends = np.array(_points_m(row, laser, rig))
-            offset, length_m, off_m = ends.mean(axis=0) - origin, math.dist(*ends), (ends - origin) @ normal
-            aside_m = float(np.linalg.norm(offset - (offset @ along) * along - (offset @ normal) * normal))
-            ratio = max(max(lengths_m) / length_m, length_m / min(lengths_m))
-            alike = ratio < ALIKE and float(np.ptp(off_m)) < PARALLEL_WITHIN * length_m
-            near = float(np.abs(off_m).max()) < (ALIKE_DISPLACED_M if alike else DISPLACED_M)
-            as_long = min(lengths_m) / MAX_TO_SHORTEST < length_m < MAX_TO_SHORTEST * max(lengths_m)
-            if laser not in face.lasers and as_long and near and aside_m < max(lengths_m):
-                found.append(laser)
-    return tuple(sorted(set(found)))
+    for laser in set(range(len(rig.lasers.names))).difference(face.lasers):
+        own = (others[:, LASER] == laser) | ((others[:, LASER] == UNLABELLED) & (laser in lasers))
+        ends_m = _ends_m(others[own], [laser] * int(own.sum()), rig)
+        offset_m, length_m, off_m = (
+            ends_m.mean(axis=1) - plane.origin_m,
+            _lengths_m(ends_m),
+            (ends_m - plane.origin_m) @ plane.normal,
+        )
+        aside_m = offset_m - np.outer(offset_m @ along, along) - np.outer(offset_m @ plane.normal, plane.normal)
+        alike = np.maximum(longest_m / length_m, length_m / shortest_m) < ALIKE
+        alike &= np.ptp(off_m, axis=1) < PARALLEL_WITHIN * length_m
+        near = np.abs(off_m).max(axis=1) < np.where(alike, ALIKE_DISPLACED_M, DISPLACED_M)
+        as_long = (length_m > shortest_m / MAX_TO_SHORTEST) & (length_m < MAX_TO_SHORTEST * longest_m)
+        if bool((as_long & near & (np.linalg.norm(aside_m, axis=1) < longest_m)).any()):
+            found.append(laser)
+    return tuple(sorted(found))
 
 
-def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, float, float]]:
-    """The ends of a segment in space (m, camera frame), on the light plane of a laser."""
-    optics, (a, b, c) = lens(rig.camera), _plane_numbers(rig)[laser]
-    points = []
-    for x_px in (row[X_START], row[X_END]):
-        x = (x_px - optics.cx) / optics.fx
-        y = (row[MIDDLE_Y] + row[SLOPE] * (x_px - row[MIDDLE_X]) - optics.cy) / optics.fy
-        depth = 1 / (a * x + b * y + c or math.nan)
-        points.append((x * depth, y * depth, depth))
-    return points
+def _ends_m(
+    tracks: Float64[Array, "n column=11"], lasers: Sequence[int] | Int64[Array, "n"], rig: Rig
+) -> Float64[Array, "n end=2 xyz=3"]:
+    """The ends of segments in space (m, camera frame), each on the light plane of its laser."""
+    x_px = tracks[:, [X_START, X_END]]
+    y_px = tracks[:, MIDDLE_Y, None] + tracks[:, SLOPE, None] * (x_px - tracks[:, MIDDLE_X, None])
+    optics = lens(rig.camera)
+    rays = np.ones((*x_px.shape, 3))
+    rays[..., 0], rays[..., 1] = (x_px - optics.cx) / optics.fx, (y_px - optics.cy) / optics.fy
+    with np.errstate(divide="ignore", invalid="ignore"):  # rays along a light plane
+        ends_m: Float64[Array, "n end=2 xyz=3"] = rays / (rays @ planes_per_m(rig)[lasers, :, None])
+    return ends_m
 
 
-def _depths_m(row: Sequence[float], laser: int, rig: Rig) -> tuple[float, float]:
-    """Depths (m) of a segment's nearer and farther end on the light plane of a laser; negative behind the camera."""
-    start, end = (depth for _, _, depth in _points_m(row, laser, rig))
-    return min(start, end), max(start, end)
-
-
-@lru_cache(maxsize=4)
-def _plane_numbers(rig: Rig) -> list[list[float]]:
-    numbers: list[list[float]] = planes_per_m(rig).tolist()
-    return numbers
+def _lengths_m(ends_m: Float64[Array, "n end=2 xyz=3"]) -> Float64[Array, "n"]:
+    lengths_m: Float64[Array, "n"] = np.sqrt(((ends_m[:, 1] - ends_m[:, 0]) ** 2).sum(axis=1))
+    return lengths_m
 
 
 @lru_cache(maxsize=4)

@@ -224,7 +224,7 @@ def _in_front(laser: int, break_points: BreakPoints, ring: RingArcs | None, rig:
     ends = intersect(undistorted_rays(ends_px, rig.camera), *plane)
     if ring is None or not np.isfinite(ends).all():
         return False
-    return parallel_in_front(ends, ring.origin, ring.normal)
+    return bool(parallel_in_front(ends[None], ring.origin, ring.normal)[0])
 
 
 def _contradict(

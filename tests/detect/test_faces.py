@@ -160,13 +160,15 @@ def part_of(ends, share):
     return middle + share * (ends - middle)
 
 
+@pytest.mark.parametrize("assigned", [True, False])
 @pytest.mark.parametrize("share", [0.4, 0.8])
-def test_the_face_is_the_foremost_of_two_rings_however_narrow(share):
-    flange = [row(*ends, laser) for laser, ends in enumerate(face_ends(1))]
+def test_the_face_is_the_foremost_of_two_rings_however_narrow(share, assigned):
+    names = ALL if assigned else [UNLABELLED] * 3
     ends_in_front = [in_front(part_of(ends, share), laser, 0.03, 0.0) for laser, ends in enumerate(face_ends(1))]
-    faces = [row(*ends, laser) for laser, ends in enumerate(ends_in_front)]
+    flange = [row(*ends, laser) for laser, ends in zip(names, face_ends(1), strict=True)]
+    faces = [row(*ends, laser) for laser, ends in zip(names, ends_in_front, strict=True)]
 
-    face = ring_face(np.array([*flange, *faces]), (), RIG)
+    face = ring_face(np.array([*flange, *faces]), () if assigned else ALL, RIG)
 
     assert face.lasers == ALL
     np.testing.assert_array_equal(face.tracks, faces)
