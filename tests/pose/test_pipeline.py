@@ -53,7 +53,7 @@ def test_edges_that_ambient_light_should_show_and_that_were_not_found_are_not_ok
 
     line = pose_line(detection, drawn_rig(), options=AssumptionOptions(still=True))
 
-    assert PoseFlag.EDGE_REJECTED in line.flags
+    assert {PoseFlag.EDGE_REJECTED, PoseFlag.INCONSISTENT} <= set(line.flags)
     assert line.status == "degraded"
     assert "ambient light" in line.reason
 
