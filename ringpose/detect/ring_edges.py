@@ -489,8 +489,12 @@ class StripeEvidence:
     start: PredictedRing
 
     def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
-        """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open."""
+        """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open.
+
+        Beside several stripes the edges count as those of the face, to be searched farther along it.
+        """
         prior = Prior(regularize_about=self.start.arcs)
+        edges = replace(edges, walls=len(self.measured.lines.laser) == ONE_STRIPE)
         with np.errstate(all="ignore"):
             ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
         return None if ring is None else PredictedRing(*ring)
