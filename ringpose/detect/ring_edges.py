@@ -275,7 +275,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
         return None
     wider, steps = 1.0, len(found.trace.edge_sign)
     mostly_visible = steps >= MOSTLY_VISIBLE * len(trace.edge_sign)
-    if not mostly_visible:
+    if GROUP * len(points.edge) < MOSTLY_VISIBLE * len(trace.edge_sign):  # most steps are beside the edges, if any
         wider = uncertainty_factor(points, refined.arcs, stripes, break_points, frame, rig)
         if not math.isfinite(wider):
             return None
@@ -297,8 +297,8 @@ STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.3, 7.0
 """Standard deviation of a step on the edge from the ring, and the density of these steps at the edge over that of the
 steps of what is behind: a third of the steps are on the edge."""
 
-INDEPENDENT_STEPS = 1.25
-"""Steps for each independent one: neighbouring ones are partly on the same facet of foil."""
+SAME_FACET_PX = 1.0
+"""Largest difference of neighbouring steps, across the edge, that are on the border of one facet of foil."""
 
 OPEN_CURVATURE_PER_M = 0.5
 """Standard deviation of the curvature by the stripes alone from which it is the visible edges that determine it."""
@@ -324,7 +324,8 @@ def uncertainty_factor(
     The stripes leave mainly one number of the ring open, its curvature with the centre that follows from it. If most
     steps are on foil as bright as the face, other curvatures explain about as many steps as the one that the tracking
     arrived at. The likelihood of the curvature, with steps on the edge and steps of what is behind (a mixture), shows
-    how well it is known; its second moment about the curvature found is the variance that the points must have.
+    how well it is known; its second moment about the curvature found is the variance that the points must have. The
+    steps of a facet's border are one coincidence, however long the border is.
 
     If the stripes do not determine the curvature, nothing shows that these are edges of the ring, unless most steps are
     on them, and on both; a single one may be any circle, and the factor is infinite.
@@ -348,7 +349,9 @@ def uncertainty_factor(
     confirmed = confirmed or (mostly_on_edge and of_fewer >= MIN_OF_BOTH)
     away = np.sinh(CURVATURES) / math.sqrt(information)
     on_edge = np.exp(-0.5 * ((residual_px + away[:, None] * slope_px) / STEP_ON_EDGE_PX) ** 2)
-    logarithm = np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1) / INDEPENDENT_STEPS
+    other_facet = (np.diff(trace.number) != 1) | (np.abs(np.diff(residual_px)) > SAME_FACET_PX)
+    facets_per_step = (1 + np.count_nonzero(other_facet)) / max(len(residual_px), 1)
+    logarithm = facets_per_step * np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1)
     weight = np.exp(logarithm - logarithm.max()) * np.cosh(CURVATURES)
     variance = float(weight @ away**2 / weight.sum())
     if not math.isfinite(variance):
@@ -489,8 +492,12 @@ class RingFromStripes:
     start: PredictedRing
 
     def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
-        """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open."""
+        """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open.
+
+        Beside several stripes the edges count as those of the face, to be searched farther along it.
+        """
         prior = Prior(regularize_about=self.start.arcs)
+        edges = replace(edges, walls=len(self.measured.lines.laser) == ONE_STRIPE)
         with np.errstate(all="ignore"):
             ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
         return None if ring is None else PredictedRing(*ring)

@@ -128,7 +128,7 @@ class Edges:
     stamp_s: Float64[Array, "visible"]
     """Mid exposure of the frame in which they were measured; NaN if unknown."""
     walls: bool = True
-    """Whether the edges beside a single stripe may be the feet of the ring's walls."""
+    """Whether the edges may be the feet of the ring's walls."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

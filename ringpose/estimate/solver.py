@@ -580,9 +580,9 @@ def moved_ring(
 
 # Common errors, whose derivatives are evaluated once, near the solution
 
-ROUNDED_M = 1e-4
-"""Standard deviation of the displacement of a visible edge by a chamfer or rounding, unless the ring's tolerance is
-smaller: machined edges are broken by a few tenths of a millimetre."""
+ROUNDED_M, ROUNDED_TOLERANCES = 5e-4, 5.0
+"""Standard deviation of the displacement of a visible edge by a chamfer or rounding, and its limit as a multiple of the
+ring's tolerance: machined edges are broken by up to half a millimetre, those of a perfect ring are sharp."""
 
 WALL_SD_M = 0.03
 """Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
@@ -670,17 +670,18 @@ def edge_jacobian(residuals: Residuals, observations: Observations, prior: Prior
     light lies beside the ends of the stripes by up to its width.
 
     What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
-    face. Beside several stripes such an edge contradicts them; a single one leaves the tilt about it to the edges, and
-    a tilt has the same effect. The depth of the foot below the face is then an error of each edge.
+    face: the depth of the foot below the face is an error of each edge. Beside several stripes it mainly changes the
+    curvature, as the wall's width in the image changes along the edge; a single one leaves the tilt about it to the
+    edges, and a tilt has the same effect.
     """
     edges = observations.measured.edges
     rows = slice(residuals.data_rows - len(edges.edge), residuals.data_rows)
     columns = [edges.common] if len(edges.edge) else []
-    rounded_m = min(ROUNDED_M, prior.assumptions.ring_tolerance_m)
+    rounded_m = min(ROUNDED_M, ROUNDED_TOLERANCES * prior.assumptions.ring_tolerance_m)
     if columns and rounded_m > 0.0:
         rounded = rounded_m * np.abs(residuals.jacobian[rows, HALF_BAND])
         columns.append(rounded[:, None] * (edges.edge[:, None] == range(len(EDGE_SIGN))))
-    if columns and edges.walls and len(set(observations.laser.tolist())) == 1:
+    if columns and edges.walls:
         outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
         of_edge = edges.edge[:, None] == range(len(EDGE_SIGN))
         wall_seen = of_edge & (outward[:, None] * EDGE_SIGN > 0.0)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from drawn_edges import (
@@ -426,3 +427,24 @@ def test_points_of_one_edge_are_not_used_if_the_stripes_leave_the_curvature_open
     assert np.isfinite(factor_of(rig, rng, [1]))
     assert factor_of(narrow(rig), rng, [1]) == np.inf
     assert np.isfinite(factor_of(narrow(rig), rng, [0, 1]))
+
+
+ON_THE_EDGES = ((80, 200, 1, 0.0), (320, 350, 1, 0.0), (700, 740, 0, 0.0), (880, 1000, 0, 0.0))
+BESIDE_ONE_EDGE = ((60, 180, 0, -1.0), (400, 900, 0, 2.0))
+
+
+@pytest.mark.parametrize("facets", [ON_THE_EDGES, BESIDE_ONE_EDGE])
+def test_steps_on_a_few_facets_of_foil_as_bright_as_the_face_are_few_coincidences(rig, rng, facets):
+    """Bright facets (first and last row, edge, distance beyond it in pixels) are all that shows where the edges are."""
+    scene, around = DrawnScene(), Surroundings(inside_dn=60.0, outside_dn=60.0)
+    radii_m, row, metres_per_px = all_radii_m(scene, rig), np.arange(1200)[:, None], scene.center_m[2] / 1781.0
+    bright = np.zeros(radii_m.shape)
+    for first, last, edge, beyond_px in facets:
+        off_m = (2 * edge - 1) * (radii_m - RADII_M[edge])
+        bright[(off_m > beyond_px * metres_per_px) & (row >= first) & (row < last)] = 40.0
+    image = picture(scene, rig, around, rng) + cv2.GaussianBlur(bright, (0, 0), around.blur_px)
+
+    found = found_edges(measured(scene, rig, rng), lit(np.rint(image).astype(np.uint8)), rig)
+
+    curvature = found.arcs.curvature
+    assert abs(curvature - 2.0 / sum(RADII_M)) < 3.0 * curvature / found.side_sigmas

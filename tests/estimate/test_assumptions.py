@@ -15,6 +15,7 @@ from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.estimate.residuals import Prior
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
+from ringpose.geometry.rays import intersect, project, rays
 from ringpose.geometry.ring import motion_derivatives, ring_arcs
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import pose_line, pose_result
@@ -313,10 +314,10 @@ def test_edges_of_a_round_ring_are_not_flagged():
 
 
 def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():
-    """0.2 mm at 0.5 m; with a perfect ring they contradict the stripes."""
+    """0.3 mm at 0.5 m; with a perfect ring they contradict the stripes."""
     shot, rig = with_form(0.5, "normal", 0)
     edges = shot.detection.ring_edges
-    beside = replace(edges, position_px=edges.position_px + 0.7 * edges.normal)
+    beside = replace(edges, position_px=edges.position_px + edges.normal)
     detection = replace(shot.detection, ring_edges=beside)
 
     line, strict = (pose_line(detection, rig, options=each) for each in (USUAL, NOISE_ONLY))
@@ -325,6 +326,23 @@ def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():
     error_m = line.pose.center_m - shot.truth.center_m
     assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 11.3
     assert "edge_rejected" in strict.flag_names
+
+
+@pytest.mark.parametrize("depth_m", [0.004, 0.01])
+def test_the_foot_of_a_wall_as_bright_as_the_face_may_look_like_the_edge(depth_m):
+    """The outer wall faces the camera; its foot is up to 15 px beside the edge."""
+    shot, rig = with_form(0.5, "normal", 7)
+    edges, truth = shot.detection.ring_edges, shot.truth
+    directions = rays(edges.position_px, rig.camera)
+    points = intersect(directions, truth.normal, np.asarray(truth.normal @ truth.center_m))
+    foot_px = project(points - depth_m * truth.normal, rig.camera)
+    position_px = np.where((edges.edge == 1)[:, None], foot_px, edges.position_px)
+    at_foot = replace(shot.detection, ring_edges=replace(edges, position_px=position_px))
+
+    on_face, line = (pose_line(each, rig) for each in (shot.detection, at_foot))
+
+    assert line.status == "ok"
+    np.testing.assert_allclose(line.pose.center_m, on_face.pose.center_m, atol=5e-4)
 
 
 # Stability of the rig
