@@ -48,7 +48,7 @@ ITERATIONS, ITERATED_UNTIL = 2, 6
 """How often, and until which number of measurements, an update is linearised again."""
 
 MAX_LOG_ODDS = 9.0
-"""Largest difference of the scores of two motion models: a target that looked steady for long may begin to move.
+"""Largest difference of the evidence of two motion models: a target that looked steady for long may begin to move.
 
 Within this bound the evidence for the models that describe it then takes over within a few shots; the weights that it
 leaves to the others are below `NEGLIGIBLE_WEIGHT`.
@@ -97,10 +97,24 @@ class Bank:
         return moved(self.chart, self.coordinates)
 
     @property
-    def scores(self) -> Float64[Array, "filter"]:
+    def penalized_evidence(self) -> Float64[Array, "filter"]:
         """Log evidence, less the penalty of BIC for the two additional parameters of precession."""
         penalty = np.log(max(self.measurements, 1)) * self.models.precession
-        scores: Float64[Array, "filter"] = self.log_evidence + self.models.log_prior - penalty
+        penalized: Float64[Array, "filter"] = self.log_evidence + self.models.log_prior - penalty
+        return penalized
+
+    @property
+    def scores(self) -> Float64[Array, "filter"]:
+        """Penalized evidence, including the probability that the centre of mass is behind the ring, not in front of it.
+
+        Measurements determine the product of lever and precession first: a filter may find the wrong sign of both.
+        """
+        from scipy.special import log_ndtr
+
+        scores, with_lever = self.penalized_evidence, self.models.precession
+        own, common = self.own[with_lever, LEVER, LEVER], self.common[with_lever, LEVER]
+        behind = log_ndtr(self.coordinates[with_lever, LEVER] / np.sqrt(own + (common**2).sum(axis=1)))
+        scores[with_lever] += np.where(np.isfinite(behind), behind, LOST)  # NaN if the ring is not where one was seen
         return scores
 
     @property
@@ -424,7 +438,7 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
         log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
         measurements=bank.measurements + 1,
     )
-    missing = after.scores.max() - MAX_LOG_ODDS - after.scores
+    missing = after.penalized_evidence.max() - MAX_LOG_ODDS - after.penalized_evidence
     return replace(after, log_evidence=after.log_evidence + np.maximum(missing, 0.0))
 
 
