@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_PARAMETERS
-from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.geometry.camera_motion import MAX_RATE_RAD_S, MAX_SPEED_M_S, CameraMotion
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import track_line
@@ -262,8 +262,13 @@ def _alike(first: CommonErrors, second: CommonErrors) -> bool:
 
 
 def _is_plausible(measurement: RingMeasurement) -> bool:
-    """Whether a measurement contains information, and none that no camera can have, about a ring that can exist."""
+    """Whether a measurement contains information, and none that no camera can have, about a ring that can exist.
+
+    A target is not faster, relative to the camera, than a robot can be.
+    """
     at, largest = measurement.linearized_at, float(np.abs(measurement.square_root[:, :-1]).max(initial=0.0))
     radius_m = 0.5 * (at.radius_inner_m + at.radius_outer_m)
     is_ring = 0.0 < radius_m < MAX_RADIUS_M and float(np.linalg.norm(at.center_m)) < MAX_DISTANCE_M + radius_m
-    return 0.0 < largest < MAX_INFORMATION_ROOT and is_ring
+    speed_m_s, rate_rad_s = float(np.linalg.norm(at.velocity_m_s)), float(np.linalg.norm(at.rate_rad_s))
+    is_possible = speed_m_s < MAX_SPEED_M_S and rate_rad_s < MAX_RATE_RAD_S
+    return 0.0 < largest < MAX_INFORMATION_ROOT and is_ring and is_possible

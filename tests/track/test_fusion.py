@@ -259,6 +259,11 @@ def with_root(line, factor: float):
     return replace(line, measurement=measurement)
 
 
+def moving_at(line, speed_m_s: float):
+    at_speed = replace(line.measurement.linearized_at, velocity_m_s=np.array([speed_m_s, 0.0, 0.0]))
+    return replace(line, measurement=replace(line.measurement, linearized_at=at_speed))
+
+
 @pytest.mark.parametrize(
     ("changed", "status"),
     [
@@ -267,9 +272,10 @@ def with_root(line, factor: float):
         (lambda line: with_root(line, 0.0), FusionStatus.REJECTED_COVARIANCE),
         (lambda line: with_root(line, 1e20), FusionStatus.REJECTED_COVARIANCE),
         (lambda line: displaced(line, 1e20), FusionStatus.REJECTED_COVARIANCE),
+        (lambda line: moving_at(line, 50.0), FusionStatus.REJECTED_COVARIANCE),
         (lambda line: at(line, START_S - 1.0), FusionStatus.TOO_OLD),
     ],
-    ids=["no measurement", "lasers may be exchanged", "no information", "implausible information", "far away", "old"],
+    ids=["no measurement", "exchanged lasers", "no information", "implausible information", "far", "fast", "old"],
 )
 def test_a_record_that_cannot_be_used_changes_nothing(records, changed, status):
     tracker = track_of(records[:-1])
