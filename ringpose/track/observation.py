@@ -183,11 +183,12 @@ def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Obse
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
-    """Vector from the centre to the place on the face where the shot determines best how far the ring extends.
+    """Vector from the centre to the middle of the places on the face where the shot shows how far the ring extends.
 
     Seen along the ray to a place P, the ring extends farther along e, outward, by e . (dc + offset dt) + dr, as the
     origin of the in-plane coordinates tilts with the plane, less (e . P) / (n . P) times the height doffset - P . dt by
-    which the plane rises there.
+    which the plane rises there. Places count by the inverse of the variance of this. Where edges are visible, it is
+    nearly the same along the arc, so that the place of the least variance may be beside the stripes.
     """
     at, count = measurement.linearized_at, len(MEASURED_PARAMETERS)
     rows = measurement.square_root[:, :count] * _BROAD
@@ -200,6 +201,6 @@ def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
     wrt_tilt, half = offset_m * outward + slope * place_m, np.full((2, len(_PLACES_RAD)), 0.5)
     weights = np.concatenate([wrt_tilt, -slope[None], outward, half])
     variance = (weights * (covariance[: len(weights), : len(weights)] @ weights)).sum(axis=0)
-    best = outward[:, int(np.argmin(variance))]
-    place: Float64[Array, "xyz=3"] = radius_m * best @ basis
+    middle = outward @ (1.0 / variance)
+    place: Float64[Array, "xyz=3"] = radius_m / np.linalg.norm(middle) * middle @ basis
     return place

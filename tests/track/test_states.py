@@ -1,11 +1,17 @@
 """The manifold of the filters: increments, their inverse, and rigid motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from moving_rings import Motion, Shots, drawn_motion, measured, record, rings_of
 from ring_scenes import RIGS, Ring
 
+from ringpose.files.scenes.scene import read_scene
+from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.ring import RingArcs, ring_arcs
+from ringpose.pose.pipeline import pose_line
+from ringpose.simulate.features import drawn_features
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.observation import observation
 from ringpose.track.states import (
@@ -18,6 +24,7 @@ from ringpose.track.states import (
     step_rates,
 )
 from ringpose.types.pose import PoseLine
+from ringpose.types.scene import Approach
 
 
 def state_of(ring: Ring, velocity_m_s, rate_rad_s, near_m, lever_m=0.0) -> RingStates:
@@ -176,3 +183,17 @@ def test_a_measurement_is_described_about_the_place_where_the_ring_was_seen(rng,
 
         cosine = -observed.arcs.axes[0] @ seen_m / np.linalg.norm(seen_m)
         assert np.degrees(np.arccos(cosine)) < 15.0
+
+
+def test_in_light_a_measurement_is_described_about_the_middle_of_the_stripes_too():
+    """Visible edges determine the ring nearly as well beside the stripes."""
+    scene = read_scene(PRESETS / "paper-physical-scene.yaml")
+    view = Approach(count=1, distances_m=(0.5,), lights=("normal",), seed=3, name="r", tilt_rad=0.15)
+    (shot,) = drawn_features(replace(scene, views=(), approaches=(view,)))
+    line = pose_line(shot.detection, scene.rig)
+    middle_m = line.pose.grasp_m - line.pose.center_m
+
+    observed = observation(line, line.measurement, common_errors(line, line.measurement, scene.rig), 1.0)
+
+    cosine = -observed.arcs.axes[0] @ middle_m / np.linalg.norm(middle_m)
+    assert np.degrees(np.arccos(cosine)) < 12.0
