@@ -113,7 +113,8 @@ class Bank:
 
         scores, with_lever = self.penalized_evidence, self.models.precession
         own, common = self.own[with_lever, LEVER, LEVER], self.common[with_lever, LEVER]
-        scores[with_lever] += log_ndtr(self.coordinates[with_lever, LEVER] / np.sqrt(own + (common**2).sum(axis=1)))
+        behind = log_ndtr(self.coordinates[with_lever, LEVER] / np.sqrt(own + (common**2).sum(axis=1)))
+        scores[with_lever] += np.where(np.isfinite(behind), behind, LOST)  # NaN if the ring is not where one was seen
         return scores
 
     @property

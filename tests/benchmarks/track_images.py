@@ -174,7 +174,7 @@ class Playback:
             self.frames.append(by_mask)
 
     def image(self, began_s, exposure_s, gain_db, bits):
-        """See `Exposures`."""
+        """See `ExposedImage`."""
         self.began_s = began_s if self.began_s is None else self.began_s
         number = (began_s + exposure_s / 2 - self.began_s) * self.rate_hz
         first = min(int(number), len(self.frames) - 2)
@@ -213,7 +213,7 @@ def play(scene: Scene, control: Connection) -> None:
 
     size = {"width": scene.rig.camera.image_width, "height": scene.rig.camera.image_height}
     identity = Identity(address=ADDRESS, **size, bits=8, exposure_s=EXPOSURE_S, serial="PLAY")
-    with ServedCamera(identity, playback, None, lines_changed):
+    with ServedCamera(identity, playback.image, None, lines_changed):
         control.send("ready")
         control.recv()
     control.send((playback.began_s, playback.exposed))

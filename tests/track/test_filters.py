@@ -75,7 +75,7 @@ def test_process_noise_is_that_of_white_acceleration():
         np.testing.assert_allclose(noise[index][both], MODELS.velocity_noise[index] * expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("lever_m", "weight"), [(0.3, 1.0), (-0.3, 0.0)])
+@pytest.mark.parametrize(("lever_m", "weight"), [(0.3, 1.0), (-0.3, 0.0), (np.nan, 0.0)])
 def test_precession_about_a_centre_of_mass_in_front_of_the_ring_has_no_weight(records, lever_m, weight):
     bank, lever = track_of(records).track.likeliest, ERRORS.index("lever_m")
     precession, own, coordinates = bank.models.precession, bank.own.copy(), bank.coordinates.copy()
