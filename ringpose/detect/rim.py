@@ -321,7 +321,7 @@ def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -
     plane, lasers = _plane_of(face, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
-    rows = others[np.unique(which[_in_front(ends_m, plane.origin_m, plane.normal)])]
+    rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
     nearer = ring_face(rows, face.lasers, rig) if len(rows) >= CONFIRMED else None
     if nearer is not None and len(nearer.lasers) >= CONFIRMED:
         nearer_m, _, _, normal = _plane_of(nearer, rig)
@@ -332,7 +332,7 @@ def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -
     short = length_m < MAX_TO_SHORTEST * max(plane.lengths_m)
     assigned = np.flatnonzero((others[which, LASER] != UNLABELLED) & may_be_face & short)
     as_long = length_m[assigned].max(initial=0.0) > MIN_LENGTH_RATIO * min(plane.lengths_m)
-    return replace(face, behind=bool(as_long) or len(np.unique(number[assigned])) > 1)
+    return replace(face, behind=bool(as_long) or len(set(number[assigned].tolist())) > 1)
 
 
 def _in_front(

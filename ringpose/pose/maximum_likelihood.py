@@ -133,8 +133,6 @@ def most_likely_pose(
             source = ring.name
     result = _result(best, source)
     flags, remark = untimed or _displaced(rejected) or _ring_flags(best, break_points)
-    if any(each.what == "edge" for each in rejected):  # whatever the stripes end at, it is not seen to be a ring's edge
-        flags |= PoseFlag.INCONSISTENT
     result = replace(result, flags=result.flags | flags, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)

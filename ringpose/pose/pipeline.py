@@ -104,6 +104,7 @@ def pose_line(
         source.ring,
     )
     rejected = result.rejected or source.rejected
+    doubtful = PoseFlag.INCONSISTENT if edges_missing(source.rejected) else PoseFlag(0)
     pose, velocity = result.pose, result.velocity
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
         from ringpose.pose.transform import pose_in_frame, velocity_in_frame
@@ -116,7 +117,7 @@ def pose_line(
         stamp_s=source.stamp_s,
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
-        flags=result.flags | flags_of(rejected) | ambient,
+        flags=result.flags | flags_of(rejected) | ambient | doubtful,
         reason=_reason(result, source),
         frame=frame,
         velocity=velocity,
@@ -223,6 +224,14 @@ def flags_of(rejected: Sequence[Rejection]) -> PoseFlag:
     return flags
 
 
+def edges_missing(rejected_by_detector: Sequence[Rejection]) -> bool:
+    """Whether ambient light should show the ring's edges, but the detector found none.
+
+    Whatever the stripes end at, it is then not seen to be the edge of a ring.
+    """
+    return any(each.what == "edge" for each in rejected_by_detector)
+
+
 REMARKS = MappingProxyType(
     {
         PoseFlag.BLUNT_EDGE: "the ring's edges are rounded or chamfered",
@@ -237,7 +246,7 @@ def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | N
     """What was rejected or is missing, in words; None if everything that should be in view was used and agreed."""
     missing = [name for name, state in result.lasers.items() if state is LaserState.NOT_SEEN]
     remarks = [result.remark, rejection_remark(rejected)]
-    if any(each.what == "edge" for each in rejected):  # by the detector
+    if edges_missing(rejected):
         remarks.append("the ambient light should show the ring's edges, but they were not found")
     remarks += [f"the stripe of laser {name} should be in view, but was not found" for name in missing]
     remarks += [remark for flag, remark in REMARKS.items() if flag in result.flags]
