@@ -9,6 +9,7 @@ from drawn_scene import DrawnScene, draw_shot, true_break_points
 from recorded_shots import make_shot
 
 from ringpose.detect import pipeline, ring_edges
+from ringpose.detect.break_points import break_points
 from ringpose.detect.pipeline import detect
 from ringpose.detect.ring_edges import edges_lit
 from ringpose.files.images.shots import read_shot
@@ -219,6 +220,21 @@ def test_ambient_light_should_show_edges_in_a_lit_shot_only_whatever_the_black_l
     for black_level_dn in (0, 20):
         raised = np.clip(shot.images.astype(int) + black_level_dn, 0, 255).astype(np.uint8)
         assert edges_lit(points, replace(shot, images=raised)) == lit
+
+
+def test_visible_edges_do_not_replace_clear_ends(with_off_frame, monkeypatch):
+    """The shadow of a ring on a flat body has edges, too; in the light beside it the stripes go on, but fainter."""
+
+    def with_unclear_ends(*arguments):
+        points = break_points(*arguments)
+        return replace(points, flags=points.flags | int(BreakPointFlag.UNCLEAR))
+
+    shot, rig = with_off_frame("B_z0500_p01_normal")
+    assert detect(shot, rig).ring_edges is not None
+
+    monkeypatch.setattr(pipeline, "break_points", with_unclear_ends)
+
+    assert detect(shot, rig).break_points is NoBreakPoints.NO_RING
 
 
 def test_lit_edges_that_are_not_found_are_recorded(with_off_frame, monkeypatch):
