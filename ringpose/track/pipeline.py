@@ -156,7 +156,9 @@ class Tracker:
         if line.flags & PoseFlag.ASSIGNMENT_AMBIGUOUS:
             return Fusion(FusionStatus.REJECTED_COVARIANCE, reason="the assignment of its stripes is ambiguous")
         if not _is_plausible(measurement):
-            return Fusion(FusionStatus.REJECTED_COVARIANCE, reason="its measurement describes no ring")
+            return Fusion(
+                FusionStatus.REJECTED_COVARIANCE, reason="its measurement does not describe a ring in front of a camera"
+            )
         if stamp_s < self._base_stamp_s:
             self._leave_out(stamp_s)
             return Fusion(FusionStatus.TOO_OLD, reason=f"it is older than the buffer of {BUFFER_S:g} s")
@@ -264,11 +266,12 @@ def _alike(first: CommonErrors, second: CommonErrors) -> bool:
 def _is_plausible(measurement: RingMeasurement) -> bool:
     """Whether a measurement contains information, and none that no camera can have, about a ring that can exist.
 
-    A target is not faster, relative to the camera, than a robot can be.
+    The camera sees its face, and a target is not faster, relative to the camera, than a robot can be.
     """
     at, largest = measurement.linearized_at, float(np.abs(measurement.square_root[:, :-1]).max(initial=0.0))
     radius_m = 0.5 * (at.radius_inner_m + at.radius_outer_m)
     is_ring = 0.0 < radius_m < MAX_RADIUS_M and float(np.linalg.norm(at.center_m)) < MAX_DISTANCE_M + radius_m
     speed_m_s, rate_rad_s = float(np.linalg.norm(at.velocity_m_s)), float(np.linalg.norm(at.rate_rad_s))
     is_possible = speed_m_s < MAX_SPEED_M_S and rate_rad_s < MAX_RATE_RAD_S
-    return 0.0 < largest < MAX_INFORMATION_ROOT and is_ring and is_possible
+    is_facing = float(at.normal @ at.center_m) < 0.0
+    return 0.0 < largest < MAX_INFORMATION_ROOT and is_ring and is_facing and is_possible

@@ -264,6 +264,11 @@ def moving_at(line, speed_m_s: float):
     return replace(line, measurement=replace(line.measurement, linearized_at=at_speed))
 
 
+def at_the_camera(line):
+    at_camera = replace(line.measurement.linearized_at, center_m=np.zeros(3))
+    return replace(line, measurement=replace(line.measurement, linearized_at=at_camera))
+
+
 @pytest.mark.parametrize(
     ("changed", "status"),
     [
@@ -273,9 +278,19 @@ def moving_at(line, speed_m_s: float):
         (lambda line: with_root(line, 1e20), FusionStatus.REJECTED_COVARIANCE),
         (lambda line: displaced(line, 1e20), FusionStatus.REJECTED_COVARIANCE),
         (lambda line: moving_at(line, 50.0), FusionStatus.REJECTED_COVARIANCE),
+        (at_the_camera, FusionStatus.REJECTED_COVARIANCE),
         (lambda line: at(line, START_S - 1.0), FusionStatus.TOO_OLD),
     ],
-    ids=["no measurement", "exchanged lasers", "no information", "implausible information", "far", "fast", "old"],
+    ids=[
+        "no measurement",
+        "exchanged lasers",
+        "no information",
+        "implausible information",
+        "far",
+        "fast",
+        "near",
+        "old",
+    ],
 )
 def test_a_record_that_cannot_be_used_changes_nothing(records, changed, status):
     tracker = track_of(records[:-1])
