@@ -381,8 +381,8 @@ def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: b
         lens_px = blur_px if precise else estimated_blur_px(profiles, reach_px)
         there = Profiles(*(each[clear] for each in profiles))
         sharp, soft = (edge_steps(there, reach_px, round(each, 2)).cost for each in (lens_px, SOFT * lens_px))
-        misfit = np.maximum(soft / (there.value.shape[1] - STEP_NUMBERS), 1.0)
-        clear[clear] = sharp - soft < SOFT_GAIN * misfit
+        reduced_chi2 = np.maximum(soft / (there.value.shape[1] - STEP_NUMBERS), 1.0)
+        clear[clear] = sharp - soft < SOFT_GAIN * reduced_chi2
     return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))
 
 

@@ -313,10 +313,11 @@ def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -
     stripes. Three stripes in front that make a face are on it. Stripes of two lasers there, or one that is about as
     long as the selected ones, may be all that is seen of it; a shorter one may be a reflection, and a much longer one
     is not on a ring. A single laser's stripe does not determine a plane. Segments that are not assigned to a laser are
-    examined only as three that make a face: by the plane of another laser, a stripe on the body may be anywhere.
+    examined only as three that make a face: by the plane of another laser, a stripe on the body may be anywhere. A
+    stripe of a laser without a selected one may be off the plane because its light plane has moved
+    (`displaced_lasers`).
     """
-    others = _others(face, tracks)
-    if len(face.lasers) < 2 or not len(others):
+    if len(face.lasers) < 2 or not len(others := _others(face, tracks)):
         return face
     plane, lasers = _plane_of(face, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
@@ -359,8 +360,7 @@ def displaced_lasers(
     Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
     are those that an unlabelled segment may belong to.
     """
-    others = _others(face, tracks)
-    if len(face.lasers) != CONFIRMED - 1 or not len(others):
+    if len(face.lasers) != CONFIRMED - 1 or not len(others := _others(face, tracks)):
         return ()
     plane = _plane_of(face, rig)
     across = plane.ends_m[1].mean(axis=0) - plane.ends_m[0].mean(axis=0)
@@ -394,8 +394,9 @@ def _ends_m(
     optics = lens(rig.camera)
     rays = np.ones((*x_px.shape, 3))
     rays[..., 0], rays[..., 1] = (x_px - optics.cx) / optics.fx, (y_px - optics.cy) / optics.fy
-    with np.errstate(divide="ignore", invalid="ignore"):  # rays along a light plane
-        ends_m: Float64[Array, "n end=2 xyz=3"] = rays / (rays @ planes_per_m(rig)[lasers, :, None])
+    inverse_depth = rays @ planes_per_m(rig)[lasers, :, None]
+    inverse_depth[inverse_depth == 0.0] = np.nan  # along the light plane
+    ends_m: Float64[Array, "n end=2 xyz=3"] = rays / inverse_depth
     return ends_m
 
 

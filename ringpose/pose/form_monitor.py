@@ -51,7 +51,7 @@ class FormMonitor:
             return line, None
         radius_m = np.array([pose.radius_inner_m, pose.radius_outer_m])
         flagged = self._flagged(line)
-        if line.status != "ok" or not bool(np.isfinite(radius_m).all()):
+        if line.status != "ok" or not bool(np.isfinite([*radius_m, *pose.covariance[5:7, 5:7].ravel()]).all()):
             return flagged, None
         to_curvature = -1.0 / radius_m**2  # the errors of curvatures are Gaussian even where those of radii are not
         covariance = pose.covariance[5:7, 5:7] * to_curvature[:, None] * to_curvature
@@ -87,10 +87,16 @@ def _disagreement(shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array,
     """
     curvature = np.stack([each for each, _ in shots])
     information = np.linalg.inv([covariance for _, covariance in shots])
-    weighted, rings = (information @ curvature[..., None])[..., 0], curvature
-    for _ in range(_REFITS):
+    weighted = (information @ curvature[..., None])[..., 0]
+
+    def chi2_of(rings: Float64[Array, "ring edge=2"]) -> Float64[Array, "ring shot"]:
         error = curvature - rings[:, None]
-        chi2 = np.einsum("rsi,sij,rsj->rs", error, information, error)
+        chi2: Float64[Array, "ring shot"] = np.einsum("rsi,sij,rsj->rs", error, information, error)
+        return chi2
+
+    chi2 = chi2_of(curvature)
+    for _ in range(_REFITS):
         agrees = chi2 < _MAX_SQUARED_DEVIATION
-        rings = np.linalg.solve(np.einsum("rs,sij->rij", agrees, information), (agrees @ weighted)[..., None])[..., 0]
+        normal_matrix = np.einsum("rs,sij->rij", agrees, information)
+        chi2 = chi2_of(np.linalg.solve(normal_matrix, (agrees @ weighted)[..., None])[..., 0])
     return float(np.minimum(chi2, _MAX_SQUARED_DEVIATION).sum(axis=1).min())

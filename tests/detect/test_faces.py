@@ -175,6 +175,20 @@ def test_the_face_is_the_foremost_of_two_rings_however_narrow(share, assigned):
     assert not face.behind
 
 
+@pytest.mark.parametrize("assigned", [True, False])
+def test_stripes_on_an_arm_that_is_not_parallel_to_the_ring_are_not_on_its_face(assigned):
+    names = ALL if assigned else [UNLABELLED] * 3
+    ends_on_arm = [in_front(ends, laser, 0.05, 0.3) for laser, ends in enumerate(face_ends(1))]
+    faces = [row(*ends, laser) for laser, ends in zip(names, face_ends(1), strict=True)]
+    arm = [row(*ends, laser) for laser, ends in zip(names, ends_on_arm, strict=True)]
+
+    face = ring_face(np.array([*faces, *arm]), () if assigned else ALL, RIG)
+
+    np.testing.assert_array_equal(face.tracks, faces)
+    assert not face.behind
+    assert ring_face(np.array(arm), () if assigned else ALL, RIG).lasers == ALL  # alone, they would be a face
+
+
 def test_two_narrow_stripes_in_front_may_be_all_that_is_seen_of_the_face():
     flange = [row(*ends, laser) for laser, ends in enumerate(face_ends(1))]
     faces = [row(*in_front(part_of(face_ends(1)[laser], 0.4), laser, 0.03, 0.0), laser) for laser in (0, 1)]

@@ -431,9 +431,10 @@ def test_points_of_one_edge_are_not_used_if_the_stripes_leave_the_curvature_open
 
 ON_THE_EDGES = ((80, 200, 1, 0.0), (320, 350, 1, 0.0), (700, 740, 0, 0.0), (880, 1000, 0, 0.0))
 BESIDE_ONE_EDGE = ((60, 180, 0, -1.0), (400, 900, 0, 2.0))
+MOSTLY_BESIDE = ((85, 185, 0, 3.0), (341, 383, 0, 4.0), (464, 615, 0, 2.0), (722, 854, 0, 2.0), (100, 160, 1, 0.0))
 
 
-@pytest.mark.parametrize("facets", [ON_THE_EDGES, BESIDE_ONE_EDGE])
+@pytest.mark.parametrize("facets", [ON_THE_EDGES, BESIDE_ONE_EDGE, MOSTLY_BESIDE])
 def test_steps_on_a_few_facets_of_foil_as_bright_as_the_face_are_few_coincidences(rig, rng, facets):
     """Bright facets (first and last row, edge, distance beyond it in pixels) are all that shows where the edges are."""
     scene, around = DrawnScene(), Surroundings(inside_dn=60.0, outside_dn=60.0)

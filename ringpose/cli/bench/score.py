@@ -131,11 +131,12 @@ def bench(
         raise UsageError("--method", "pose lines have a method already", "omit it")
     batch, since_s = Batch(), -inf if since is None else _since_s(since)
     matched: Matching | None = None
-    if truth:
-        scores, matched = scores_of_lines(inputs, truth, rig, batch, since_s)
-    else:
-        scores = _scores_of_folders(inputs, rig, method or list(Method), batch, quiet or cron, since_s)
-        truth = [Path(folder) / "truth.jsonl" for folder in inputs]
+    with batch:
+        if truth:
+            scores, matched = scores_of_lines(inputs, truth, rig, batch, since_s)
+        else:
+            scores = _scores_of_folders(inputs, rig, method or list(Method), batch, quiet or cron, since_s)
+            truth = [Path(folder) / "truth.jsonl" for folder in inputs]
     if not scores:
         report_missed([] if since is None else [f"{', '.join(inputs)}: no shot since {since}"], batch)
         batch.finish()
