@@ -217,14 +217,14 @@ DIFFERS = 4.0
 """Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
 
 
-def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
+def differing_quantities(best: Estimate, other: Estimate) -> frozenset[str]:
     """Names of the quantities in which two explanations differ by more than the errors of the best one."""
-    found, other = quantities(best), quantities(rival)
+    found, others = quantities(best), quantities(other)
     covariance = joint_covariance(best, found)
-    difference = difference_from(rival, other, best, found)
-    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
-    height_m = float(other.normal @ (found.grasp_m - rival.arcs.origin))
-    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
+    difference = difference_from(other, others, best, found)
+    # the grasp points lie at different places along the face: how far the best one is from the other ring
+    height_m = float(others.normal @ (found.grasp_m - other.arcs.origin))
+    radial = edge_distances(other.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
     across = np.array([found.normal, found.outward])
     tested = {
         "center": (difference[CENTER], covariance[CENTER, CENTER]),
@@ -232,9 +232,9 @@ def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
         "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
         "radius": (difference[RADII], covariance[RADII, RADII]),
     }
-    velocity, of_rival = ring_velocity(best, found), ring_velocity(rival, other)
-    if velocity is not None and of_rival is not None:
-        change = of_rival.center_m_s - velocity.center_m_s
+    velocity, of_other = ring_velocity(best, found), ring_velocity(other, others)
+    if velocity is not None and of_other is not None:
+        change = of_other.center_m_s - velocity.center_m_s
         tested["velocity"] = (change, velocity.covariance[:3, :3])
     return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
 

@@ -251,9 +251,9 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
     ):
         if assumed_m != assumed_m:
             continue
-        by_step = np.zeros(PARAMETERS)
-        by_step[CURVATURE], by_step[HALF_BAND] = (arcs.mean_radius_m / radius_m) ** 2, -sign / radius_m**2
-        variance = float(by_step @ alone.inverse @ by_step) + (sd_m / assumed_m**2) ** 2
+        wrt_step = np.zeros(PARAMETERS)
+        wrt_step[CURVATURE], wrt_step[HALF_BAND] = (arcs.mean_radius_m / radius_m) ** 2, -sign / radius_m**2
+        variance = float(wrt_step @ alone.inverse @ wrt_step) + (sd_m / assumed_m**2) ** 2
         if (1.0 / radius_m - 1.0 / assumed_m) ** 2 > RADIUS_SIGMAS**2 * variance:
             return True
     return False

@@ -448,9 +448,9 @@ def predicted_view(arcs: RingArcs, view: RingSamples, rates: Rates | None) -> Ri
     if moves:
         wrt_step = np.concatenate([stripes.y_wrt_step, edges.wrt_step])
         instant = np.concatenate([view.instant[: len(view.rays)], view.instant[view.ends :]])
-        by_all = (wrt_step[:, None] @ derivatives[instant])[:, 0]
-        stripes = stripes._replace(y_wrt_step=by_all[: len(view.rays)])
-        edges = edges._replace(wrt_step=by_all[len(view.rays) :])
+        wrt_all = (wrt_step[:, None] @ derivatives[instant])[:, 0]
+        stripes = stripes._replace(y_wrt_step=wrt_all[: len(view.rays)])
+        edges = edges._replace(wrt_step=wrt_all[len(view.rays) :])
     return RingPrediction(stripes, edges)
 
 

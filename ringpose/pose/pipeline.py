@@ -227,7 +227,7 @@ def flags_of(rejected: Sequence[Rejection]) -> PoseFlag:
 def edges_missing(rejected_by_detector: Sequence[Rejection]) -> bool:
     """Whether ambient light should show the ring's edges, but the detector found none.
 
-    Whatever the stripes end at, it is then not seen to be the edge of a ring.
+    Then nothing shows that the stripes end at the edges of a ring.
     """
     return any(each.what == "edge" for each in rejected_by_detector)
 

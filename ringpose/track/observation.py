@@ -173,13 +173,13 @@ def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Obse
     """
     origin, axes = camera.rotation @ observed.arcs.origin, observed.arcs.axes @ camera.rotation.T
     from_camera = replace(observed.arcs, origin=origin, axes=axes)  # errors of rotation turn the ring about the camera
-    by_errors = -observed.wrt_step @ displacement_increments(from_camera) @ camera.displacement_root
+    wrt_errors = -observed.wrt_step @ displacement_increments(from_camera) @ camera.displacement_root
     wrt_common = observed.wrt_common
     if of_mount:
-        others, within = np.split(wrt_common, [wrt_common.shape[1] - by_errors.shape[1]], axis=1)
-        wrt_common, by_errors = others, within + by_errors
+        others, within = np.split(wrt_common, [wrt_common.shape[1] - wrt_errors.shape[1]], axis=1)
+        wrt_common, wrt_errors = others, within + wrt_errors
     arcs = replace(from_camera, origin=camera.origin_m + origin)
-    return replace(observed, arcs=arcs, wrt_common=np.concatenate([wrt_common, by_errors], axis=1))
+    return replace(observed, arcs=arcs, wrt_common=np.concatenate([wrt_common, wrt_errors], axis=1))
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:

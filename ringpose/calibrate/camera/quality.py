@@ -198,7 +198,7 @@ def _uncertainty_findings(assessment: CameraAssessment) -> list[Check]:
     worst = f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there"
     worst += ", or hold k3 (--fix-k3)" if deviations["k3"] else ""
     unknown = (
-        "beyond the outermost corners this distortion model is not determined, whatever its covariance: "
+        "beyond the outermost corners this distortion model is not determined, even where its covariance is small: "
         "bring the board to the image's corners, or use --distortion-model plumb_bob"
     )
     return [

@@ -20,7 +20,7 @@ MIN_LENGTH = 96
 """Minimum number of centres of a stripe for the correlation length: the polynomial fitted to a shorter one removes most
 of what neighbours have in common."""
 
-MIN_CENTERS = 480.0
+ENOUGH_CENTERS = 480.0
 """Number of centres that determines the correlation length to a quarter of its value."""
 
 DEFAULT_LENGTH = 3.0
@@ -134,7 +134,7 @@ def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
         ratio, removed = _autocorrelation_sum(along, residual)
         covariance += ratio * len(along)
         centers += len(along) - removed + _TERMS * ratio
-    missing = max(MIN_CENTERS - centers, 0.0)
+    missing = max(ENOUGH_CENTERS - centers, 0.0)
     return max(covariance + missing * DEFAULT_LENGTH, 0.0) / (centers + missing)
 
 
