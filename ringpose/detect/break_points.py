@@ -65,7 +65,7 @@ that saturates all columns, means that the image does not show the end."""
 
 CLEAR_ENDS = 2
 """Minimum number of ends with a sigma below `UNCLEAR_PX`. Rings reach it even before bright foil; of false detections
-on foil one in five does. Visible edges do not replace it: the shadow of a ring on a flat body has such edges, too."""
+on foil one in five does."""
 
 CLIPPED_PHASE = 0.022
 """Error of a saturated stripe's centre, times the sigma of its section in pixels.

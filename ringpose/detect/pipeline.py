@@ -38,6 +38,7 @@ from ringpose.types.detection import (
     JudgedRing,
     NoBreakPoints,
     Rejection,
+    RingEdgePoints,
     Segments,
     Stripes,
     joined_stripes,
@@ -97,29 +98,44 @@ def detect(
         stripes, segments = _all_stripes(images, source, searched)
         on_ring = _found(stripes, images, shot, rig, assumptions, camera)
     found, edges_missing = on_ring.break_points, False
-    if isinstance(found, BreakPoints) and edges and source is StripeSource.CENTERS:
+    if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges, edges_missing = detect_ring_edges(
             found, shot, stripes, rig, assumptions, camera, on_ring.motion
         )
-    if isinstance(found, BreakPoints) and ring_edges is None:
-        # the ends may be the borders of a shadow where ambient light saturates beside them
-        saturated = hidden_by_saturation(found, images, images[0].saturation_dn)
-        found = NoBreakPoints.HIDDEN_BY_SATURATION if saturated else found
+    if isinstance(found, BreakPoints):
+        found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found = with_repetition(found, images, shot, rig, on_ring.motion)
     rejected: tuple[Rejection, ...] = on_ring.rejected if isinstance(found, BreakPoints) else ()
-    if edges_missing and isinstance(found, BreakPoints):
+    if edges and edges_missing and isinstance(found, BreakPoints):
         rejected = (*rejected, Rejection(what="edge"))
     return replace(
         nothing,
         break_points=found,
         stripes=stripes,
         segments=segments,
-        ring_edges=ring_edges,
+        ring_edges=ring_edges if edges else None,
         ring=on_ring.ring if _named_alike(found, on_ring.break_points) else None,
         rejected=rejected,
         advice=exposure_advice(found, shot, images),
     )
+
+
+def _confirmed(
+    found: BreakPoints, ring_edges: RingEdgePoints | None, images: list[LaserImage]
+) -> BreakPoints | NoBreakPoints:
+    """The break points, or why they are not enough to show a ring.
+
+    Visible edges beside several stripes stand for clear ends only without a background frame, where its texture hides
+    the ends: the shadow of a ring on a flat body has the edges of a ring, but beside it the stripes go on, fainter.
+    """
+    several = int(found.seen.any(axis=1).sum()) > 1
+    by_edges = ring_edges is not None and several and any(image.dark is None for image in images)
+    if not by_edges and not ends_clear(found):
+        return NoBreakPoints.NO_RING
+    if ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
+        return NoBreakPoints.HIDDEN_BY_SATURATION
+    return found
 
 
 def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
@@ -334,8 +350,6 @@ def _found(
         unmoved = [_without_moved_background(image, motion) for image in images]
         if unmoved != images:
             points = break_points(face, tracks, unmoved, rig, saturation_dn)
-    if not ends_clear(points):
-        return _Found(NoBreakPoints.NO_RING)
     found = without_outliers(points, rig, assumptions, camera)
     return _Found(found.break_points, (*found.rejected, *displaced), motion, found.ring)
 
