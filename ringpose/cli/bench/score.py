@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import inf, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -54,28 +54,24 @@ By = Annotated[
 Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit is missed.")]
 
 
+def _error_limit(name: str, metavar: str, quantity: str) -> Any:
+    return number_option(name, metavar, f"Limit on the {quantity} RMSE.", 0)
+
+
+def _count_limit(name: str, counted: str) -> Any:
+    return typer.Option(name, metavar="N", min=0, help=f"Limit on {counted}.")
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The limits on errors and counts, as given; None for no limit."""
 
-    max_center_mm: Annotated[float | None, number_option("--max-center-mm", "MM", "Limit on the centre's RMSE.", 0)] = (
-        None
-    )
-    max_normal_deg: Annotated[
-        float | None, number_option("--max-normal-deg", "DEG", "Limit on the normal's RMSE.", 0)
-    ] = None
-    max_radius_mm: Annotated[float | None, number_option("--max-radius-mm", "MM", "Limit on the radii's RMSE.", 0)] = (
-        None
-    )
-    max_grasp_mm: Annotated[
-        float | None, number_option("--max-grasp-mm", "MM", "Limit on the grasp point's RMSE.", 0)
-    ] = None
-    max_missed: Annotated[
-        int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
-    ] = None
-    max_wrong: Annotated[
-        int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")
-    ] = None
+    max_center_mm: Annotated[float | None, _error_limit("--max-center-mm", "MM", "centre's")] = None
+    max_normal_deg: Annotated[float | None, _error_limit("--max-normal-deg", "DEG", "normal's")] = None
+    max_radius_mm: Annotated[float | None, _error_limit("--max-radius-mm", "MM", "radii's")] = None
+    max_grasp_mm: Annotated[float | None, _error_limit("--max-grasp-mm", "MM", "grasp point's")] = None
+    max_missed: Annotated[int | None, _count_limit("--max-missed", "shots missed or lost")] = None
+    max_wrong: Annotated[int | None, _count_limit("--max-wrong", "wrong quantities")] = None
 
     def missed(self, lines: "Sequence[Summary]") -> list[str]:
         """A message for each limit that is missed."""
