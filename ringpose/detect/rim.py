@@ -72,11 +72,11 @@ IN_FRONT_M = (0.005, 0.3)
 PARALLEL_WITHIN = 0.05
 """Maximum slope of a stripe on it to that plane; the normal of two short stripes is known to a few degrees."""
 
-MAX_TILT_OF_FACES = 0.1
-"""Maximum angle in rad between two parallel faces of three stripes each: the planes of short stripes err."""
-
 MIN_LENGTH_RATIO, MIN_COLUMNS_IN_FRONT = 0.5, 30
 """Minimum length of that stripe, as a share of those on the ring, and in columns; shorter ones may be reflections."""
+
+MAX_TILT_OF_FACES = 0.1
+"""Maximum angle in rad between two parallel faces of three stripes each: the planes of short stripes err."""
 
 DISPLACED_M = 0.02
 """Maximum distance from a ring's plane of the stripe of a light plane that has moved; the body is farther behind."""
@@ -347,7 +347,7 @@ def _in_front(
 def parallel_in_front(
     ends_m: Float64[Array, "n end=2 xyz=3"], origin_m: Float64[Array, "xyz=3"], normal: Float64[Array, "xyz=3"]
 ) -> Bool[Array, "n"]:
-    """Whether these surfaces are parallel to the plane, too."""
+    """Whether stripes with these ends are on surfaces in front of a plane (`IN_FRONT_M`) and parallel to it."""
     slope_m = np.abs((ends_m[:, 1] - ends_m[:, 0]) @ normal)
     return _in_front(ends_m, origin_m, normal) & (slope_m < PARALLEL_WITHIN * _lengths_m(ends_m))
 
@@ -370,11 +370,8 @@ def displaced_lasers(
     for laser in set(range(len(rig.lasers.names))).difference(face.lasers):
         own = (others[:, LASER] == laser) | ((others[:, LASER] == UNLABELLED) & (laser in lasers))
         ends_m = _ends_m(others[own], [laser] * int(own.sum()), rig)
-        offset_m, length_m, off_m = (
-            ends_m.mean(axis=1) - plane.origin_m,
-            _lengths_m(ends_m),
-            (ends_m - plane.origin_m) @ plane.normal,
-        )
+        length_m, off_m = _lengths_m(ends_m), (ends_m - plane.origin_m) @ plane.normal
+        offset_m = ends_m.mean(axis=1) - plane.origin_m
         aside_m = offset_m - np.outer(offset_m @ along, along) - np.outer(offset_m @ plane.normal, plane.normal)
         alike = np.maximum(longest_m / length_m, length_m / shortest_m) < ALIKE
         alike &= np.ptp(off_m, axis=1) < PARALLEL_WITHIN * length_m

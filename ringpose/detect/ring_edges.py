@@ -506,7 +506,7 @@ class RingFromStripes:
 
 @lru_cache(maxsize=1)  # the frames of a shot share it, unless the ring moves between them
 def ring_from_stripes(break_points: BreakPoints, rig: Rig) -> RingFromStripes | None:
-    """The evidence in the break points; None without a stripe's line on the face and one end on each edge."""
+    """The ring by the stripes alone; None without a stripe's line on the face and one end on each edge."""
     if not bool(break_points.seen.any(axis=0).all()):
         return None
     variance = break_points.covariance_px2[..., 0, 0] + END_SIGMA_PX**2
