@@ -13,7 +13,7 @@ from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
 from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
 
-Verdict = Literal["ok", "warning", "fault"]
+DeviceVerdict = Literal["ok", "warning", "fault"]
 """Verdicts from best to worst."""
 
 FRAMES = 10
@@ -28,7 +28,7 @@ class DeviceCheck:
     """The result of one check."""
 
     check: str
-    verdict: Verdict
+    verdict: DeviceVerdict
     found: str
     remedy: str = ""
 
@@ -70,8 +70,8 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
 def summary(checks: Sequence[DeviceCheck]) -> DeviceCheck:
     """The worst verdict, and the number of checks with each verdict."""
     verdicts = [check.verdict for check in checks]
-    worst = next(verdict for verdict in get_args(Verdict)[::-1] if verdict in verdicts)
-    counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in get_args(Verdict))
+    worst = next(verdict for verdict in get_args(DeviceVerdict)[::-1] if verdict in verdicts)
+    counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in get_args(DeviceVerdict))
     return DeviceCheck(check="verdict", verdict=worst, found=counts)
 
 
@@ -118,6 +118,6 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
     return _check(check, found, not 0.4 < half / whole < 0.65, "fault", remedy)
 
 
-def _check(check: str, found: str, is_bad: bool, verdict: Verdict, remedy: str) -> DeviceCheck:
+def _check(check: str, found: str, is_bad: bool, verdict: DeviceVerdict, remedy: str) -> DeviceCheck:
     """The check with its verdict: `ok`, or, if the finding is bad, `verdict` together with the remedy."""
     return DeviceCheck(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")

@@ -30,8 +30,8 @@ from ringpose.simulate.stripe_ends import (
     RunErrors,
     ShotMotion,
     StripeEnds,
-    drawn_common_errors,
     drawn_motion,
+    drawn_run_errors,
     stripe_ends,
 )
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
@@ -89,7 +89,7 @@ def drawn_features(
     scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
 ) -> Iterator[DrawnShot]:
     """Draw a detection for the first `count` views of a scene, or all; rig and form of the ring are drawn once."""
-    common = common_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
+    common = run_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
     shown: RingView | None = None
     for number, view in enumerate(ring_views(scene)[:count]):
         rng = np.random.default_rng([_FEATURES, scene.seed, number])
@@ -112,9 +112,9 @@ def _looks_like(view: RingView, shown: RingView) -> bool:
     return bool(moved_m < MAX_CHANGE * np.linalg.norm(view.center_m) and turned < MAX_CHANGE)
 
 
-def common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations) -> RunErrors:
+def run_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations) -> RunErrors:
     """True rig and form of the ring of one run: the scene's form, and what is drawn."""
-    drawn = drawn_common_errors(
+    drawn = drawn_run_errors(
         scene.rig, rng, ring_tolerance_m=deviations.ring_tolerance_m, with_rig_errors=deviations.rig_errors
     )
     own = scene.ring.form
@@ -143,7 +143,7 @@ def draw_detection(
     ring's curvature.
     """
     if common is None:
-        common = common_errors(scene, rng, deviations)
+        common = run_errors(scene, rng, deviations)
     lasers = len(scene.rig.lasers.names)
     frames, appearance = laser_frames(scene.sequence, lasers), appearance or expected_appearance(scene, view)
     exposure_s = appearance.exposure_s

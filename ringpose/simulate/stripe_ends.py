@@ -35,7 +35,7 @@ class RunErrors(NamedTuple):
     """Deviations of the true ring from circles in a plane."""
 
 
-def drawn_common_errors(
+def drawn_run_errors(
     rig: Rig, rng: np.random.Generator, *, ring_tolerance_m: float = 0.0, with_rig_errors: bool = False
 ) -> RunErrors:
     """Draw the true rig and the form of the true ring of a run; `rig` is the calibrated rig.

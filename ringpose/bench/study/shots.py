@@ -26,7 +26,7 @@ from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
-from ringpose.simulate.features import Deviations, common_errors, drawn_features
+from ringpose.simulate.features import Deviations, drawn_features, run_errors
 from ringpose.simulate.motion import moved_view
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.simulate.placement import ring_rotation, ring_views
@@ -135,7 +135,7 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     if study.level == "features":
         run = [(drawn.detection, drawn.truth) for drawn in drawn_features(taken_by, deviations)]
     else:
-        rig, form = common_errors(taken_by, np.random.default_rng([_RIG, study.seed, index]), deviations)
+        rig, form = run_errors(taken_by, np.random.default_rng([_RIG, study.seed, index]), deviations)
         taken_by = replace(taken_by, rig=rig, ring=replace(scene.ring, form=form if form.any() else None))
         run = [simulated_shot(taken_by, taken_by.views, number) for number in range(len(taken_by.views))]
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
