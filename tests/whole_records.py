@@ -29,9 +29,10 @@ def record_of(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def square(rng: np.random.Generator, size: int) -> Any:
-    """A covariance."""
+    """A covariance, symmetric to the last bit."""
     root = rng.normal(size=(size, size))
-    return root @ root.T
+    product = root @ root.T
+    return (product + product.T) / 2
 
 
 def complete_pose(rng: np.random.Generator) -> RingPose:

@@ -19,6 +19,9 @@ MAX_VALUE = 1e30
 ROUNDED = 1e-6
 """Tolerance of the length of a unit vector and of the orthogonality of a rotation, for values rounded in a file."""
 
+_UNIT_ROUNDING = 4 * float(np.finfo(np.float64).eps)
+"""Largest deviation from 1 of the computed length of a vector of 3 or 4 numbers that was divided by its length."""
+
 MAX_QUATERNION_ERROR = 1e-3
 """Tolerance of the length of a quaternion, of which robots give few digits."""
 
@@ -165,21 +168,21 @@ class Fields:
         return point
 
     def unit_vector(self, key: str, remedy: str = "") -> Float64[Array, "xyz=3"]:
-        """A vector of length 1 within `ROUNDED`, normalised exactly."""
+        """A vector of length 1 within `ROUNDED`, normalised."""
         vector = self.vector(key, 3)
         length = float(np.linalg.norm(vector))
         if abs(length - 1) > ROUNDED:
             raise self.problem(key, f"has length {length:.6g}, must be 1", remedy if length > 0 else "")
-        return vector / length
+        return _normalised(vector, length)
 
     def quaternion(self, key: str) -> Float64[Array, "xyzw=4"]:
-        """A quaternion x, y, z, w of length 1 within `MAX_QUATERNION_ERROR`, normalised exactly."""
+        """A quaternion x, y, z, w of length 1 within `MAX_QUATERNION_ERROR`, normalised."""
         quaternion = self.vector(key, 4)
         length = float(np.linalg.norm(quaternion))
         if abs(length - 1.0) > MAX_QUATERNION_ERROR:
             remedy = "give a unit quaternion x, y, z, w; this looks like degrees" if length > 2.0 else "normalize it"
             raise self.problem(key, f"has length {length:.6g}, must be 1", remedy)
-        return quaternion / length
+        return _normalised(quaternion, length)
 
     def check_metres(self, key: str, lengths: Float64[Array, "..."], limit_m: float = MAX_LENGTH_M) -> None:
         """Reject lengths beyond a limit, which are only plausible in millimetres."""
@@ -237,6 +240,11 @@ class Fields:
             most = f" and at most {bounds[1]:g}" if bounds[1] < math.inf else ""
             least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
             raise self.problem(key, f"is {value:g}, must be {least}{most}".replace("be  and", "be"))
+
+
+def _normalised(vector: Float64[Array, "n"], length: float) -> Float64[Array, "n"]:
+    """The unit vector; a vector that was normalised before is unchanged, so that records are read as written."""
+    return vector if abs(length - 1) <= _UNIT_ROUNDING else vector / length
 
 
 def unusable(array: Float64[Array, "..."], allow_nan: bool) -> str:

@@ -73,3 +73,31 @@ def test_arrays_may_be_empty_and_have_missing_values_where_that_is_allowed():
 
     np.testing.assert_array_equal(array, [[1, math.nan], [3, 4]])
     assert fields(a=[]).array("a", (None, 2)).shape == (0, 2)
+
+
+LENGTHS = {
+    "sum of squares": lambda vector: math.sqrt(sum(x * x for x in vector)),
+    "exact sum of squares": lambda vector: math.sqrt(math.fsum(x * x for x in vector)),
+    "hypot": lambda vector: math.hypot(*vector),
+    "NumPy": np.linalg.norm,
+    "NumPy, by axis": lambda vector: np.linalg.norm(vector[None], axis=1)[0],
+}
+"""Ways to compute a length, which round differently."""
+
+
+@pytest.mark.parametrize("length", LENGTHS.values(), ids=LENGTHS)
+@pytest.mark.parametrize(("read", "size"), [(Fields.unit_vector, 3), (Fields.quaternion, 4)])
+def test_a_normalised_vector_is_read_to_the_last_bit_however_its_length_was_rounded(rng, length, read, size):
+    for vector in rng.normal(size=(300, size)):
+        written = vector / length(vector)
+
+        assert read(fields(a=written.tolist()), "a").tolist() == written.tolist()
+
+
+@pytest.mark.parametrize(("read", "size", "digits"), [(Fields.unit_vector, 3, 7), (Fields.quaternion, 4, 4)])
+def test_a_unit_vector_of_few_digits_is_normalised_once(rng, read, size, digits):
+    for vector in rng.normal(size=(300, size)):
+        once = read(fields(a=np.round(vector / math.hypot(*vector), digits).tolist()), "a")
+
+        assert math.hypot(*once) == pytest.approx(1, abs=1e-15)
+        assert read(fields(a=once.tolist()), "a").tolist() == once.tolist()
