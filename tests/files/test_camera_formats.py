@@ -1,6 +1,7 @@
 """Cameras in the formats of other programs: round trips, and files as those programs write them."""
 
 import random
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -114,6 +115,79 @@ def test_a_ros_message_is_read(tmp_path, letters, end):
 
     np.testing.assert_array_equal(after.camera_matrix, MATRIX)
     np.testing.assert_array_equal(after.distortion_coefficients, PLUMB_BOB)
+
+
+MESSAGE = {"height": 480, "width": 640, "distortion_model": "plumb_bob", "d": [], "k": MATRIX.ravel().tolist()}
+
+
+def read_message(folder, **changes):
+    (folder / "m.yaml").write_text(yaml.safe_dump(MESSAGE | changes))
+    return read_camera(folder / "m.yaml")
+
+
+def test_a_pixel_of_a_binned_window_is_the_middle_of_those_it_covers(tmp_path):
+    roi = {"x_offset": 40, "y_offset": 30, "width": 400, "height": 300, "do_rectify": False}
+    after = read_message(tmp_path, binning_x=4, binning_y=2, roi=roi)
+
+    # a point at pixel (40 + 4 i + 1.5, 30 + 2 j + 0.5) of the full image is at (i, j) of the window
+    point = np.array([0.1, -0.05, 1.0])
+    full, binned = MATRIX @ point, after.camera_matrix @ point
+    np.testing.assert_allclose(full[:2], [40 + 4 * binned[0] + 1.5, 30 + 2 * binned[1] + 0.5], rtol=1e-12)
+    assert (after.image_width, after.image_height) == (100, 150)
+
+
+@pytest.mark.parametrize("changes", [{"binning_x": 0, "binning_y": 0}, {"roi": {"width": 0, "height": 0}}, {"roi": {}}])
+def test_a_message_without_binning_and_window_is_of_the_full_image(tmp_path, changes):
+    after = read_message(tmp_path, **changes)
+
+    np.testing.assert_array_equal(after.camera_matrix, MATRIX)
+    assert (after.image_width, after.image_height) == (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("changes", "finding"),
+    [
+        ({"roi": {"x_offset": 300, "width": 400, "height": 300}}, "roi: reaches beyond the image of 640 x 480 pixels"),
+        ({"k": [0.0] * 9}, "camera_matrix: is all zeros: the camera is not calibrated"),
+        ({"distortion_model": "", "d": [0.1]}, "distortion_model: is the text ''"),
+        ({"binning_x": 1000, "binning_y": 1}, "image_width: is 0, must be at least 1"),
+    ],
+)
+def test_a_message_without_a_usable_camera_is_rejected(tmp_path, changes, finding):
+    with pytest.raises(DataError, match=finding):
+        read_message(tmp_path, **changes)
+
+
+CASES = Path(__file__).parents[1] / "cases" / "files"
+
+
+@pytest.mark.parametrize(
+    ("name", "matrix", "coefficients"),
+    [
+        ("ost.ini", [612.1, 611.8, 321.5, 240.9], [-0.3, 0.1, -0.0004, -0.0011, 0]),
+        ("two_messages.yaml", [612.1, 611.8, 321.5, 240.9], [-0.3, 0.1, 0, 0, 0]),
+        ("empty_model.yaml", [612.1, 611.8, 321.5, 240.9], [0, 0, 0, 0, 0]),
+        ("opencv_without_blanks.yaml", [1039, 1044, 639.5, 356], [0.2, -0.3, 0, 0, 0]),
+        ("opencv24_sample_keys.xml", [510, 510, 319.5, 239.5], [0.085, -0.22, 0, 0, 0.038]),
+    ],
+)
+def test_files_of_other_programs_are_read(name, matrix, coefficients):
+    after = read_camera(CASES / name)
+
+    assert after.camera_matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == matrix
+    assert after.distortion_coefficients.tolist() == coefficients
+
+
+def test_messages_of_one_camera_may_differ_in_their_headers_only(tmp_path):
+    first, second = (
+        f"header:\n  seq: {number}\n  stamp: {{secs: {number}}}\n{yaml.safe_dump(MESSAGE)}---\n" for number in (1, 2)
+    )
+    (tmp_path / "m.yaml").write_text(first + second)
+    np.testing.assert_array_equal(read_camera(tmp_path / "m.yaml").camera_matrix, MATRIX)
+
+    (tmp_path / "m.yaml").write_text(first + second.replace("640", "320"))
+    with pytest.raises(DataError, match="holds 2 messages of different cameras; keep one message"):
+        read_camera(tmp_path / "m.yaml")
 
 
 CAMCHAIN = """cam0:

@@ -12,6 +12,7 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras import matlab
 from ringpose.files.cameras import opencv as opencv_storage
+from ringpose.files.cameras.camera_info import INI_SECTION, ini_values, message_values, one_message
 from ringpose.files.cameras.ros import (
     CAMERA_KEYS,
     FILE_KEYS,
@@ -26,9 +27,6 @@ from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.options import CameraFormat
 from ringpose.types.rig import CAMERA_PARAMETERS, Camera, ParameterCovariance
-
-_MESSAGE_END = re.compile(rb"\n---\s*\Z")
-"""The separator line that `ros2 topic echo` prints after a message, at the end of the file."""
 
 _KALIBR_NAME = "cam0"
 _KALIBR_IGNORED = ("rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "timeshift_cam_imu")
@@ -71,12 +69,42 @@ def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
         return CameraFormat.MATLAB, matlab.mat_variables(content, file)
     if content.startswith(opencv_storage.SIGNATURES) or any(tag in content for tag in opencv_storage.MATRIX_TAGS):
         return CameraFormat.OPENCV, opencv_storage.storage_values(content, file)
-    values = parsed(_MESSAGE_END.sub(b"\n", content), file)
+    if INI_SECTION.search(content):
+        return CameraFormat.ROS, ini_values(content, file)
+    _reject_report(content, file)
+    values = parsed(one_message(content, file), file)
     keys = set(values) if isinstance(values, Mapping) else set()
     for form, characteristic_keys in _CHARACTERISTIC_KEYS.items():
         if keys & characteristic_keys:
             return form, values
     raise DataError(file, "is not a camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB")
+
+
+def _reject_report(content: bytes, file: str) -> None:
+    """Reject what a calibrator printed or reported for people, naming the file that it writes for programs."""
+    for pattern, found, remedy in _REPORTS:
+        if re.search(pattern, content, re.MULTILINE):
+            raise DataError(file, f"is {found}", f"give {remedy}")
+
+
+_REPORTS = (
+    (
+        rb"^\** ?Calibrating ?\**\s*$|^\('?[DK] = '?,|^[DK] = \[",
+        "what ROS's calibrator printed",
+        "the ost.yaml of /tmp/calibrationdata.tar.gz, which its button SAVE writes",
+    ),
+    (
+        rb"^Calibration results *\r?\n=+|aslam_cv",
+        "a text report of Kalibr",
+        "its camchain.yaml, written beside the report",
+    ),
+    (rb"^(Focal Length|Principal point): +f?c?c? *= *\[", "what MATLAB's toolbox printed", "its Calib_Results.mat"),
+    (rb"^fc = \[ *[-+.\d]+ *; *[-+.\d]+ *\];", "the text Calib_Results.m", "the Calib_Results.mat beside it"),
+    (rb"^R(e-projection|MS) error reported by calibrateCamera", "what OpenCV's sample printed", "the file it wrote"),
+    (rb"^ringpose: \d+ of \d+ views used", "what ringpose printed", "the file of its --output"),
+    (rb"(?i)^\s*<(!doctype )?html", "a page for people", "the camera file that was written with it"),
+)
+"""Texts of calibrators by a regular expression: what they are, and what to give instead."""
 
 
 _CHARACTERISTIC_KEYS = {
@@ -108,18 +136,18 @@ def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
 def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera in a camera_info file, or in a message printed by `rostopic echo` or `ros2 topic echo`."""
     if "camera_matrix" not in values:
-        message = Fields(file, {str(key).lower(): value for key, value in values.items()})
-        coefficients = message.array("d", (None,))
-        values = {
-            "image_width": message.raw("width"),
-            "image_height": message.raw("height"),
-            "distortion_model": message.raw("distortion_model"),
-            "camera_matrix": {"rows": 3, "cols": 3, "data": message.raw("k")},
-            "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients.tolist()},
-        }
-    fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **values})
+        values = message_values(values, file)
+    no_model = {"distortion_model"} if _is_without_distortion(values) else set()
+    given = {key: value for key, value in values.items() if key not in no_model}
+    fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **given})
     fields.known = CAMERA_KEYS
     return camera_of(fields)
+
+
+def _is_without_distortion(values: Mapping[str, Any]) -> bool:
+    """Whether model and coefficients are both empty, as drivers publish it for images that are not distorted."""
+    coefficients = values.get("distortion_coefficients")
+    return not values.get("distortion_model") and isinstance(coefficients, Mapping) and coefficients.get("data") == []
 
 
 def _kalibr_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:

@@ -5,6 +5,7 @@ bytes each, 6 in XML crashed it (OpenCV 4.10: already `<?xml version=`), others 
 overflows the stack in every version.
 """
 
+import re
 from contextlib import suppress
 from typing import Any
 
@@ -27,11 +28,16 @@ _MATRIX, _COEFFICIENTS = "camera_matrix", "distortion_coefficients"
 _MATRIX_KEYS = ("rows", "cols", "sizes", "dt", "data", "type_id")
 _LIST_KEYS = ("data", "sizes")
 
+_WITHOUT_BLANK = re.compile(rb"((?:^|[{,])[ \t]*[A-Za-z_]\w*:)(?=[^\s])", re.MULTILINE)
+"""A key without a blank after its colon, as OpenCV 2 writes and reads it; YAML requires one."""
+
 
 def storage_values(text: bytes, file: str) -> Any:
     """The values of a file; a matrix is a mapping of `rows`, `cols` and `data`."""
     if not text.startswith(b"<"):
-        return parsed(text.partition(b"\n")[2] if text.startswith(HEADER_4[:6]) else text, file)
+        if text.startswith(HEADER_4[:6]):
+            text = b"\n" + text.partition(b"\n")[2]  # the line break keeps the numbers of the lines
+        return parsed(_WITHOUT_BLANK.sub(rb"\1 ", text), file)
     from xml.etree import ElementTree
 
     try:
@@ -45,10 +51,12 @@ def storage_values(text: bytes, file: str) -> Any:
 
 
 def camera_of(values: Any, file: str, name: str) -> Camera:
-    """The camera with the keys that OpenCV's calibration samples write."""
-    fields = Fields(file, values)
+    """The camera with the keys that OpenCV's calibration samples write, of which version 2 has some in capitals."""
+    fields = Fields(file, {str(key).lower(): value for key, value in Fields(file, values).values.items()})
     if not fields.has(_MATRIX):
-        raise DataError(file, f"has no {_MATRIX}", "give a file with one camera, as OpenCV's calibration sample writes")
+        matrices = ", ".join(str(key) for key, value in values.items() if isinstance(value, dict) and "data" in value)
+        found = f"has no {_MATRIX}, but {matrices}" if matrices else f"has no {_MATRIX}"
+        raise DataError(file, found, f"name those of one camera {_MATRIX} and {_COEFFICIENTS}")
     if not (fields.has("image_width") and fields.has("image_height")):
         raise DataError(file, "does not have the size of the image", "add image_width: and image_height: to it")
     if fields.has("fisheye_model") and fields.number("fisheye_model") != 0:
@@ -79,11 +87,12 @@ def _xml_value(element: Any) -> Any:
     """A mapping if the element has children, else a number, a text, or a list of them."""
     if len(element):
         return {child.tag: _xml_value(child) for child in element}
-    words = [_number(word) for word in (element.text or "").split()]
+    words = [number_or_text(word) for word in (element.text or "").split()]
     return words if element.tag in _LIST_KEYS or len(words) != 1 else words[0]
 
 
-def _number(word: str) -> int | float | str:
+def number_or_text(word: str) -> int | float | str:
+    """The number that a word is, else the word without quotes."""
     for number in (int, float):
         with suppress(ValueError):
             return number(word)

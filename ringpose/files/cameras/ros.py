@@ -153,6 +153,8 @@ MIN_FOCAL_LENGTH = 0.05
 
 def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
     """The camera matrix; rejected if it is not plausible for a pinhole camera."""
+    if not matrix[:2].any():
+        raise fields.problem("camera_matrix", "is all zeros: the camera is not calibrated", "calibrate it first")
     if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or matrix[2, 2] != 1:
         raise fields.problem("camera_matrix", "must have the form [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
