@@ -13,7 +13,7 @@ export PYTHONDONTWRITEBYTECODE =
 # As the commands do: the matrices are small, and threads that share them mostly wait for each other (tests 3:08 -> 2:48).
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo bench-speed bench-targets compare-baseline baseline structure test test-slow test-lowest \
+.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden structure test test-slow test-lowest \
   check lint types layers man clean
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make bench-targets  drift, covariances and tracks against their targets; status 3 if one is missed"
 	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
+	@echo "make golden       show which lines of the rendered shots have changed, and make today's the golden ones"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
@@ -52,6 +53,9 @@ compare-baseline: $(STAMP)
 
 baseline: $(STAMP)
 	$(BIN)/python tests/benchmarks/compare_baseline.py --renew
+
+golden: $(STAMP)
+	$(BIN)/python tests/golden_lines.py --renew
 
 test: $(STAMP)
 	$(PYTEST) -m "not slow"
