@@ -32,6 +32,8 @@ $(STAMP): pyproject.toml $(KERNELS)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	$(BIN)/python -m compileall -q ringpose  # as pip does for packages that are not editable
+	for section in 1 5 7; do mkdir -p $(VENV)/share/man/man$$section && \
+	  ln -sf "$(CURDIR)"/man/*.$$section $(VENV)/share/man/man$$section; done  # man finds them beside $(BIN)
 	touch $@
 
 demo: $(STAMP)

@@ -29,6 +29,7 @@ COMMANDS = {
     "bench": "bench",
     "view": "view",
     "schema": "schema",
+    "help": "help",
 }
 """Module of each subcommand, in the order in which the help lists them."""
 

@@ -1,0 +1,1 @@
+"""The manual on machines without `man`: finding its pages, and their plain text."""
