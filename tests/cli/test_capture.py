@@ -63,6 +63,17 @@ def test_a_shot_without_the_frame_is_named_and_the_rest_goes_on(capture):
     assert messages == ["ringpose: a: no frame with lasers 1; its frames: off,1+2+3"]
 
 
+def test_a_sequence_that_the_recording_lacks_leaves_the_folder_free_for_the_corrected_command(capture):
+    recorded(Path("in"), "a", (0, 7))
+
+    lacking = capture("--sequence", "off,1")
+    left = Path("s").exists()
+    corrected = capture("--sequence", "off,all")
+
+    assert (lacking.status, left) == (65, False)
+    assert (corrected.status, corrected.out) == (0, ["s/a.npz"])
+
+
 def test_a_damaged_shot_is_named_and_the_rest_goes_on(capture):
     whole = recorded(Path("in"), "b").read_bytes()
     Path("in/a.npz").write_bytes(whole[: len(whole) // 2])

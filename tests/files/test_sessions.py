@@ -133,6 +133,7 @@ def test_provenance_has_the_hashes_of_the_inputs(tmp_path):
     writer = SessionWriter(tmp_path / "s", CAPTURE)
     with writer:
         writer.read_from(tmp_path / "input")
+        writer.add(shot("a"))
 
     inputs = read_session(tmp_path / "s").captures[0].provenance["inputs"]
     assert inputs == {str(tmp_path / "input"): "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"}
@@ -171,6 +172,55 @@ def test_a_capture_that_fails_before_its_first_shot_keeps_the_earlier_session(tm
         raise SignalReceived(15)
 
     assert {path: path.read_bytes() for path in (tmp_path / "s").iterdir()} == before
+
+
+@pytest.mark.parametrize("existing", ["refuse", "append", "replace"])
+def test_a_first_shot_that_cannot_be_written_leaves_the_folder_as_it_was(tmp_path, monkeypatch, existing):
+    if existing != "refuse":
+        written(tmp_path / "s", "a")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+
+    def full(*_, **__):
+        raise InputOutputError("a.npz", "no space left on device")
+
+    monkeypatch.setattr("ringpose.files.images.sessions.write_shot", full)
+    with pytest.raises(InputOutputError):
+        written(tmp_path / "s", "b", existing=existing)
+
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+    assert (tmp_path / "s").exists() is (existing != "refuse")
+
+
+@pytest.mark.parametrize("existing", ["refuse", "append", "replace"])
+def test_a_capture_without_any_shot_leaves_the_folder_as_it_was(tmp_path, existing):
+    if existing != "refuse":
+        written(tmp_path / "s", "a")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+
+    written(tmp_path / "s", existing=existing)
+
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+    assert (tmp_path / "s").exists() is (existing != "refuse")
+
+
+def test_a_folder_that_a_capture_killed_before_its_first_shot_left_is_used_again(tmp_path):
+    write_session(tmp_path, Session(captures=(replace(CAPTURE, state="capturing"),)))
+    (tmp_path / ".a.npz.x.part").touch()
+
+    written(tmp_path, "a")
+
+    assert read_session(tmp_path).shots == ("a",)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "session.yaml"]
+
+
+def test_replacing_a_session_by_a_shot_of_the_same_name_keeps_the_new_one(tmp_path):
+    written(tmp_path / "s", "a", "b")
+    writer = SessionWriter(tmp_path / "s", CAPTURE, "replace")
+    with writer:
+        writer.add(shot("a", 9))
+
+    assert read_shot(tmp_path / "s/a.npz").images.max() == 9
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["a.npz", "session.yaml"]
 
 
 @pytest.mark.parametrize("existing", ["append", "replace"])

@@ -58,7 +58,8 @@ def write_session(folder: Path, session: Session) -> None:
 class SessionWriter:
     """Writes a session while it is captured; the shots and `session.yaml` stay valid however the block ends.
 
-    The folder is locked against other captures. Existing files are not changed before the first shot arrives.
+    The folder is locked against other captures. A session that never gets a shot leaves nothing behind: neither a
+    folder of its own, nor a change of the session that it continues or replaces.
     """
 
     def __init__(self, folder: Path, capture: Capture, existing: Existing = "refuse") -> None:
@@ -94,15 +95,16 @@ class SessionWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if error is None:
-                self._begin()
+            if not self._shots:
+                self._undo()
+            elif error is None:
                 self._write("finished")
-            elif self._has_begun:
+            else:
                 with suppress(RingposeError):  # the error that ended the capture matters more
                     self._write("stopped")
         finally:
             self._unlock()
-            if not self._has_begun:
+            if not self._shots:
                 with suppress(OSError):  # not empty: an earlier session, or files of the user's
                     self.folder.rmdir()
 
@@ -110,11 +112,14 @@ class SessionWriter:
         """Write a shot and return the path of its file; a name that the session has already is bad data."""
         if shot.name in self.names:
             raise DataError(shot.name, f"{self.folder} has a shot of this name already", "give each shot its own name")
-        self._begin()
         path = self.folder / f"{shot.name}.npz"
-        write_shot(path, shot)
+        if not self._has_begun and self._existing != "replace":  # so that a killed capture leaves a valid session
+            self._begin()
+        write_shot(path, shot, force=path in self._outdated)
         self.names.add(shot.name)
         self._shots.append(shot.name)
+        if not self._has_begun:
+            self._begin()
         return path
 
     def name_camera(self, name: str | None) -> None:
@@ -150,22 +155,44 @@ class SessionWriter:
         self.names = {path.stem for path in existing if path not in self._outdated}
 
     def _begin(self) -> None:
-        """Before the first shot: remove the shots of a replaced session, and set the state to `capturing`."""
-        if self._has_begun:
-            return
-        for path in self._outdated:
-            path.unlink(missing_ok=True)
-        self._write("capturing")
+        """Set the state to `capturing`, and remove the shots of a replaced session, which the first new one ends."""
         self._has_begun = True
+        self._write("capturing")
+        for path in self._outdated:
+            if path.stem not in self._shots:
+                path.unlink(missing_ok=True)
+
+    def _undo(self) -> None:
+        """Without a shot: restore `session.yaml` as it was."""
+        if not self._has_begun:
+            return
+        with suppress(RingposeError, OSError):  # the error that ended the capture matters more
+            if self._earlier:
+                write_session(self.folder, Session(captures=self._earlier))
+            else:
+                (self.folder / FILE).unlink(missing_ok=True)
 
     def _is_free(self) -> bool:
-        """Whether the folder does not exist yet, or is empty."""
+        """Whether the folder does not exist yet, or holds nothing but what a capture killed before its first shot left.
+
+        That is at most its lock, temporary files and a `session.yaml` without shots.
+        """
         try:
-            return not self.folder.exists() or (
-                self.folder.is_dir() and all(path.name == LOCK for path in self.folder.iterdir())
-            )
+            if not self.folder.exists():
+                return True
+            if not self.folder.is_dir():
+                return False
+            left = {path.name for path in self.folder.iterdir() if not path.match(TEMPORARY_FILES)} - {LOCK}
         except OSError as error:
             raise output_error(self.folder, error) from error
+        return not left or (left == {FILE} and self._has_no_shots())
+
+    def _has_no_shots(self) -> bool:
+        """Whether the folder has a valid session without shots."""
+        try:
+            return not read_session(self.folder).shots
+        except RingposeError:
+            return False
 
     def _unlock(self) -> None:
         """Remove the lock file before releasing the lock; a process that has opened it meanwhile opens it again."""
