@@ -59,9 +59,14 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run() -> None:
-    """The entry point of the `ringpose` command."""
+    """The entry point of the `ringpose` command.
+
+    A signal may arrive at any instant. Until the block below has been left, it is raised inside it or by `main`; from
+    then on it is without effect, so that it can neither change the status nor end in a traceback.
+    """
+    interrupts = Interrupts()
     try:
-        raise_signals()
+        raise_signals(interrupts)
         gc.set_threshold(GARBAGE_FROM)
         # the matrices of a shot are small: OpenBLAS, loaded with NumPy later, would share them between threads that
         # mostly wait for each other, which doubles the time of a shot in ambient light
@@ -70,20 +75,15 @@ def run() -> None:
             if stream is not None:
                 stream.reconfigure(encoding="utf-8", errors="surrogateescape")  # type: ignore[union-attr]
         status = main(sys.argv[1:])
-    except SignalReceived as received:
+        interrupts.are_over = True
+    except SignalReceived as received:  # while it is handled, another one is not raised
+        interrupts.are_over = True
         status = received.status
-    _ignore_signals_reliably()
+    ignore_signals()
+    if interrupts.number:
+        _discard_output()  # its reader may have stopped reading, and no signal could end the wait for it
     _discard_unwritten_output()
     sys.exit(status)
-
-
-def _ignore_signals_reliably() -> None:
-    """Ignore signals, even if one (a repeated Ctrl-C) arrives while the handlers are being replaced."""
-    while True:
-        try:
-            return ignore_signals()
-        except SignalReceived:
-            continue
 
 
 def _command(arguments: list[str]) -> int:
@@ -132,6 +132,12 @@ def _discard_unwritten_output() -> None:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError:
+        _discard_output()
+
+
+def _discard_output() -> None:
+    """Redirect stdout to /dev/null."""
+    if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -141,9 +147,8 @@ AGAIN_S = 0.1
 ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
 
 
-def raise_signals() -> None:
+def raise_signals(interrupts: "Interrupts") -> None:
     """Raise the signals that end a program as exceptions, except those that it was started to ignore."""
-    interrupts = _Interrupts()
     sys.unraisablehook = interrupts.report_unraisable
     signal.signal(signal.SIGALRM, interrupts)
     for number in ENDING:
@@ -158,7 +163,7 @@ def ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-class _Interrupts:
+class Interrupts:
     """Signal handler that raises one exception, and repeats it until the exception propagates.
 
     Raising it once is not enough, since foreign code may swallow it (an import in C clears all errors, a destructor
@@ -167,8 +172,14 @@ class _Interrupts:
 
     def __init__(self) -> None:
         self.number = 0
+        """The signal that is raised; 0 if none has arrived."""
+        self.are_over = False
+        """Whether signals are without effect, since the exit status is known."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        if self.are_over:
+            return
         self.number = self.number or number
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
         if not _is_propagating(sys.exception()):

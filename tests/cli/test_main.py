@@ -122,7 +122,7 @@ def test_a_shot_imports_nothing_that_its_line_does_not_need(started, command):
 def test_an_object_whose_constructor_a_signal_interrupts_leaves_no_message(interrupted, printed):
     program = f"""
 import os, signal
-from ringpose.cli.main import raise_signals
+from ringpose.cli.main import Interrupts, raise_signals
 from ringpose.errors import SignalReceived
 
 class Archive:
@@ -132,7 +132,7 @@ class Archive:
     def __del__(self):
         self.absent
 
-raise_signals()
+raise_signals(Interrupts())
 try:
     Archive()
 except SignalReceived:

@@ -1,16 +1,19 @@
 """Pipes and signals, with the command as a process of its own."""
 
+import fcntl
 import inspect
 import json
 import os
 import pty
 import resource
 import signal
+import termios
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from guarded_lasers import wait_for
 
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in
@@ -137,22 +140,75 @@ def test_clean_up_is_not_broken_off_by_further_signals(started):
     assert (process.returncode, rest, said) == (143, "off\n", "")
 
 
-LATE_SIGNAL = """
-import os, signal
-from ringpose.cli import main as interrupts
-quiet = interrupts.ignore_signals
-def pelted():
-    interrupts.ignore_signals = quiet
-    os.kill(os.getpid(), signal.SIGINT)
-    os.getpid()
-interrupts.ignore_signals = pelted
+PELTED = """
+import os, signal, sys
+from ringpose.cli import main as cli
+
+number, ends_by = signal.{number}, {ends_by}
+statuses = []
+ending = [False]
+
+def command(arguments):
+    ending[0] = True
+    if ends_by:
+        os.kill(os.getpid(), ends_by)
+    return 0
+
+def lines_of_the_end(frame, event, _):
+    if ending[0] and frame.f_code.co_filename == cli.__file__ and event == "line":
+        lines[0] += 1
+        if lines[0] >= at:
+            os.kill(os.getpid(), number)
+    return lines_of_the_end
+
+cli._command = command
+at = 0
+while True:
+    at, lines, ending[0] = at + 1, [0], False
+    for each in cli.ENDING:
+        signal.signal(each, signal.SIG_DFL)
+    sys.settrace(lines_of_the_end)
+    try:
+        cli.run()
+    except SystemExit as end:
+        statuses.append(end.code)
+    finally:
+        sys.settrace(None)
+    if lines[0] < at:
+        break
+print(len(statuses), *sorted(set(statuses)), file=sys.__stderr__)
+os._exit(0)
 """
-"""Put before the command: a last signal comes when signals are about to be ignored."""
+"""Ends the command again and again: once it has ended, signals arrive at each line from line `at` on."""
 
 
-def test_a_signal_at_the_very_end_is_no_traceback(started):
-    with started("--version", before=LATE_SIGNAL) as process:
-        assert ended(process) == (0, "")
+@pytest.mark.parametrize("ends_by", [0, signal.SIGTERM], ids=["finished", "ended by SIGTERM"])
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP", "SIGPIPE"])
+def test_repeated_signals_at_any_line_of_the_end_are_no_traceback(started, number, ends_by):
+    with started(before=PELTED.format(number=number, ends_by=int(ends_by))) as process:
+        _, said = process.communicate(timeout=DEADLINE_S)
+
+    runs, *statuses = (int(word) for word in said.split())
+    assert process.returncode == 0
+    assert runs > 10  # lines, and so ends, that were tried
+    by_signal = {128 + getattr(signal, number)} if number != "SIGPIPE" else set()  # Python ignores SIGPIPE
+    assert set(statuses) | by_signal == {143 if ends_by else 0} | by_signal  # of two at once, either may be first
+
+
+def test_a_signal_ends_a_command_whose_reader_has_stopped_reading(started, rig, detections):
+    reading, writing = os.pipe()
+    size = fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    with started("pose", "-", "--rig", rig, stdout=writing) as process:
+        os.close(writing)
+        process.stdin.write(3 * detections.read_text())
+        process.stdin.flush()
+        wait_for(lambda: int.from_bytes(fcntl.ioctl(reading, termios.FIONREAD, bytes(4)), "little") == size)
+        process.send_signal(signal.SIGTERM)
+        process.wait(DEADLINE_S)
+        os.close(reading)
+        said = process.stderr.read()
+
+    assert (process.returncode, said) == (143, "")
 
 
 def test_signals_that_the_parent_ignores_stay_ignored(started, rig, detections):
