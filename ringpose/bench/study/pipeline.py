@@ -13,7 +13,7 @@ import numpy as np
 from ringpose.bench.study import executors
 from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
-from ringpose.bench.study.table import worst_shots
+from ringpose.bench.study.table import finding, worst_shots
 from ringpose.files.studies.results import ResultFolder
 from ringpose.report.page import Picture
 from ringpose.simulate.pipeline import simulated_boards
@@ -179,10 +179,9 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
         assert isinstance(source, Shot)
         picture = overlay(picture_of(source), detect(source, shot.scene.rig))
         png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
-        error, reason = rows[index]["center_m"], rows[index]["reason"]
-        found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"
         setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
-        pictures.append(Picture(png=png.tobytes(), caption=f"Shot {index} ({method}): {found}; {setting}"))
+        caption = f"Shot {index} ({method}): {finding(rows[index])}; {setting}"
+        pictures.append(Picture(png=png.tobytes(), caption=caption))
     return pictures
 
 

@@ -4,7 +4,7 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import degrees, nan, sqrt
+from math import degrees, inf, nan, sqrt
 from typing import Literal, cast
 
 import numpy as np
@@ -327,12 +327,33 @@ def _percent(part: int, whole: int) -> str:
 
 
 def worst_shots(rows: Iterable[Row], method: str, count: int) -> list[int]:
-    """Indices of the shots with the largest centre errors of a method; those without a pose come first."""
+    """Indices of the shots with the largest errors of a method; those without a pose come first.
+
+    The error is that of the centre, or of the grasp point where a pose has no centre that could be compared.
+    """
     ranked: list[tuple[float, int]] = []
     for row in rows:
         if row["method"] == method and row["expect"] in ("pose", "partial"):
-            error = row["center_m"]
-            ranked.append((float(error) if error is not None else float("inf"), int(row["shot"] or 0)))
+            _, error = _compared(row)
+            ranked.append((error, int(row["shot"] or 0)))
             if len(ranked) > 2 * count + 1000:
                 ranked = sorted(ranked, reverse=True)[:count]
     return [index for _, index in sorted(ranked, reverse=True)[:count]]
+
+
+def finding(row: Row) -> str:
+    """What a method found in a shot, in words: the error by which it is ranked among the worst, or why it has none."""
+    if row["status"] == "none":
+        return f"no pose: {row['reason']}"
+    quantity, error = _compared(row)
+    return f"{quantity} error {1e3 * error:.3g} mm" if quantity else "a pose without centre and grasp point"
+
+
+def _compared(row: Row) -> tuple[str, float]:
+    """The point that is compared, and its error in metres; infinite without a pose, 0 for one without these points."""
+    if row["status"] == "none":
+        return "", inf
+    for quantity, name in (("centre", "center_m"), ("grasp point", "grasp_m")):
+        if (error := row[name]) is not None:
+            return quantity, float(error)
+    return "", 0.0

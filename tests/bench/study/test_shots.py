@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.bench.study.shots import scene_of, setting_of, study_rows, study_shot, with_run
-from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
+from ringpose.bench.study.table import exceeded_limits, finding, study_text, summarized, worst_shots
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import read_study, study_path
 from ringpose.simulate.features import Deviations, drawn_features
@@ -163,6 +163,24 @@ def test_the_worst_shots_are_those_with_the_largest_errors(study, rows):
 
     errors = {row["shot"]: row["center_m"] for row in rows if row["method"] == "ml"}
     assert worst == sorted(errors, key=errors.get, reverse=True)[:3]
+
+
+def test_a_shot_with_a_pose_is_never_reported_as_one_without(study):
+    blank = dict.fromkeys(columns(study)) | {"method": "ml", "expect": "partial"}
+    rows = [
+        blank | {"shot": 0, "status": "degraded", "reason": "the edges may be straight", "center_m": 0.02},
+        blank | {"shot": 1, "status": "degraded", "reason": "the edges may be straight", "grasp_m": 0.0012},
+        blank | {"shot": 2, "status": "degraded", "normal_rad": 0.1},
+        blank | {"shot": 3, "status": "none", "reason": "no stripe"},
+    ]
+
+    assert [finding(row) for row in rows] == [
+        "centre error 20 mm",
+        "grasp point error 1.2 mm",
+        "a pose without centre and grasp point",
+        "no pose: no stripe",
+    ]
+    assert worst_shots(rows, "ml", 4) == [3, 0, 1, 2]
 
 
 @pytest.mark.parametrize(
