@@ -128,9 +128,12 @@ def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, rate_hz
     """Lines at a fixed rate of this computer's clock; a thread reads the records meanwhile."""
     from ringpose.cli.live_input import at_ticks
 
-    records = _Records(tracker, batch)
+    records, now_s = _Records(tracker, batch), time()
     for arrived in at_ticks(items, 1.0 / rate_hz):
+        last_s, now_s = now_s, time()
+        if now_s < last_s:  # the next line would be older than the last one, and what was measured too young
+            messages.echo(f"this computer's clock was set back by {last_s - now_s:.3g} s; the track starts anew")
+            tracker.start_anew()
         for item in arrived:
             records.added(item, at_rate=True)
-        now_s = time()
         yield tracker.line_at(now_s, now_s + 1.0 / rate_hz)

@@ -1,7 +1,8 @@
 """Pose records -> track records, the computation of `ringpose track`.
 
 Records may arrive late. Those of the last second are kept with the track as it was after each of them, and used again
-in the order of their stamps when an older one arrives: the result does not depend on the order of arrival.
+in the order of their stamps when an older one arrives: the result does not depend on the order of arrival. Records that
+are not late, but stamped by a clock that was set back (`ringpose.track.stream_clock`), start the track anew.
 """
 
 from bisect import bisect_left
@@ -17,6 +18,7 @@ from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import track_line
 from ringpose.track.observation import Observation, observation
+from ringpose.track.stream_clock import Arrival, StreamClock
 from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
 from ringpose.types.rig import Rig, reject_other_rig
 from ringpose.types.track import Attempt, FusionStatus, TrackLine
@@ -67,17 +69,6 @@ class _Entry(NamedTuple):
         return self.observed.stamp_s, self.observed.shot
 
 
-class _Unused(NamedTuple):
-    """Successive records outside the buffer, of one clock."""
-
-    is_old: bool
-    """Whether they are older than the buffer, rather than ahead of this computer's clock."""
-    stamp_s: float
-    """Stamp of the last one."""
-    elapsed_s: float
-    """Time from the first to the last, with bounded gaps."""
-
-
 class Tracker:
     """A track that pose records are added to as they arrive."""
 
@@ -97,8 +88,7 @@ class Tracker:
         self._base_flags = PoseFlag(0)
         self._entries: list[_Entry] = []
         self._attempts: list[Attempt] = []
-        self._unused: _Unused | None = None
-        """The records outside the buffer, if only such have arrived since the last one in it."""
+        self._clock = StreamClock(self.options.lost_after_s)
 
     @property
     def track(self) -> Track:
@@ -111,36 +101,63 @@ class Tracker:
         Raises `DataError` for a record that does not belong to this track: of another rig, repeated, or with other
         nuisance parameters.
         """
+        self._check_belongs(line)
+        stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
+        arrival = self._arrived(line, stamp_s, now_s)
         try:
             with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
-                status, ratio, reason = self._fused(line, now_s, inflation)
+                status, ratio, reason = self._fused(line, now_s, inflation, arrival)
         except np.linalg.LinAlgError:
             status, ratio, reason = Fusion(FusionStatus.REJECTED_COVARIANCE, reason="its equations are singular")
-        stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
+        if arrival is Arrival.SET_BACK:
+            reason = "; ".join(filter(None, ["the clock of the stamps was set back", reason]))
         attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio, reason=reason)
         self._attempts.append(attempt)
         return attempt
+
+    def start_anew(self) -> None:
+        """Forget what was measured, as its stamps are not of the same clock as those of the records that follow."""
+        self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), -float("inf")
+        self._base_flags, self._entries = PoseFlag(0), []
+        self._clock = StreamClock(self.options.lost_after_s)
 
     def line_at(self, stamp_s: float, next_stamp_s: float | None = None) -> TrackLine:
         """The record of the track at an instant, and the attempts since the last one."""
         attempts, self._attempts = tuple(self._attempts), []
         used = [entry.flags for entry in self._entries if entry.fusion.status is FusionStatus.FUSED]
         flags = (used[-1] if used else self._base_flags) & REPORTED_FLAGS
+        is_contradicted = bool(attempts) and attempts[-1].fusion_status is FusionStatus.REJECTED_GATE
+        if is_contradicted or self._clock.is_in_doubt:
+            flags |= PoseFlag.INCONSISTENT
         in_base = self.camera is not None
         return track_line(self.track, stamp_s, next_stamp_s, attempts, flags, self._hash, self.options, in_base)
 
     def line_of(self, attempt: Attempt) -> TrackLine:
-        """The track record after an attempt: at the stamp of the attempt, or at that of the track if it is later.
+        """The track record after the newest attempt: at its stamp, but never before that of the record before.
 
-        Stamps outside the buffer are wrong, so that only their differences count: the track is predicted by the time
-        that has passed since the first of them.
+        The track grows older with records that arrive and are not used, also if their stamps are not of its time: only
+        a measurement that is used makes it younger.
         """
-        outside = attempt.fusion_status in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD)
-        if outside and self.track.banks and self._unused is not None:
-            return self.line_at(self.track.stamp_s + self._unused.elapsed_s)
-        return self.line_at(attempt.stamp_s)
+        is_used = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
+        stamp_s = attempt.stamp_s
+        if self.track.banks:
+            stamp_s = self._clock.state_stamp_s(stamp_s, self.track.stamp_s, is_used=is_used)
+        return self.line_at(stamp_s)
 
-    def _not_usable(self, line: PoseLine, now_s: float) -> Fusion | None:
+    def _arrived(self, line: PoseLine, stamp_s: float, now_s: float) -> Arrival:
+        """How the stamp of a record follows those before it; if the clock was set back, the track starts anew."""
+        track_s, is_measured = self.track.stamp_s, line.measurement is not None and isfinite(line.pose_stamp_s)
+        is_in_buffer = is_measured and stamp_s >= self._base_stamp_s
+        is_ahead = stamp_s > now_s + FUTURE_S
+        arrival = self._clock.arrived(stamp_s, track_s, is_ahead=is_ahead, is_shot=is_in_buffer)
+        if arrival is Arrival.SET_BACK:
+            self.start_anew()
+            self._clock.arrived(stamp_s, self.track.stamp_s, is_ahead=is_ahead, is_shot=is_measured)
+        elif arrival is Arrival.AFTER_STRAY:
+            self._entries = [entry for entry in self._entries if entry.observed.stamp_s <= stamp_s]
+        return arrival
+
+    def _not_usable(self, line: PoseLine, now_s: float, arrival: Arrival) -> Fusion | None:
         """Why a record cannot be used; None if it can."""
         measurement, stamp_s = line.measurement, line.pose_stamp_s
         if measurement is None and line.pose is not None:
@@ -148,9 +165,7 @@ class Tracker:
             return Fusion(FusionStatus.NONE, reason=found)
         if measurement is None or not isfinite(stamp_s):
             return Fusion(FusionStatus.NONE, reason=line.reason or "the record has no time stamp")
-        self._check_rig(line)
-        if stamp_s > now_s + FUTURE_S:
-            self._leave_out(stamp_s)
+        if arrival is Arrival.AHEAD:
             found = f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
             return Fusion(FusionStatus.TOO_NEW, reason=found)
         if line.flags & PoseFlag.ASSIGNMENT_AMBIGUOUS:
@@ -160,17 +175,18 @@ class Tracker:
                 FusionStatus.REJECTED_COVARIANCE, reason="its measurement does not describe a ring in front of a camera"
             )
         if stamp_s < self._base_stamp_s:
-            self._leave_out(stamp_s)
             return Fusion(FusionStatus.TOO_OLD, reason=f"it is older than the buffer of {BUFFER_S:g} s")
+        if arrival is Arrival.IN_DOUBT:
+            found = "its stamp is among those of earlier shots; if that of the next one is, too, the clock was set back"
+            return Fusion(FusionStatus.PENDING, reason=found)
         return None
 
-    def _fused(self, line: PoseLine, now_s: float, inflation: float) -> Fusion:
+    def _fused(self, line: PoseLine, now_s: float, inflation: float, arrival: Arrival) -> Fusion:
         """Use a record for the track, if it can be used, and return how it was used."""
         measurement, stamp_s, newest_s = line.measurement, line.pose_stamp_s, self.track.stamp_s
-        if not_usable := self._not_usable(line, now_s):
+        if not_usable := self._not_usable(line, now_s, arrival):
             return not_usable
         assert measurement is not None  # as checked
-        self._unused = None
         if line.flags & PoseFlag.INCONSISTENT:
             inflation *= max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
@@ -188,9 +204,6 @@ class Tracker:
     def _inserted(self, entry: _Entry) -> Fusion:
         """Insert an entry by its stamp, and process the entries after it again."""
         place = bisect_left([each.key for each in self._entries], entry.key)
-        if place < len(self._entries) and self._entries[place].key == entry.key:
-            shot = entry.observed.shot
-            raise DataError(shot, f"repeats the record of shot {shot}", "give each record once")
         before, again = self._entries[:place], []
         track = before[-1].track if before else self._base
         for each in (entry, *self._entries[place:]):
@@ -210,26 +223,15 @@ class Tracker:
         if isfinite(oldest_s):
             self._base_stamp_s = max(self._base_stamp_s, oldest_s)
 
-    def _leave_out(self, stamp_s: float) -> None:
-        """Note the stamp of a record outside the buffer.
-
-        A stamp that is not later than the previous one outside the buffer, or on the other side of the buffer, is of
-        another clock. If only records older than the buffer have come for long enough, the clock was set back, and the
-        track starts anew. The time between two records, whose stamps may both be wrong, counts for no more than half of
-        the time after which a track is lost.
-        """
-        last, is_old, elapsed_s = self._unused, stamp_s < self._base_stamp_s, 0.0
-        if last is not None and last.is_old == is_old and stamp_s > last.stamp_s:
-            elapsed_s = last.elapsed_s + min(stamp_s - last.stamp_s, self.options.lost_after_s / 2)
-        self._unused = _Unused(is_old, stamp_s, elapsed_s)
-        if is_old and elapsed_s > self.options.lost_after_s:
-            self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), stamp_s
-            self._entries, self._unused = [], None
-
-    def _check_rig(self, line: PoseLine) -> None:
+    def _check_belongs(self, line: PoseLine) -> None:
+        """Raise `DataError` for a measurement of another rig, or one that is in the buffer already."""
+        if line.measurement is None:
+            return
         self._hash = self._hash or line.rig
         remedy = "track the records of one rig at a time, and give its file with --rig"
         reject_other_rig(line.rig, self._hash, line.shot, remedy)
+        if (line.pose_stamp_s, line.shot) in [each.key for each in self._entries]:
+            raise DataError(line.shot, f"repeats the record of shot {line.shot}", "give each record once")
 
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None

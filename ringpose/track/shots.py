@@ -141,7 +141,9 @@ class ShotTracker:
     def _usable_background(self, shot: Shot, rig: Rig) -> Frame | None:
         """The newest frame without lasers, unless the ring's edges have moved since, or the exposure has changed."""
         dark, track, stamp_s = self._background, self._tracker.track, shot.measured_at_s
-        if dark is None or not track.banks or not np.allclose(shot.exposure_s, dark.exposure_s, rtol=1e-3):
+        if dark is None or not track.banks or dark.stamp_s > stamp_s:  # of a clock that was set back since
+            return None
+        if not np.allclose(shot.exposure_s, dark.exposure_s, rtol=1e-3):
             return None
         with np.errstate(all="ignore"):
             taken_s = dark.stamp_s + dark.exposure_s / 2

@@ -29,7 +29,8 @@ class FusionStatus(StrEnum):
     FUSED_LATE = "fused_late"
     """It was older than a measurement used before; the later measurements were then used again after it."""
     PENDING = "pending"
-    """After a gap it does not continue the track; a second one that agrees with it starts the track anew."""
+    """After a gap it does not continue the track, or its stamp is among earlier ones; a second one that agrees with it
+    starts the track anew."""
     REJECTED_GATE = "rejected_gate"
     REJECTED_COVARIANCE = "rejected_covariance"
     """Its errors are not described by its covariance."""
@@ -61,7 +62,7 @@ class Attempt:
     test_ratio: float
     """Chi-squared of the innovation over the limit of the gate; NaN if it was not tested."""
     reason: str = ""
-    """Why it was not used; empty if it was."""
+    """Why it was not used, or that the clock was set back before it; empty if it was used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

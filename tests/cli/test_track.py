@@ -273,6 +273,17 @@ def test_at_a_fixed_rate_lines_go_on_while_no_records_arrive(lines):
     assert records[0]["next"] is None or records[0]["next"]["stamp_s"] > records[0]["stamp_s"]
 
 
+def test_a_clock_of_this_computer_that_is_set_back_starts_a_track_at_a_rate_anew(capsys, monkeypatch, poses):
+    readings_s = iter([START_S + 3.0])
+    monkeypatch.setattr("ringpose.cli.track.time", lambda: next(readings_s, START_S + 1.0))
+
+    status, records, messages = tracked(capsys, poses, "--rate", 20)
+
+    assert (status, len(messages)) == (0, 1)
+    assert "set back by 2 s" in messages[0]
+    assert (records[-1]["resets"], records[-1]["validity"], records[-1]["stamp_s"]) == (1, "valid", START_S + 1.0)
+
+
 @pytest.mark.slow
 def test_a_slow_reader_gets_the_newest_line(lines):
     with fed(restamped(lines, time.time()), "--rate", "50", "--newest") as process:
