@@ -14,6 +14,9 @@ Other exit statuses: 0 success, 1 a bug, 3 success but a shot has no pose or a t
 """
 
 import signal
+from typing import TypeVar
+
+Problem = TypeVar("Problem", bound="RingposeError")
 
 
 class RingposeError(Exception):
@@ -25,11 +28,26 @@ class RingposeError(Exception):
         self.location = location
         self.found = found
         self.remedy = remedy
+        self.later: tuple[str, ...] = ()
+        """What was found in later attempts at the same, which does not replace the first finding."""
         super().__init__(location, found, remedy)
 
+    @property
+    def finding(self) -> str:
+        """The line without its location."""
+        line = f"{self.found}; {self.remedy}" if self.remedy else self.found
+        return " ".join(" ".join([line, *(f"(then: {each})" for each in self.later)]).split())
+
     def __str__(self) -> str:
-        line = f"{self.location}: {self.found}" if self.location else self.found
-        return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
+        return " ".join(f"{self.location}: {self.finding}".split()) if self.location else self.finding
+
+    def followed_by(self: Problem, *later: "RingposeError") -> Problem:
+        """Attach the findings of later attempts, each different one once; returns this error."""
+        for each in later:
+            is_same = (each.location, each.found) == (self.location, self.found)
+            if not is_same and str(each) not in self.later:
+                self.later = (*self.later, str(each))
+        return self
 
 
 class UsageError(RingposeError):

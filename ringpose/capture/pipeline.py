@@ -112,9 +112,11 @@ class _CameraError(Exception):
 
 @contextmanager
 def _camera_errors() -> Iterator[None]:
-    """Raises a `DeviceError` of the block as a `_CameraError`."""
+    """Raises a `DeviceError` of the block as a `_CameraError`; a simulated camera may notice that lasers went off."""
     try:
         yield
+    except LasersWentOff:
+        raise
     except DeviceError as error:
         raise _CameraError(error) from error
 

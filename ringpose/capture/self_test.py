@@ -47,6 +47,8 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     found = f"{description.name}, {size}, {description.saturation_dn} dn{limits}"
     yield DeviceCheck(check="camera", verdict="ok", found=found)
     yield from (DeviceCheck(check="camera", verdict="warning", found=line) for line in camera.warnings())
+    if not isinstance(lasers, UncontrolledLasers):
+        yield _check_report(lasers)
     yield _check_frames(camera)
     dark = camera.trigger(0).image
     share = float(dark.mean()) / description.saturation_dn
@@ -73,6 +75,16 @@ def summary(checks: Sequence[DeviceCheck]) -> DeviceCheck:
     worst = next(verdict for verdict in get_args(DeviceVerdict)[::-1] if verdict in verdicts)
     counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in get_args(DeviceVerdict))
     return DeviceCheck(check="verdict", verdict=worst, found=counts)
+
+
+def _check_report(lasers: LaserDriver) -> DeviceCheck:
+    """Whether the board reports its relays; one that does not cannot be told from a port without a board."""
+    reported = lasers.read_mask()
+    if reported is None:
+        remedy = "only the images show whether it obeys: every laser must be seen"
+        return DeviceCheck(check="board", verdict="warning", found="does not report which lasers are on", remedy=remedy)
+    found = f"reports lasers on (mask {reported}) while all are off" if reported else "reports that all lasers are off"
+    return _check("board", found, bool(reported), "fault", "cut the power")
 
 
 def _check_frames(camera: CameraDriver) -> DeviceCheck:

@@ -7,6 +7,8 @@ from ringpose.wire.relay_codec import Command, Read, Switch, WireError
 
 _ON_WORDS = frozenset({"1", "on", "high", "true"})
 
+_NUMBER = re.compile(r"0+|[1-9][0-9]{0,9}|0x[0-9a-f]{1,8}|0b[01]{1,32}")
+
 _OFF_WORDS = frozenset({"0", "off", "low", "false"})
 
 
@@ -39,13 +41,18 @@ class AsciiCodec:
         return (template.replace("{n}", str(command.relay + self.first)) + self.end).encode()
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Whether the answer is complete: it ends with a line, if one is expected."""
-        return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
+        """Whether the answer is complete: it ends with a line that is not the echo of the command, if one is expected.
+
+        Adapters and sketches may echo the command.
+        """
+        if not isinstance(command, Read) and not self.acknowledged_by:
+            return True
+        return received.endswith(b"\n") and bool(self._answer_lines(command, received))
 
     def on_mask(self, command: Command, received: bytes) -> int:
         """The mask of the relays that are closed according to the last line of an answer; 0 for an acknowledgement."""
-        lines = received.decode("ascii", "replace").split("\n")
-        line = lines[-2].strip() if len(lines) > 1 else ""
+        lines = self._answer_lines(command, received)
+        line = lines[-1] if lines and received.endswith(b"\n") else ""
         if isinstance(command, Read):
             return self._mask(line, command.count)
         if self.acknowledged_by and line != self.acknowledged_by:
@@ -65,6 +72,12 @@ class AsciiCodec:
             return f"{on_mask}\r\n".encode()
         return f"{self.acknowledged_by}\r\n".encode() if self.acknowledged_by else b""
 
+    def _answer_lines(self, command: Command, received: bytes) -> list[str]:
+        """The lines of an answer without blank ones and without the command itself."""
+        sent = self.request(command).decode().strip()
+        lines = [line.strip() for line in received.decode("ascii", "replace").split("\n")]
+        return [line for line in lines if line not in ("", sent)]
+
     def _command(self, line: str) -> Command | None:
         if self.read and line == self.read:
             return Read(0)
@@ -78,7 +91,6 @@ class AsciiCodec:
         word = line.lower()
         if count == 1 and word in _ON_WORDS | _OFF_WORDS:
             return int(word in _ON_WORDS)
-        try:
-            return int(word, 0) & ((1 << count) - 1)
-        except ValueError:
-            raise WireError(f'answered "{line}" when the relays were read') from None
+        if not _NUMBER.fullmatch(word):
+            raise WireError(f'answered "{line}" when the relays were read')
+        return int(word, 0) & ((1 << count) - 1)

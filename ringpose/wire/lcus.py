@@ -11,6 +11,12 @@ READ = 0xFF
 
 _LINE = re.compile(rb"CH(\d+) ?: ?(ON|OFF) ?\r\n")
 
+_LINES = re.compile(rb"(?:CH\d+ ?: ?(?:ON|OFF) ?\r\n)+(?:C(?:H\d* ?:? ?[OFN]* ?\r?)?)?")
+"""Whole lines; the line of a relay that is not used may have come in part."""
+
+_MAX_RAW = 32
+"""No board has more relays."""
+
 
 @dataclass(frozen=True, slots=True)
 class LcusCodec:
@@ -39,11 +45,13 @@ class LcusCodec:
     def on_mask(self, command: Command, received: bytes) -> int:
         """The mask of the relays that are on according to an answer."""
         if not isinstance(command, Read):
+            if received:
+                raise WireError(f"answered {received!r} to a command without an answer")
             return 0
         if self._raw(command, received):
             return sum(1 << relay for relay in range(command.count) if received[relay])
         states = self._states(received)
-        if not set(range(command.count)) <= set(states):
+        if not set(range(command.count)) <= set(states) or not _LINES.fullmatch(received):
             raise WireError(f"answered {received!r} when the relays were read")
         return sum(1 << relay for relay in range(command.count) if states[relay])
 
@@ -80,7 +88,7 @@ class LcusCodec:
         return {int(number) - self.first: state == b"ON" for number, state in _LINE.findall(received)}
 
     def _raw(self, command: Read, received: bytes) -> bool:
-        return len(received) >= command.count and all(byte in (0, 1) for byte in received)
+        return command.count <= len(received) <= _MAX_RAW and all(byte in (0, 1) for byte in received)
 
 
 def _frame(number: int, state: int) -> bytes:

@@ -5,7 +5,7 @@ The pulse is function 05 at address 0200h + relay with the time in tenths of a s
 
 from dataclasses import dataclass
 
-from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, SwitchRow, WireError
+from ringpose.wire.relay_codec import Command, Pulse, Read, Refused, Switch, SwitchRow, WireError
 
 READ_COILS, WRITE_COIL, WRITE_COILS = 0x01, 0x05, 0x0F
 
@@ -35,7 +35,7 @@ class ModbusCodec:
         if isinstance(command, Read):
             return self._frame(READ_COILS, _words(self.first, command.count))
         if isinstance(command, SwitchRow):
-            values = command.on_mask.to_bytes((command.count + 7) // 8, "little")
+            values = command.on_mask.to_bytes(_value_bytes(command.count), "little")
             head = _words(self.first + command.first, command.count)
             return self._frame(WRITE_COILS, head + bytes([len(values)]) + values)
         if isinstance(command, Pulse):
@@ -47,20 +47,18 @@ class ModbusCodec:
         """Whether the response has the length that its function code requires; an exception response has five bytes."""
         if len(received) < 5:
             return False
-        if received[1] & _EXCEPTION:
-            return True
-        return len(received) >= (5 + (command.count + 7) // 8 if isinstance(command, Read) else 8)
+        return bool(received[1] & _EXCEPTION) or len(received) >= _response_length(command)
 
     def on_mask(self, command: Command, received: bytes) -> int:
         """The mask of the coils that are on according to a response; 0 for a write, which is repeated."""
         if len(received) < 5 or crc(received[:-2]) != received[-2:]:
             raise WireError(f"answered {received.hex(' ')}, which is not a valid frame")
         request = self.request(command)
-        if received[1] & _EXCEPTION:
+        if len(received) == 5 and received[:2] == bytes([self.unit, request[1] | _EXCEPTION]):
             reason = _REASONS.get(received[2], f"exception {received[2]}")
-            raise WireError(f"refused {request.hex(' ')}: {reason}")
-        same = 2 if isinstance(command, Read) else 6
-        if received[:same] != request[:same]:
+            raise Refused(f"refused {request.hex(' ')}: {reason}")
+        head = request[:2] + bytes([_value_bytes(command.count)]) if isinstance(command, Read) else request[:6]
+        if len(received) != _response_length(command) or not received.startswith(head):
             raise WireError(f"answered {received.hex(' ')} to {request.hex(' ')}")
         if not isinstance(command, Read):
             return 0
@@ -84,7 +82,7 @@ class ModbusCodec:
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The response of a board: the echo of a write, or the states of the coils that are read."""
         if isinstance(command, Read):
-            values = (on_mask & ((1 << command.count) - 1)).to_bytes((command.count + 7) // 8, "little")
+            values = (on_mask & ((1 << command.count) - 1)).to_bytes(_value_bytes(command.count), "little")
             return self._frame(READ_COILS, bytes([len(values)]) + values)
         request = self.request(command)
         return self._frame(request[1], request[2:6])
@@ -106,6 +104,15 @@ class ModbusCodec:
     def _frame(self, function: int, content: bytes) -> bytes:
         body = bytes([self.unit, function]) + content
         return body + crc(body)
+
+
+def _response_length(command: Command) -> int:
+    """Bytes of a response that is not an exception: the states of the coils, or the first six bytes of a write."""
+    return 5 + _value_bytes(command.count) if isinstance(command, Read) else 8
+
+
+def _value_bytes(coils: int) -> int:
+    return (coils + 7) // 8
 
 
 def crc(body: bytes) -> bytes:

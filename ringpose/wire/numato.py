@@ -10,7 +10,8 @@ _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUV"
 
 _COMMAND = re.compile(r"relay (on|off) ([0-9A-V])|relay (readall)")
 
-_STATES = re.compile(rb"relay readall[\r\n]+([0-9a-fA-F]+)[\r\n]+>")
+_ANSWER = re.compile(rb"[\r\n>]*(?P<echo>[^\r\n]+)[\r\n]+(?:(?P<states>[0-9a-fA-F]+)[\r\n]+)?>\s*")
+"""The prompt of an earlier command may be in front of the echo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +36,16 @@ class NumatoCodec:
 
     def on_mask(self, command: Command, received: bytes) -> int:
         """The mask of the relays that are on, which the board sends as a hexadecimal number."""
+        answer = _ANSWER.fullmatch(received)
+        is_read = isinstance(command, Read)
+        if answer is None or answer["echo"] != self._echo(command) or (answer["states"] is not None) is not is_read:
+            raise WireError(f'answered {received!r} to "{self._echo(command).decode()}"')
         if not isinstance(command, Read):
-            if self._echo(command) not in received:
-                raise WireError(f'answered {received!r} to "{self._echo(command).decode()}"')
             return 0
-        states = _STATES.search(received)
-        if states is None:
-            raise WireError(f"answered {received!r} when the relays were read")
-        return int(states[1], 16) & ((1 << command.count) - 1)
+        relays = 4 * len(answer["states"])
+        if relays < command.count:
+            raise WireError(f"reports {relays} relays; ch= names relay {_DIGITS[command.count - 1]}")
+        return int(answer["states"], 16) & ((1 << command.count) - 1)
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
         """The commands in complete lines, and the bytes of an incomplete one; other lines are skipped."""

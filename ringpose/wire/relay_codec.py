@@ -10,7 +10,11 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 
 class WireError(Exception):
-    """A command or answer that the protocol does not allow, or a command rejected by the board."""
+    """A command or answer that the protocol does not allow."""
+
+
+class Refused(WireError):
+    """The board has answered that it rejects the command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +72,13 @@ class RelayCodec(Protocol):
         """The bytes by which a driver sends a command."""
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Whether the answer to a command is complete; always true for a command without an answer."""
+        """Whether the answer to a command has its whole length; always true for a command without an answer."""
 
     def on_mask(self, command: Command, received: bytes) -> int:
         """The mask of the relays that are on according to the answer to `Read`; 0 for other commands.
 
-        A rejection of the command raises `WireError`.
+        Raises `Refused` if the board rejects the command, and `WireError` if the bytes are not its answer and nothing
+        else: the request itself, which some adapters echo, is not an answer unless the protocol repeats it.
         """
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:

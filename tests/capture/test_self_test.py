@@ -41,7 +41,16 @@ def test_every_laser_is_walked_through(walked):
     found = walked(operate_s=0.002, release_s=0.002)
 
     assert {"laser 1", "laser 2", "laser 3", "exposure, laser 3", "settle"} <= set(found)
-    assert {finding.verdict for finding in found.values()} == {"ok"}
+    assert {finding.verdict for check, finding in found.items() if check != "board"} == {"ok"}
+
+
+@pytest.mark.parametrize(("reports", "verdict"), [(True, "ok"), (False, "warning")])
+def test_a_board_that_does_not_report_its_relays_is_a_warning(drawn_devices, reports, verdict):
+    camera, lasers = drawn_devices(reports=reports)
+    with camera, lasers:
+        found = {finding.check: finding for finding in run_self_test(camera, lasers, EXPOSURE_S)}
+
+    assert found["board"].verdict == verdict
 
 
 def test_a_dark_laser_is_a_fault_and_the_rest_is_walked_through(walked):

@@ -4,7 +4,7 @@ import pytest
 
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
-from ringpose.wire.modbus import ModbusCodec
+from ringpose.wire.modbus import ModbusCodec, crc
 from ringpose.wire.numato import NumatoCodec
 from ringpose.wire.relay_codec import Pulse, Read, Switch, SwitchRow, WireError
 
@@ -40,6 +40,21 @@ PUBLISHED = [
     (ARDUINO, Switch(2, False), b"R3 OFF\n"),
     (ARDUINO, Read(3), b"R?\n"),
 ]
+
+
+def framed(body):
+    """The bytes of a Modbus frame, in hexadecimal, with their checksum."""
+    return bytes.fromhex(body) + crc(bytes.fromhex(body))
+
+
+def is_answer(codec, command, received):
+    """Whether bytes are accepted as the answer to a command."""
+    try:
+        codec.on_mask(command, received)
+    except WireError:
+        return False
+    return codec.is_whole(command, received)
+
 
 SWITCHES = [Switch(0, True), Switch(2, True), Switch(1, False)]
 
@@ -77,6 +92,28 @@ def test_answers_are_decoded(codec, command, answer, on_mask):
         (MODBUS, Read(8), bytes.fromhex("01 01 01 05 91 8C"), "not a valid frame"),
         (MODBUS, Switch(0, True), bytes.fromhex("01 05 00 01 FF 00 DD FA"), "answered"),
         (MODBUS, Pulse(0, 0.7), bytes.fromhex("01 85 03 02 91"), "illegal value"),
+        (MODBUS, Read(3), bytes.fromhex("01 01 00 00 00 03 7c 0b"), "answered"),  # the request itself
+        (MODBUS, SwitchRow(0, 3, 0), bytes.fromhex("01 0F 00 00 00 03 01 00 8E F1"), "answered"),
+        (MODBUS, Read(3), framed("01 01 02 00 00"), "answered"),  # one byte too many
+        (MODBUS, Read(9), framed("01 01 01 00"), "answered"),
+        (MODBUS, Read(3), framed("02 01 01 00"), "answered"),  # another unit
+        (MODBUS, Read(3), framed("01 85 02"), "answered"),  # the exception of another function
+        (MODBUS, SwitchRow(0, 3, 0), framed("01 0F 00 00 00 02"), "answered"),  # another quantity
+        (MODBUS, SwitchRow(0, 3, 0), framed("01 0F 00 01 00 03"), "answered"),  # another address
+        (MODBUS, Switch(0, False), framed("01 05 00 00 FF 00"), "answered"),  # another value
+        (NUMATO, Read(9), b"relay readall\n\r05\n\r>", "reports 8 relays; ch= names relay 8"),
+        (NUMATO, Read(3), b"relay readall\n\r00\n\r>relay off 0\n\r>", "answered"),
+        (NUMATO, Read(3), b"relay off 0\n\r>", "answered"),
+        (NUMATO, Switch(0, False), b"relay off 0\n\r00\n\r>", "answered"),
+        (LCUS, Read(2), b"CH1: OFF\r\nCH2: OFF\r\nA0", "answered"),
+        (LCUS, Read(2), b"\xffCH1: OFF\r\nCH2: OFF\r\n", "answered"),
+        (LCUS, Read(2), bytes(33), "answered"),
+        (LCUS, Switch(0, False), bytes.fromhex("A00100A1"), "without an answer"),
+        (ARDUINO, Read(3), b"-8\n", 'answered "-8"'),
+        (ARDUINO, Read(3), b"0\n7", 'answered ""'),
+        (ARDUINO, Read(3), b"R?\n", 'answered ""'),
+        (AsciiCodec(on="R{n}", off="r{n}", read="0"), Read(3), b"0\n", 'answered ""'),  # what was sent
+        (AsciiCodec(on="R{n}", off="r{n}", acknowledged_by="r1"), Switch(0, False), b"r1\n", "answered"),
         (NUMATO, Switch(0, True), b"relay on 1\n\r>", "answered"),
         (NUMATO, Read(3), b"relay readall\n\r>", "answered"),
         (LCUS, Read(3), b"CH1: ON \r\n", "answered"),
@@ -87,6 +124,32 @@ def test_answers_are_decoded(codec, command, answer, on_mask):
 def test_wrong_answers_are_rejected(codec, command, answer, complaint):
     with pytest.raises(WireError, match=complaint):
         codec.on_mask(command, answer)
+
+
+ANSWERED = [
+    *((codec, command) for codec in (NUMATO, ARDUINO) for command in (Read(3), Switch(2, True), Switch(1, False))),
+    *((MODBUS, command) for command in (Read(3), SwitchRow(0, 3, 0), Pulse(0, 0.7), Switch(1, False))),
+    (LCUS, Read(3)),
+]
+"""Commands that have an answer."""
+
+
+@pytest.mark.parametrize(("codec", "command"), ANSWERED)
+def test_every_byte_of_an_answer_counts(codec, command):
+    answer = codec.answer(command, 0b101, 3)
+    others = [answer[:i] + bytes([answer[i] ^ 0x40]) + answer[i + 1 :] for i in range(len(answer))]
+
+    accepted = [each for each in (answer[:-1], answer + b"\x02", *others) if is_answer(codec, command, each)]
+
+    assert is_answer(codec, command, answer)
+    assert accepted == []
+
+
+@pytest.mark.parametrize(("codec", "command"), ANSWERED)
+def test_a_request_is_no_answer_unless_the_protocol_repeats_it(codec, command):
+    repeats = codec is MODBUS and isinstance(command, Switch | Pulse)
+
+    assert is_answer(codec, command, codec.request(command)) is repeats
 
 
 @pytest.mark.parametrize("codec", [LCUS, NUMATO, MODBUS])

@@ -7,7 +7,6 @@ process, so this module imports no heavy package.
 import json
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import TypeVar
@@ -18,11 +17,14 @@ from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec
 from ringpose.wire.numato import NumatoCodec
-from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, Switch, SwitchRow, WireError
+from ringpose.wire.relay_codec import Command, Pulse, Read, Refused, RelayCodec, Switch, SwitchRow, WireError
 
 Answer = TypeVar("Answer")
 
 ANSWER_LIMIT_S = 0.25
+
+QUIET_S = 0.05
+"""Pause that ends what belongs to one command: longer than an adapter buffers bytes (16 ms) and a board thinks."""
 
 TRIES = 3
 """Attempts at one command."""
@@ -31,8 +33,19 @@ PAUSE_S = 0.02
 """Pause between two attempts to switch everything off."""
 
 
+NO_ANSWER = "does not answer"
+
+REMEDY = "check the board, its scheme in --lasers, its power"
+
+WRONG_BOARD = "check that --lasers names the right board"
+
+
 class _NoAnswer(DeviceError):
-    """The board has not sent a single byte."""
+    """Not a single byte has come."""
+
+
+class _Refusal(DeviceError):
+    """The board has answered that it rejects a command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,11 +89,17 @@ class RelaySettings:
 
 
 class RelayBoard:
-    """A board at a port that is open already."""
+    """A board at a port that is open already.
 
-    def __init__(self, settings: RelaySettings, port: SerialPort) -> None:
+    Some adapters, as of RS-485 with two wires, echo what is sent. As an echo can look like the acknowledgement of a
+    switch, `all_off` finds out whether there is one, by the answer to a read, before any laser is switched on.
+    """
+
+    def __init__(self, settings: RelaySettings, port: SerialPort, *, echoes: bool | None = None) -> None:
         self.on_mask = 0
         """The mask commanded last: bit i is laser i."""
+        self.echoes = echoes
+        """Whether each request comes back in front of the answer; None while that is not known."""
         self._settings = settings
         self._codec = settings.codec
         self._port = port
@@ -119,7 +138,7 @@ class RelayBoard:
                 self.on_mask = 0
                 return
             problems.append(DeviceError(self._port.name, f"reports lasers on (mask {left_on}) after switching off"))
-        raise problems[-1]
+        raise problems[0].followed_by(*problems[1:])
 
     def read_mask(self) -> int | None:
         """The mask that the board reports; None if it cannot report."""
@@ -128,6 +147,7 @@ class RelayBoard:
     def _read_mask(self, expected: int) -> int | None:
         """The reported mask; read again if it is not as expected, because the first answer may be stale."""
         if self._reads == "no":
+            self._find_echo()
             return None
         reported = self._reported()
         return self._reported() if reported not in (expected, None) else reported
@@ -135,14 +155,32 @@ class RelayBoard:
     def _reported(self) -> int | None:
         """The reported mask; with `read_back=try`, the first read decides whether later ones are made."""
         try:
-            relays = self._exchange(Read(max(self._settings.relays) + 1))
+            relays = self._exchange(self._read)
         except _NoAnswer:
             if self._reads != "try":
                 raise
-            self._reads = "no"
+            self._reads, self.echoes = "no", False
             return None
         self._reads = "yes"
         return sum(1 << laser for laser, relay in enumerate(self._settings.relays) if relays >> relay & 1)
+
+    def _find_echo(self) -> None:
+        """Find out whether requests are echoed, though the relays are not to be read; raises if nothing else comes."""
+        if self.echoes is not None:
+            return
+        if not self._codec.reports:  # lines of text are told from their echo by the codec
+            self.echoes = False
+            return
+        try:
+            self._exchange(self._read)
+        except _NoAnswer:
+            self.echoes = False
+        except _Refusal:
+            pass
+
+    @property
+    def _read(self) -> Read:
+        return Read(max(self._settings.relays) + 1)
 
     def _on(self, laser: int) -> None:
         relay, pulse_s = self._settings.relays[laser], self._settings.pulse_s
@@ -157,7 +195,7 @@ class RelayBoard:
             except DeviceError as error:
                 problems.append(error)
         if problems:
-            raise problems[0]
+            raise problems[0].followed_by(*problems[1:])
 
     def _off_commands(self, lasers: int) -> list[Command]:
         """One command for adjacent relays if the board can switch them together; otherwise one for each."""
@@ -168,26 +206,77 @@ class RelayBoard:
         return [Switch(relay, False) for relay in relays]
 
     def _exchange(self, command: Command) -> int:
+        """Send a command; returns the mask of the relays that are on by its answer, 0 if that is not a mask."""
+        request = self._codec.request(command)
+        if self._codec.is_whole(command, b"") and not self.echoes:  # a command without an answer
+            self._port.exchange(request, lambda _: True, 0.0)
+            return 0
+        if self.echoes is None:
+            return self._first_answer(command, request)
+        length = len(request) if self.echoes else 0
         received = self._port.exchange(
-            self._codec.request(command), lambda received: self._codec.is_whole(command, received), ANSWER_LIMIT_S
+            request,
+            lambda received: len(received) >= length and self._codec.is_whole(command, received[length:]),
+            ANSWER_LIMIT_S,
         )
-        if not self._codec.is_whole(command, received):
-            remedy = "check the board, its scheme in --lasers, its power"
-            if not received:
-                raise _NoAnswer(self._port.name, "does not answer", remedy)
-            raise DeviceError(self._port.name, f"sends an incomplete answer ({received!r})", remedy)
+        if received[:length] != request[:length]:
+            found = f"echoes {received[:length].hex(' ')} instead of {request.hex(' ')}" if received else NO_ANSWER
+            raise DeviceError(self._port.name, found, "check the cable, its termination, and that nothing else sends")
+        return self._mask(command, received[length:])
+
+    def _first_answer(self, command: Command, request: bytes) -> int:
+        """The answer while it is not known whether requests are echoed; it may show that."""
+
+        def with_echo(received: bytes) -> bool:
+            return received.startswith(request) and self._is_answer(command, received[len(request) :])
+
+        received = self._port.exchange(
+            request, lambda received: with_echo(received) or self._is_answer(command, received), ANSWER_LIMIT_S, QUIET_S
+        )
+        if with_echo(received):
+            self.echoes = True
+            return self._mask(command, received[len(request) :])
+        if self._is_answer(command, received):
+            self.echoes = None if received == request else False  # a Modbus board repeats the request
+            return self._mask(command, received)
+        if received.startswith(request):
+            found = f"the adapter echoes what is sent ({request.hex(' ')}), and no board answers"
+            raise DeviceError(self._port.name, found, REMEDY)
+        return self._mask(command, received)
+
+    def _is_answer(self, command: Command, received: bytes) -> bool:
+        """Whether these bytes are a complete answer, even if it is a rejection."""
         try:
-            return self._codec.on_mask(command, received)
+            self._codec.on_mask(command, received)
+        except Refused:
+            return True
+        except WireError:
+            return False
+        return self._codec.is_whole(command, received)
+
+    def _mask(self, command: Command, answer: bytes) -> int:
+        """The mask in a checked answer."""
+        if not self._codec.is_whole(command, answer):
+            if not answer:
+                raise _NoAnswer(self._port.name, NO_ANSWER, REMEDY)
+            raise DeviceError(self._port.name, f"sends an incomplete answer ({answer!r})", REMEDY)
+        try:
+            return self._codec.on_mask(command, answer)
+        except Refused as error:
+            raise _Refusal(self._port.name, str(error), WRONG_BOARD) from error
         except WireError as error:
-            raise DeviceError(self._port.name, str(error), "check that --lasers names the right board") from error
+            raise DeviceError(self._port.name, str(error), WRONG_BOARD) from error
 
 
 def _retried(act: Callable[[], Answer]) -> Answer:
     """The result of an act, repeated if it fails, for example because a byte was lost on a long line."""
-    for _ in range(TRIES - 1):
-        with suppress(DeviceError):  # no pause: the wait for an answer may have ended because a process ends
+    problems: list[DeviceError] = []
+    for _ in range(TRIES):
+        try:
             return act()
-    return act()
+        except DeviceError as error:  # no pause: the wait for an answer may have ended because a process ends
+            problems.append(error)
+    raise problems[0].followed_by(*problems[1:])
 
 
 def _members(lasers: int) -> list[int]:

@@ -50,17 +50,32 @@ class SerialPort:
         """The file descriptor, to poll for a hang-up."""
         return int(self._opened.fileno())
 
-    def exchange(self, request: bytes, is_complete: Callable[[bytes], bool], limit_s: float) -> bytes:
-        """Write, then read until the answer is complete or the time limit is reached; returns what was received."""
-        port = self._opened
+    def exchange(
+        self, request: bytes, is_complete: Callable[[bytes], bool], limit_s: float, quiet_s: float = 0.0
+    ) -> bytes:
+        """Write, then read until the answer is complete or the time limit is reached; returns what was received.
+
+        The port must have been quiet for `quiet_s` before the request, and is read until it is quiet again.
+        """
+        self._read_until_quiet(quiet_s)
         with self._mapped():
-            port.reset_input_buffer()
-            port.write(request)
+            self._opened.reset_input_buffer()
+            self._opened.write(request)
         received, ends_s = b"", time.monotonic() + limit_s
         while not is_complete(received) and self._readable(ends_s - time.monotonic()):
-            with self._mapped():
-                received += port.read(4096)
+            received += self._read()
+        return received + self._read_until_quiet(quiet_s) if received else b""
+
+    def _read_until_quiet(self, quiet_s: float) -> bytes:
+        """What arrives until nothing has come for a while; a port that never rests is read ten times as long."""
+        received, ends_s = b"", time.monotonic() + 10 * quiet_s
+        while quiet_s and time.monotonic() < ends_s and self._readable(quiet_s):
+            received += self._read()
         return received
+
+    def _read(self) -> bytes:
+        with self._mapped():
+            return bytes(self._opened.read(4096))
 
     def is_contact_closed(self, name: str) -> bool:
         """Whether the input `cts` or `dsr` is asserted."""

@@ -24,7 +24,8 @@ from ringpose.errors import DeviceError, LaserSafetyError
 REPLY_LIMIT_S = 2.0
 """The watchdog replies within milliseconds, or after three attempts at a board that does not."""
 
-OPENING_LIMIT_S = 10.0
+OPENING_LIMIT_S = 12.0
+"""Eight relays that do not answer are commanded three times within 8 s."""
 
 ENDING_LIMIT_S = 3.0
 
@@ -53,6 +54,8 @@ class WatchdogLasers(LaserDriver):
         """From the first reply until `close`: an end of the watchdog in this time is unexpected."""
         self._fault: DeviceError | LaserSafetyError | None = None
         self._has_fault = threading.Event()
+        self._echoes: bool | None = None
+        """Whether the adapter echoes what is sent; None until the watchdog has reported it."""
         self._number = 0
         self._received = b""
 
@@ -88,7 +91,7 @@ class WatchdogLasers(LaserDriver):
         self._has_ended = threading.Event()
         monitor = (self._watchdog.pid, self._has_ended)
         threading.Thread(target=self._monitor, args=monitor, name="watchdog-monitor", daemon=True).start()
-        self._reply(0, OPENING_LIMIT_S + self.settings.opening_s)
+        self._echoes = self._reply(0, OPENING_LIMIT_S + self.settings.opening_s) == "echoes"
         self._in_service = True
 
     def set_mask(self, lasers: int) -> None:
@@ -207,7 +210,7 @@ class WatchdogLasers(LaserDriver):
     def _taken_over(self) -> DeviceError | LaserSafetyError:
         """Switch off without a watchdog; returns the fault to report."""
         try:
-            _switch_off(self.settings)
+            _switch_off(self.settings, self._echoes)
         except DeviceError as error:
             found = f"watchdog and port are lost, the lasers may be on: {error.found}"
             self._fault = LaserSafetyError(self.settings.port, found, "cut the power")
@@ -217,8 +220,8 @@ class WatchdogLasers(LaserDriver):
         return self._fault
 
 
-def _switch_off(settings: RelaySettings) -> None:
-    """Open the port and switch all lasers off."""
+def _switch_off(settings: RelaySettings, echoes: bool | None) -> None:
+    """Open the port and switch all lasers off; `echoes` is what is known of its adapter."""
     port = SerialPort(settings.port, settings.baud)
     ends_s = time.monotonic() + TAKE_OVER_LIMIT_S
     while True:
@@ -232,9 +235,9 @@ def _switch_off(settings: RelaySettings) -> None:
     try:
         if settings.opening_s:  # a board that restarts when its port is opened may not listen yet: try before and after
             with suppress(DeviceError):
-                RelayBoard(settings, port).all_off()
+                RelayBoard(settings, port, echoes=echoes).all_off()
             time.sleep(settings.opening_s)
-        RelayBoard(settings, port).all_off()
+        RelayBoard(settings, port, echoes=echoes).all_off()
     finally:
         port.close()
 

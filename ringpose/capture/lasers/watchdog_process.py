@@ -51,7 +51,7 @@ def run(parent_pid: int, line: str) -> int:
     try:
         _watch_over(settings, port, ParentProcess(parent_pid), wake)
     except (DeviceError, OSError) as error:
-        found = f"{error.found}; {error.remedy}" if isinstance(error, DeviceError) else str(error)
+        found = error.finding if isinstance(error, DeviceError) else str(error)
         with suppress(OSError):
             _reply(f"0 err {found}\n")
         return 1
@@ -67,7 +67,7 @@ def _watch_over(settings: RelaySettings, port: SerialPort, parent: "ParentProces
         select.select(ends, [], [], settings.opening_s)
         board.all_off()
         try:
-            _reply("0 ok\n")
+            _reply("0 ok echoes\n" if board.echoes else "0 ok\n")
             port.interrupting = ends
             faults: list[Fault] = [parent.fault]
             if settings.interlock:
@@ -134,8 +134,7 @@ class Watchdog:
         try:
             return f"{number} {self._executed(command.split())}\n"
         except DeviceError as error:
-            text = f"{error.found}; {error.remedy}" if error.remedy else error.found
-            return f"{number} err {text}\n"
+            return f"{number} err {error.finding}\n"
 
     def wait_s(self) -> float | None:
         """Time until the next check is due; None while all lasers are off."""

@@ -20,7 +20,7 @@ class NotedPort(SerialPort):
         super().__init__("port", 9600)
         self.sent, self.answers = [], list(answers)
 
-    def exchange(self, request, is_whole, limit_s):
+    def exchange(self, request, is_whole, limit_s, quiet_s=0.0):
         self.sent.append(request)
         if request != ASK:
             return b""
@@ -91,7 +91,7 @@ def test_a_board_that_answers_at_the_third_attempt_is_off():
 
 def test_one_relay_that_fails_does_not_keep_the_others_on():
     class Failing(NotedPort):
-        def exchange(self, request, is_whole, limit_s):
+        def exchange(self, request, is_whole, limit_s, quiet_s=0.0):
             super().exchange(request, is_whole, limit_s)
             if request.hex() == "a00100a1":
                 raise DeviceError("port", "does not answer")
@@ -113,7 +113,7 @@ def test_a_lost_byte_does_not_end_the_capture(lost):
     class Noisy(NotedPort):
         """Does not answer a number of commands in a row, then answers as a Modbus board."""
 
-        def exchange(self, request, is_whole, limit_s):
+        def exchange(self, request, is_whole, limit_s, quiet_s=0.0):
             self.sent.append(request)
             if len(self.sent) % (lost + 1):
                 raise DeviceError("port", "does not answer")
