@@ -6,11 +6,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ringpose.cli.app import app
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile, file_option
+from ringpose.cli.pages import PagePort, announce
 from ringpose.cli.progress import with_progress
 from ringpose.errors import DataError, NoInputError, UsageError
 
@@ -34,15 +33,13 @@ def view(
     ] = None,
     truth: Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")] = None,
     html: Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")] = None,
-    port: Annotated[
-        int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")
-    ] = 8080,
+    port: PagePort = None,
     channel: ImageChannel = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Show recorded shots in the browser: pictures, poses, tracks, errors, a timeline and a three-dimensional view."""
-    from ringpose.files import atomic, records
+    from ringpose.files import atomic
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
     from ringpose.files.inputs import path_of_input
@@ -78,7 +75,7 @@ def view(
         from ringpose.console.recorded import RecordedPage
 
         with RecordedPage(shots, loaded_rig, "127.0.0.1", port) as page:
-            records.write({"page": f"http://127.0.0.1:{page.port}"})
+            announce(page.port, port)
             page.serve()
 
 

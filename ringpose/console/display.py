@@ -1,6 +1,8 @@
-"""What the pages of the console and of recorded data have in common: the scene in three dimensions, text and plots."""
+"""What the pages of the console and of recorded data have in common: controls, the scene, text and plots."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -10,6 +12,7 @@ import viser
 import viser.transforms
 from viser import uplot
 
+from ringpose.console.controls import Choice, Control, Number, Switch, Value
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import remarks_on
 from ringpose.report.overlay import color_of, pose_texts
@@ -42,33 +45,76 @@ FRUSTUM_PX = 160
 CHEAP: Any = {"material": "toon3", "cast_shadow": False, "receive_shadow": False}
 """Material of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
 
-PANEL_PX = (400, 600, 900)
-"""Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
+PALE = 0.4
+"""Share of its color that a ring keeps, the rest is grey, and opacity of the ellipsoid, once they are outdated."""
 
-BELOW_ALL = 1e9
-"""Order of a control below those that are added later."""
+GREY = 110
 
 
-def opened_server(host: str, port: int) -> viser.ViserServer:
-    """A server whose page has its controls at the right, without viser's buttons for sharing with other machines."""
-    import io
-    from contextlib import redirect_stdout
+class Field:
+    """A control, and a line below it that says why a value was not taken."""
 
-    with redirect_stdout(io.StringIO()):  # viser announces its address; stdout is for records
-        server = viser.ViserServer(host=host, port=port, label="ringpose", verbose=False)
-    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=True)
-    server.gui.main_panel.dock_right()
-    server.gui.main_panel.set_width(PANEL_PX[0])
-    server.gui.set_panel_label("ringpose")
-    width: Any = server.gui.add_dropdown("panel width (px)", [f"{each}" for each in PANEL_PX], order=BELOW_ALL)
-    width.on_update(lambda _: server.gui.main_panel.set_width(int(width.value)))
-    server.scene.set_up_direction("-y")
-    # viser's lights, shadows and reflections take five times as long for each frame without a GPU
-    server.scene.configure_default_lights(enabled=False)
-    server.scene.configure_environment_map(None)
-    server.scene.add_light_ambient("/ambient", intensity=0.8)
-    server.scene.add_light_directional("/lamp", intensity=2.5, position=(-1.0, -1.0, -1.0))
-    return server
+    def __init__(self, server: viser.ViserServer, control: Control) -> None:
+        self._control = control
+        self._handle: Any = _handle_of(server, control)
+        self._remark = server.gui.add_markdown("", visible=False)
+        self._is_refused = False
+
+    @property
+    def value(self) -> object:
+        """What is in the field, which need not be a value that the control takes."""
+        return self._handle.value
+
+    def show(self, value: Value) -> None:
+        """Put a value into the field."""
+        self._handle.value = value
+        self.report("")
+
+    def extended_to(self, high: float) -> Number:
+        """The control with another end of its range of numbers, which the field now has, too."""
+        assert isinstance(self._control, Number)
+        self._control = replace(self._control, high=high)
+        self._handle.max = high
+        return self._control
+
+    def on_update(self, action: Callable[[], None]) -> None:
+        """Act when a browser has changed the value."""
+        self._handle.on_update(lambda event: None if event.client is None else action())
+
+    def report(self, refusal: str) -> None:
+        """Show why what is in the field was not taken; empty if it was.
+
+        A browser replaces a number out of range by the nearest limit when the field is left: then the range is shown.
+        """
+        control = self._control
+        if not refusal and self._is_refused and isinstance(control, Number):
+            is_limit = self.value in (control.low, control.high)
+            refusal = f"limited to {control.low:g} to {control.high:g}" if is_limit else ""
+        self._is_refused = bool(refusal)
+        text = f"*{plain(refusal)}*" if refusal else ""
+        if self._remark.content != text:
+            self._remark.content, self._remark.visible = text, bool(text)
+
+
+def _handle_of(server: viser.ViserServer, control: Control) -> Any:
+    gui, label = server.gui, encodable(control.label)
+    if isinstance(control, Number):
+        return gui.add_slider(label, control.low, control.high, control.step, control.initial)
+    if isinstance(control, Choice):
+        return gui.add_dropdown(label, control.options, initial_value=control.initial)
+    if isinstance(control, Switch):
+        return gui.add_checkbox(label, control.initial)
+    return gui.add_text(label, control.initial)
+
+
+def plain(text: str) -> str:
+    """Text that a page shows as it is: without Markdown, HTML and line breaks, whatever a file contains."""
+    return re.sub(r"[!-/:-@\[-`{-~]", lambda found: f"&#{ord(found[0])};", " ".join(encodable(text).split()))
+
+
+def encodable(text: str) -> str:
+    """Text with a question mark for each lone surrogate, which would break the connection to every browser."""
+    return text.encode("utf-8", "replace").decode("utf-8")
 
 
 class ImagePanel:
@@ -81,7 +127,7 @@ class ImagePanel:
         """Show this JPEG."""
         self._handle._data = jpeg  # the setter of `image` would encode again, and once for each place
         if label is not None:
-            self._handle.label = label
+            self._handle.label = encodable(label)
 
 
 class SceneView:
@@ -125,10 +171,18 @@ class SceneView:
         seen = np.isfinite(segments).all(axis=(1, 2)) & np.array([mask >> k & 1 == 1 for k in range(len(segments))])
         self._show_lines("/stripes", segments[seen], [color_of(int(each))[::-1] for each in np.flatnonzero(seen)], 5.0)
 
-    def show_rings(self, pose: RingPose | None, truth: Truth | None, track: RingPose | None) -> None:
-        """The estimated ring with the error ellipsoid of its centre, the true one and that of the track."""
+    def show_rings(
+        self, pose: RingPose | None, truth: Truth | None, track: RingPose | None, *, is_outdated: bool = False
+    ) -> None:
+        """The estimated ring with the error ellipsoid of its centre, the true one and that of the track.
+
+        Outdated ones are pale.
+        """
         segments = [_ring_segments(ring) for ring in (pose, truth, track)]
-        colors = [color for each, color in zip(segments, RING_COLORS, strict=True) for _ in each]
+        share = PALE if is_outdated else 1.0
+        shades = [tuple(round(share * part + (1 - share) * GREY) for part in color) for color in RING_COLORS]
+        colors = [color for each, color in zip(segments, shades, strict=True) for _ in each]
+        self._center.opacity = share
         self._show_lines("/rings", np.concatenate(segments), colors, 2.0)
         covariance = None if pose is None else pose.covariance_center_m2
         self._center.visible = is_known = covariance is not None and bool(np.isfinite(covariance).all())
@@ -212,15 +266,19 @@ def plotted(pose: RingPose | None, errors: Mapping[str, float]) -> tuple[float, 
     return tuple(row)
 
 
-def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float]) -> str:
-    """Status, flags, reason, pose and errors of a measurement; `about` names what was measured."""
+def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float], outdated: str = "") -> str:
+    """Status, flags, reason, pose and errors of a measurement; `about` names what was measured.
+
+    `outdated` says what has changed since, if it is no longer that of the target; its status then is what it was.
+    """
     if line is None:
-        return f"**not measured** ({about})"
-    rows = [f"**{line.status}** ({about})"]
+        return f"**not measured** ({plain(about)})"
+    rows = [f"**outdated**: {plain(outdated)}", f"was {line.status} ({plain(about)})"] if outdated else []
+    rows = rows or [f"**{line.status}** ({plain(about)})"]
     if (remarks := remarks_on(line)) != line.status:
-        rows.append(remarks)
+        rows.append(plain(remarks))
     if line.pose is not None:
-        rows += [text.replace("+-", "±") for text in pose_texts(line.pose)]
+        rows += [plain(text.replace("+-", "±")) for text in pose_texts(line.pose)]
     shown = [
         f"{name} {factor * errors[key]:.3f}{unit}"
         for name, key, factor, unit in (
@@ -235,6 +293,7 @@ def line_text(line: PoseLine | None, about: str, errors: Mapping[str, float]) ->
 
 def track_text(pose: RingPose | None, velocity: RingVelocity | None, status: str, error_m: float = np.nan) -> str:
     """One line on a track: its status, centre, speed and rate, and the error of its centre if it is known."""
+    status = plain(status)
     if pose is None:
         return f"track: {status}"
     x, y, z = 1e3 * pose.center_m

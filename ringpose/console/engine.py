@@ -80,7 +80,10 @@ class ConsolePicture:
 
 
 class Stage(Generic[Item]):
-    """A thread that works on the newest item; earlier ones that it has not begun are skipped."""
+    """A thread that works on the newest item; earlier ones that it has not begun are skipped.
+
+    An exception is reported, and the work goes on; others, and all without `report`, end it.
+    """
 
     def __init__(
         self,
@@ -88,8 +91,9 @@ class Stage(Generic[Item]):
         work: Callable[[Item], None],
         fail: Callable[[BaseException], None],
         is_ready: Callable[[], bool] = lambda: True,
+        report: Callable[[Exception], None] | None = None,
     ) -> None:
-        self._work, self._fail, self._is_ready = work, fail, is_ready
+        self._work, self._fail, self._is_ready, self._report = work, fail, is_ready, report or fail
         self._changed = threading.Condition()
         self._newest: Item | None = None
         self._ended = False
@@ -115,9 +119,15 @@ class Stage(Generic[Item]):
     def _run(self) -> None:
         try:
             while (item := self._taken()) is not None:
-                self._work(item)
+                self._attempt(item)
         except BaseException as failure:
             self._fail(failure)
+
+    def _attempt(self, item: Item) -> None:
+        try:
+            self._work(item)
+        except Exception as problem:
+            self._report(problem)
 
     def _taken(self) -> Item | None:
         with self._changed:
@@ -131,7 +141,8 @@ class Engine:
     """Threads that make previews and measurements of the newest state; they run within the context.
 
     `show` is called with each preview and each measurement and its picture as JPEG, by two threads; `record` with each
-    measurement.
+    measurement; `report` with an exception that one state or its picture has caused, after which the next one is worked
+    on; without it, the engine fails.
     """
 
     def __init__(
@@ -140,8 +151,9 @@ class Engine:
         show: Callable[[ConsolePicture, bytes], None],
         record: Callable[[ConsolePicture], None] = lambda _: None,
         is_watched: Callable[[], bool] = lambda: True,
+        report: Callable[[Exception], None] | None = None,
     ) -> None:
-        self._scene = scene
+        self._scene, self._report = scene, report or self.fail
         self._lock = threading.Lock()
         self._cameras: dict[tuple[object, ...], Camera] = {}
         self._tracker, self._tracked = Tracker(None), (-1, 0.0)
@@ -149,13 +161,13 @@ class Engine:
         self.failure: BaseException | None = None
         self._changed_s = self._due_s = -np.inf
         pictures = [
-            Stage[ConsolePicture](name, lambda picture: show(picture, picture.jpeg), self.fail)
+            Stage[ConsolePicture](name, lambda picture: show(picture, picture.jpeg), self.fail, report=report)
             for name in ("preview pictures", "measured pictures")
         ]
 
         def measure(state: ConsoleState) -> None:
             began_s = time.monotonic()
-            picture = self.measured(state)
+            picture = self._made(self.measured, state)
             with self._lock:
                 self._due_s = time.monotonic() + PAUSE * (time.monotonic() - began_s)
             record(picture)
@@ -167,11 +179,11 @@ class Engine:
             return is_watched() and time.monotonic() > due_s
 
         def preview(state: ConsoleState) -> None:
-            pictures[0].put(self.preview(state))
+            pictures[0].put(self._made(self.preview, state))
 
         self._workers = [
-            Stage[ConsoleState]("previews", preview, self.fail, is_watched),
-            Stage[ConsoleState]("measurements", measure, self.fail, may_measure),
+            Stage[ConsoleState]("previews", preview, self.fail, is_watched, report),
+            Stage[ConsoleState]("measurements", measure, self.fail, may_measure, report),
         ]
         self._stages: list[Stage[Any]] = [*self._workers, *pictures]
 
@@ -204,6 +216,14 @@ class Engine:
         """End `wait_for_failure`."""
         self.failure = failure
         self._ended.set()
+
+    def _made(self, make: Callable[[ConsoleState], ConsolePicture], state: ConsoleState) -> ConsolePicture:
+        """The picture of a state; a black one with the exception if there is none."""
+        try:
+            return make(state)
+        except Exception as problem:
+            self._report(problem)
+            return _unseen(state, self._scene.rig, problem)
 
     def preview(self, state: ConsoleState) -> ConsolePicture:
         """A frame with all lasers that are switched on, with one ray a pixel."""
@@ -265,7 +285,7 @@ class Engine:
         return replace(scene, rig=replace(scene.rig, camera=camera))
 
 
-def _unseen(state: ConsoleState, rig: Rig, problem: DataError) -> ConsolePicture:
+def _unseen(state: ConsoleState, rig: Rig, problem: Exception) -> ConsolePicture:
     """A black picture of a state that cannot be seen, such as from inside the target, with the reason."""
     camera = rig.camera
     black = np.zeros((camera.image_height, camera.image_width), dtype=np.uint8)

@@ -6,10 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.console.display import ImagePanel, Plots, SceneView, line_text, opened_server, plotted, track_text
+from ringpose.console.controls import Choice, Control, Number, Value, taken_over
+from ringpose.console.display import Field, ImagePanel, Plots, SceneView, line_text, plotted, track_text
+from ringpose.console.server import opened_server
 from ringpose.report.overlay import pose_in_camera_frame
 from ringpose.report.replay import ReplayShot, times_s
 from ringpose.types.rig import Rig
+
+SPEEDS = ("0.25", "0.5", "1", "2", "5", "10")
 
 MAX_SHOWN_S = 2.0
 """Maximum time for which a shot is shown while the replay plays, at speed 1."""
@@ -18,9 +22,15 @@ MAX_SHOWN_S = 2.0
 class RecordedPage:
     """Serves the page within its context; all browsers show the same shot."""
 
-    def __init__(self, shots: Sequence[ReplayShot], rig: Rig, host: str, port: int) -> None:
+    def __init__(self, shots: Sequence[ReplayShot], rig: Rig, host: str, port: int | None) -> None:
         self._shots, self._rig, self._times_s = shots, rig, times_s(shots)
         self._ended = threading.Event()
+        self._lock = threading.RLock()
+        self._controls: dict[str, Control] = {
+            "speed": Choice(label="speed", options=SPEEDS, initial="1"),
+            "shot": Number(label="shot", low=1.0, high=float(max(len(shots), 2)), step=1.0, initial=1.0),
+        }
+        self._values: dict[str, Value] = {name: control.initial for name, control in self._controls.items()}
         self._server = opened_server(host, port)
 
     def __enter__(self) -> "RecordedPage":
@@ -36,14 +46,14 @@ class RecordedPage:
         self._text = gui.add_markdown("")
         self._playing: Any = gui.add_checkbox("play", False)
         with gui.add_folder("Time"):
-            self._speed = gui.add_dropdown("speed", ["0.25", "0.5", "1", "2", "5", "10"], initial_value="1")
-            self._number: Any = gui.add_slider("shot", 1, max(len(shots), 2), 1, 1)
+            self._fields = {name: Field(self._server, control) for name, control in self._controls.items()}
             gui.add_button("previous").on_click(lambda _: self._step(-1))
             gui.add_button("next").on_click(lambda _: self._step(1))
         with gui.add_folder("Errors"):
             rows = [plotted(pose, shot.errors) for pose, shot in zip(poses, shots, strict=True)]
             Plots(self._server, "shot").show(range(1, len(shots) + 1), rows)
-        self._number.on_update(lambda _: self._show())
+        for field in self._fields.values():
+            field.on_update(self._take_over)
         self._show()
         self._player = threading.Thread(target=self._play, name="replay player", daemon=True)
         self._player.start()
@@ -65,10 +75,24 @@ class RecordedPage:
 
     @property
     def _shown(self) -> int:
-        return min(int(self._number.value), len(self._shots)) - 1
+        return min(round(float(self._values["shot"])), len(self._shots)) - 1
+
+    def _take_over(self) -> None:
+        """Take over what is in the fields; say at each what was not taken."""
+        with self._lock:
+            given = {name: field.value for name, field in self._fields.items()}
+            self._values, refusals = taken_over(self._controls, given, self._values)
+            for name, field in self._fields.items():
+                field.report(refusals.get(name, ""))
+            self._show()
 
     def _step(self, by: int) -> None:
-        self._number.value = self._shown + 1 + by if 0 <= self._shown + by < len(self._shots) else self._shown + 1
+        """Show an earlier or a later shot, if there is one."""
+        with self._lock:
+            if 0 <= self._shown + by < len(self._shots):
+                self._values["shot"] = float(self._shown + 1 + by)
+            self._fields["shot"].show(self._values["shot"])
+            self._show()
 
     def _play(self) -> None:
         wait_s = 0.1
@@ -80,7 +104,7 @@ class RecordedPage:
                 self._playing.value = False
                 continue
             gap_s = self._times_s[shown + 1] - self._times_s[shown]
-            wait_s = min(gap_s, MAX_SHOWN_S) / float(self._speed.value)
+            wait_s = min(gap_s, MAX_SHOWN_S) / float(self._values["speed"])
             self._step(1)
 
     def _show(self) -> None:

@@ -117,6 +117,10 @@ class ConsoleState:
         rates = (self.spin_rad_s, self.tumble_rad_s, *self.drift_m_s.tolist())
         return self.trajectory is not None or any(rates)
 
+    def shows_target_of(self, other: "ConsoleState") -> bool:
+        """Whether a measurement holds for both: at most the time differs, and the target does not move."""
+        return self.since == other.since and (self.time_s == other.time_s or not self.is_moving)
+
     def pose_at(self, time_s: float) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
         """Centre and normal of the ring at a time."""
         if self.trajectory is not None:

@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli.pages import PagePort, announce
+
 if TYPE_CHECKING:
     from ringpose.console.engine import ConsolePicture
     from ringpose.console.state import ConsoleState, Trajectory
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
-Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
 Width = Annotated[
     int, typer.Option("--width", metavar="PX", min=160, max=4096, help="Width of the measurement camera's images.")
 ]
@@ -22,7 +23,7 @@ Overwrite = Annotated[bool, typer.Option("--force", help="Replace an earlier rec
 
 
 def console(
-    scene: SceneFile, port: Port = 8080, width: Width = 640, output: RecordFolder = None, force: Overwrite = False
+    scene: SceneFile, port: PagePort = None, width: Width = 640, output: RecordFolder = None, force: Overwrite = False
 ) -> None:
     """Steer target, camera, lasers and light in the browser, and watch the measurement, until a signal ends it."""
     from dataclasses import replace
@@ -58,7 +59,7 @@ def console(
 
     on_record, on_save = (None, None) if folder is None else (record, save)
     with ConsolePage(read, "127.0.0.1", port, width, trajectory_in, rig_in, on_record, on_save) as page:
-        records.write({"page": f"http://127.0.0.1:{page.port}"})
+        announce(page.port, port)
         page.serve()
 
 
