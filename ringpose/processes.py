@@ -1,5 +1,6 @@
 """Worker processes: a pool that survives killed workers, and results in the order of the items."""
 
+import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -23,6 +24,11 @@ class WorkerKilled(RuntimeError):
     def __init__(self, item: object) -> None:
         self.item = item
         super().__init__("a worker process was killed, perhaps for lack of memory")
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[Result]:

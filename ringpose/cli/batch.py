@@ -16,10 +16,23 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
+
+def _processes(jobs: int) -> int:
+    """The number of processes, for 0 one per core."""
+    from ringpose.processes import cores
+
+    return jobs or cores()
+
+
 Jobs = Annotated[
     int,
     typer.Option(
-        "--jobs", "-j", metavar="N", min=1, help="Processes; the output does not depend on it, nor its order."
+        "--jobs",
+        "-j",
+        metavar="N",
+        min=0,
+        callback=_processes,
+        help="Processes; 0 is one per core. The output does not depend on it, nor its order.",
     ),
 ]
 

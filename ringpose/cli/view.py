@@ -58,6 +58,8 @@ def view(
     batch = Batch()
     lines = _lines_by_shot(poses or [], loaded_rig, batch, pose_line_of, "pose")
     tracked = _lines_by_shot(tracks or [], loaded_rig, batch, pose_line_of_track, "track")
+    if (poses and not lines) or (tracks and not tracked):
+        batch.finish()  # nothing is shown without what was to be shown
     shots = []
     for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.guarded():

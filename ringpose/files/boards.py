@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from ringpose.calibrate.boards.drawing import BoardDrawing
+from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras.opencv import storage_values
@@ -44,13 +45,16 @@ _MIN_LENGTH_M = 1e-6
 def read_board(path: Path) -> Board:
     """The board in a board file, including the markers of its dictionary file, if it names one."""
     board = board_of(read_yaml(path, _KEYS))
-    if board.dictionary is None or board.dictionary.startswith(OPENCV_PREFIX):
+    if board.dictionary is None:
         return board
     file = path.parent / board.dictionary
-    if not file.exists():
-        remedy = "give one of OpenCV's, such as DICT_4X4_50, or a file"
-        raise DataError(f"{path}: dictionary", f'no dictionary "{board.dictionary}"', remedy)
-    return replace(board, marker_bits=read_dictionary(file))
+    if not board.dictionary.startswith(OPENCV_PREFIX) and file.exists():
+        board = replace(board, marker_bits=read_dictionary(file))
+    try:
+        marker_dictionary(board)
+    except DataError as error:
+        raise DataError(f"{path}: dictionary", error.found, error.remedy) from error
+    return board
 
 
 def board_of(fields: Fields) -> Board:

@@ -13,6 +13,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.io import read_bytes
+from ringpose.files.kinds import EXCHANGED, kind_of_data, kind_of_text
 from ringpose.files.schema import FREE_PREFIX, hint, unusable
 from ringpose.types.arrays import Array
 
@@ -43,6 +44,8 @@ class Archive:
         encoded = read_bytes(path)
         self.path = path
         self._bytes_left = MAX_BYTES
+        if not encoded.startswith(_ZIP) and (kind := kind_of_text(encoded) or kind_of_data(encoded)):
+            raise DataError(str(path), f"is {kind}, must be an NPZ archive", EXCHANGED)
         if not encoded.startswith(_ZIP):
             raise DataError(str(path), "is not an NPZ archive", "give one that numpy.savez or ringpose wrote")
         with self._reporting_damage():
@@ -72,10 +75,12 @@ class Archive:
                     str(self.path), f"unknown key {key!r}", hint(key, known) or f"begin your own with {FREE_PREFIX}"
                 )
 
-    def declared(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    def declared(
+        self, key: str, kinds: str, shape: tuple[int | str | None, ...]
+    ) -> tuple[np.dtype[Any], tuple[int, ...]]:
         """Type and shape of an array as its header declares them, checked before it is decompressed.
 
-        The type must be one of `kinds` (letters of `numpy.dtype.kind`); None in `shape` allows any length.
+        The type must be one of `kinds` (letters of `numpy.dtype.kind`); None or a name in `shape` allows any length.
         """
         if key not in self._members:
             raise DataError(str(self.path), f"has no key {key!r}", hint(key, self._members) or _SEE_MANUAL)
@@ -84,7 +89,8 @@ class Archive:
             expected = " or ".join(_DTYPE_KINDS[kind] for kind in kinds)
             raise self.problem(key, f"has type {member.dtype}, must be {expected}")
         lengths = member.shape
-        if len(lengths) != len(shape) or any(w not in (None, n) for w, n in zip(shape, lengths, strict=True)):
+        fixed = [None if isinstance(length, str) else length for length in shape]
+        if len(lengths) != len(shape) or any(w not in (None, n) for w, n in zip(fixed, lengths, strict=True)):
             expected = " x ".join("n" if length is None else str(length) for length in shape)
             found = " x ".join(map(str, lengths))
             raise self.problem(key, f"has shape {found or 'of one value'}, must have {expected or 'one value'}")

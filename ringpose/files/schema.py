@@ -2,12 +2,13 @@
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.files.kinds import Kind, in_place_of_another, kind_of
 from ringpose.types.arrays import Array, Float64
 
 FREE_PREFIX = "x_"
@@ -33,16 +34,6 @@ MAX_LENGTH_M = 5.0
 
 MAX_STAMP_S = 4_102_444_800.0
 """Latest plausible stamp: the year 2100. A larger number is probably in milliseconds, or smaller parts of a second."""
-
-CHARACTERISTIC_KEYS = {
-    "camera_matrix": "a camera",
-    "camera": "a rig",
-    "lasers": "a rig",
-    "trajectory": "a scene",
-    "kind": "a board",
-}
-"""Keys by which a file of another kind is recognised, for the remedy in a message."""
-
 
 Value = TypeVar("Value")
 
@@ -153,6 +144,8 @@ class Fields:
         if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
             found = " x ".join(map(str, array.shape)) or "one"
             raise self.problem(key, f"has {found} numbers, must have {expected}")
+        if not allow_nan and np.isnan(array).any():
+            raise self.problem(key, "has null or NaN among its numbers", "leave out what is not known")
         if finding := unusable(array, allow_nan):
             raise self.problem(key, finding)
         return array
@@ -190,6 +183,19 @@ class Fields:
         if abs(longest) > limit_m:
             raise self.problem(key, f"is {longest:g}", "give metres; this looks like millimetres")
 
+    def schema(self, versions: Collection[str], wanted: Kind) -> str:
+        """The schema of a record, which must be one of the versions; another record is named for what it is."""
+        schema = self.values.get("schema")
+        if schema is None:
+            other = kind_of(self.values)
+            if other is None or other is wanted:
+                raise self.problem("", "has no key 'schema'", wanted.remedy)
+            raise self.problem("", *wanted.instead_of(other))
+        if schema not in versions:
+            allowed = " or ".join(map(repr, versions))
+            raise self.problem("schema", f"is {str(schema)[:60]!r}, must be {allowed}", wanted.remedy)
+        return str(schema)
+
     def stamp_s(self, key: str) -> float:
         """A stamp in seconds, at most `MAX_STAMP_S`."""
         stamp_s = self.number(key)
@@ -222,10 +228,10 @@ class Fields:
             if not isinstance(key, str):
                 raise self.problem("", f"has the key {key!r}, which is not a text")
             if key not in known and not key.startswith(FREE_PREFIX):
+                other = None if self.path else in_place_of_another(self.values, known)
+                if other is not None:
+                    raise self.problem("", *other)
                 remedy = hint(key, known) or f"begin it with {FREE_PREFIX} if it is your own"
-                kinds = [CHARACTERISTIC_KEYS[k] for k in self.values if k in CHARACTERISTIC_KEYS and k not in known]
-                if kinds and not self.path and not hint(key, known):
-                    remedy = f"this looks like {kinds[0]}, give another file"
                 raise self.problem("", f"unknown key {key!r}", remedy)
 
     def _below(self, key: str) -> str:

@@ -10,6 +10,7 @@ from yaml.composer import Composer
 
 from ringpose.errors import DataError
 from ringpose.files.io import read_bytes
+from ringpose.files.kinds import EXCHANGED, kind_of_data
 from ringpose.files.records import plain
 from ringpose.files.schema import Fields
 
@@ -104,6 +105,8 @@ _Loader.add_constructor(_TAG + "int", lambda _, node: int(node.value))
 
 def parsed(text: bytes, file: str) -> Any:
     """The values in one YAML document; errors are reported with the line."""
+    if kind := kind_of_data(text):
+        raise DataError(file, f"is {kind}, must be a YAML file", EXCHANGED)
     try:
         return yaml.load(text, Loader=_Loader)  # noqa: S506 (a safe loader)
     except yaml.MarkedYAMLError as error:

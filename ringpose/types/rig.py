@@ -81,6 +81,8 @@ class RobotPoses:
     position_m: Float64[Array, "pose xyz=3"]
     rotation: Float64[Array, "pose 3 3"]
     """Rotations from tool to base."""
+    repeats: int = 0
+    """Identical repeats of these poses that were left out, as republished transforms have them."""
 
 
 MOUNT_PARAMETERS = (

@@ -37,8 +37,7 @@ class Step:
     @property
     def exposure_s(self) -> float | None:
         """Exposure of this frame; None for the default exposure."""
-        found = _EXPOSURE.fullmatch(self.exposure)
-        return None if found is None else float(found[1]) * _UNIT_S[found[2]]
+        return seconds_of(self.exposure)
 
     def mask(self, count: int) -> int:
         """Bit i for laser i of a rig with `count` lasers; a number beyond them is an error."""
@@ -51,6 +50,12 @@ class Step:
             lasers = "1 laser" if count == 1 else f"{count} lasers"
             raise UsageError("--sequence", f'step "{self.text}" names laser {max(numbers)} of a rig with {lasers}')
         return sum(1 << (number - 1) for number in numbers)
+
+
+def seconds_of(text: str) -> float | None:
+    """A time with its unit, as 500us, 4ms or 0.5s, in seconds; None if the text is not one."""
+    found = _EXPOSURE.fullmatch(text)
+    return None if found is None else float(found[1]) * _UNIT_S[found[2]]
 
 
 def parsed_sequence(text: str) -> tuple[Step, ...]:

@@ -3,18 +3,78 @@
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from ringpose.files.images.shots import read_shot
+from ringpose.files.records import line_of
+from ringpose.files.records.poses import pose_record
+from ringpose.files.rigs import read_rig
+from ringpose.pose.pipeline import pose_line
 
 CARRIED = Path(__file__).parent / "files"
 DATA = Path(__file__).parents[1] / "data"
+SHOTS = DATA / "rig_b" / "shots"
+RIG_FILE = DATA / "rig_b" / "rig.yaml"
 
 
-def _copied_data(path: Path) -> None:
+def _data(path: Path) -> None:
     shutil.copytree(DATA / path.name, path)
 
 
+def _rig(**changes: Any) -> Callable[[Path], None]:
+    """The rig of rig_b with other keys."""
+
+    def build(path: Path) -> None:
+        path.write_text(yaml.safe_dump(yaml.safe_load(RIG_FILE.read_text()) | changes))
+
+    return build
+
+
+def _rig_of_camera_keys(path: Path) -> None:
+    camera = yaml.safe_load(RIG_FILE.read_text())["camera"]
+    path.write_text(yaml.safe_dump({"ringpose": "rig/1", **camera}))
+
+
+def _camera(path: Path) -> None:
+    path.write_text(yaml.safe_dump(yaml.safe_load(RIG_FILE.read_text())["camera"]))
+
+
+def _pose_lines(path: Path) -> None:
+    """The pose line of one shot, computed with the rig of rig_b."""
+    line = pose_line(read_shot(SHOTS / "B_z0500_p01_dim.npz"), read_rig(RIG_FILE))
+    path.write_text(line_of(pose_record(line)))
+
+
+def _changed_shot(name: str, **changes: Callable[[Any], Any]) -> Callable[[Path], None]:
+    """A shot of rig_b of which some arrays are changed."""
+
+    def build(path: Path) -> None:
+        arrays = dict(np.load(SHOTS / name))
+        np.savez(path, **arrays | {key: change(arrays[key]) for key, change in changes.items()})
+
+    return build
+
+
+def _mirrored_board(path: Path) -> None:
+    """Three views of the ChArUco board, mirrored."""
+    path.mkdir()
+    for view in sorted((DATA / "calib_b" / "camera").iterdir())[:3]:
+        cv2.imwrite(str(path / f"{view.stem}.png"), read_shot(view).images[0][:, ::-1])
+
+
 BUILT: dict[str, Callable[[Path], None]] = {
-    "rig_b": _copied_data,
-    "calib_b": _copied_data,
+    "rig_b": _data,
+    "calib_b": _data,
+    "rig_with_mount.yaml": _rig(mount={"tool_from_camera": np.eye(4).tolist()}),
+    "rig_of_camera_keys.yaml": _rig_of_camera_keys,
+    "camera_of_rig_b.yaml": _camera,
+    "poses.jsonl": _pose_lines,
+    "two_axes.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[1]),
+    "mirrored_board": _mirrored_board,
 }
 """For each file or folder that is not carried, the function that makes it at a path."""
 

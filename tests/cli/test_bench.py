@@ -225,7 +225,7 @@ def test_a_report_has_its_provenance_and_is_replaced_only_with_force(poses, caps
         (["poses.jsonl", "--truth", "truth.jsonl", "--rig", "nowhere.yaml"], 66, "nowhere.yaml: does not exist"),
         (["poses.jsonl"], 2, "is not a data set folder; give --truth FILE"),
         (["-"], 2, "is not a data set folder"),
-        (["empty"], 66, "empty/rig.yaml: does not exist"),
+        (["empty"], 66, "empty: is not a data set: it has no rig.yaml and no truth.jsonl and no shots"),
         (["poses.jsonl", "--truth", "truth.jsonl", "--json", "-", "--csv", "-"], 2, "both use standard output"),
         (["empty", "--method", "magic"], 2, "--method"),
         (["poses.jsonl", "--truth", "truth.jsonl", "--method", "paper"], 2, "have a method already"),

@@ -363,7 +363,7 @@ def test_with_robot_poses_the_track_is_in_the_base_frame(capsys, tmp_path, mount
     [
         (robot_pose(1.0) + robot_pose(2.0, orientation_xyzw=(90.0, 0.0, 45.0, 0.0)), "degrees"),
         (robot_pose(1.0) + robot_pose(2.0, position_m=(900.0, 200.0, 300.0)), "millimetres"),
-        (robot_pose(1.0) + robot_pose(1.0), "stamp"),
+        (robot_pose(1.0) + robot_pose(1.0, position_m=(0.0, 0.0, 0.1)), "stamp"),
         (robot_pose(1.0), "fewer"),
         ("{}\n", "base_from_tool"),
     ],

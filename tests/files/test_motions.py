@@ -112,7 +112,7 @@ def test_invalid_motions_are_rejected_with_their_place(scene_with, tmp_path, mot
         (CSV.replace("\n2,", "\n0,"), ":3: time_s", "not later"),
         (CSV.replace("0.4,1", "0.4,2"), ":3: orientation_xyzw", "length 2"),
         (CSV.replace("0.4", "400"), ":3: position_m", "millimetres"),
-        (CSV.replace("0.4", "nan"), ":3: position_m", "finite"),
+        (CSV.replace("0.4", "nan"), ":3: position_m", "NaN among its numbers"),
     ],
 )
 def test_invalid_trajectory_files_are_rejected_with_their_line(tmp_path, text, place, word):

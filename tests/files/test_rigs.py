@@ -99,7 +99,7 @@ def test_a_rounded_normal_is_normalised(rig_file):
         ("lasers.1.distance_m", 0, "lasers[1].distance_m: is 0: the plane contains the camera"),
         ("lasers.1.normal", [0.8, 0.6, 0], "lasers[1].normal: draws a stripe at 53.1 degrees to the image's rows"),
         ("lasers.1.normal", [0, 0, 0], "lasers[1].normal: has length 0, must be 1"),
-        ("lasers.1.normal.0", float("nan"), "lasers[1].normal: has a number that is not finite"),
+        ("lasers.1.normal.0", float("nan"), "lasers[1].normal: has null or NaN among its numbers"),
         ("lasers.1.name", "left", "lasers[1].name: 'left' occurs twice"),
         ("lasers.1.name", "a.b", "lasers[1].name: is 'a.b', must not contain a full stop"),
         ("lasers.1.distnace_m", 1, "lasers[1]: unknown key 'distnace_m'; did you mean 'distance_m'?"),

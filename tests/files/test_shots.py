@@ -64,7 +64,7 @@ def test_shot_of_another_program_is_read(tmp_path, rng):
     [
         ("images", np.zeros((3, 4, 5), np.float64), "images: has type float64"),
         ("images", np.zeros((3, 4, 5), np.uint32), "images: has type uint32"),
-        ("images", np.zeros((4, 5), np.uint8), "images: has shape 4 x 5, must have n x n x n"),
+        ("images", np.zeros((4, 5), np.uint8), "images: has shape 4 x 5, must have frames x rows x columns"),
         ("images", np.zeros((0, 4, 5), np.uint8), "images: has 0 frames"),
         ("lasers", np.zeros(2, np.uint8), "lasers: has shape 2, must have 3"),
         ("lasers", np.array([0, 1, 256]), "lasers: has the mask 256"),

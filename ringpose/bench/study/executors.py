@@ -7,7 +7,6 @@ is reported as failed.
 
 import hashlib
 import logging
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
@@ -227,8 +226,3 @@ def _require_same_software(workers: Mapping[str, dict[str, str]], ours: Mapping[
             if theirs.get(name) != value:
                 found = f"has {name} {theirs.get(name)}, this process {value}"
                 raise DataError(f"worker {address}", found, "install the same versions")
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))

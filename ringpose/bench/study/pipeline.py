@@ -15,6 +15,7 @@ from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
 from ringpose.bench.study.table import finding, worst_shots
 from ringpose.files.studies.results import ResultFolder
+from ringpose.processes import cores
 from ringpose.report.page import Picture
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.board import BoardView
@@ -68,7 +69,7 @@ def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
         return study
     rig_file = folder.folder / "calibrated-rig.yaml"
     if not rig_file.exists():
-        write_rig(rig_file, calibrated_rig(study.scene, jobs or executors.cores()))
+        write_rig(rig_file, calibrated_rig(study.scene, jobs or cores()))
     return replace(study, rig=read_rig(rig_file))
 
 
@@ -111,7 +112,7 @@ def computed(
     study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:
     """Compute shots, in any order: by a cluster if a scheduler is given, else by processes (0: one a core)."""
-    work, processes = partial(study_rows, study), jobs or executors.cores()
+    work, processes = partial(study_rows, study), jobs or cores()
     if not indices:
         return iter(())
     if scheduler is not None or scheduler_file is not None:

@@ -132,6 +132,8 @@ def pattern_failure(grey: GreyImage, board: Board) -> NoBoard:
 def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers) -> NoBoard:
     """Why too few markers of the board are found: blur, another board, a mirrored image, or a board cut off."""
     wanted = len(marker_corners(board))
+    if _is_mirrored(grey, board, len(own.ids)):
+        return NoBoard(failure=BoardFailure.MIRRORED)
     if len(own.ids):
         outside = _outside(own, board, (grey.shape[0], grey.shape[1]))
         where = f", {outside} of the others are outside the image" if outside else ""
@@ -139,8 +141,6 @@ def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers
         return NoBoard(failure=BoardFailure.FEW_MARKERS, found=found, points_px=own.corners_px.reshape(-1, 2))
     if len(markers.ids):
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=_numbers(markers))
-    if len(find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board)).ids) >= _MIN_MARKERS:
-        return NoBoard(failure=BoardFailure.MIRRORED)
     other = _other_markers(grey)
     if other:
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
@@ -149,6 +149,15 @@ def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers
     if width_px > BLURRED_PX:
         blurred = f", {edge_width_in_words(width_px)}" + ": blurred" * bool(np.isfinite(width_px))
     return NoBoard(failure=BoardFailure.FEW_MARKERS, found=f"0 of {wanted}{blurred}")
+
+
+def _is_mirrored(grey: GreyImage, board: Board, number: int) -> bool:
+    """Whether the mirror image shows more of the board's markers than the `number` that the image itself shows.
+
+    In a mirrored image a few markers pass for others of a large dictionary.
+    """
+    mirrored = find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board))
+    return int(np.sum(mirrored.ids < len(marker_corners(board)))) >= max(_MIN_MARKERS, 2 * number)
 
 
 def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:
@@ -176,6 +185,8 @@ def _other_markers(grey: GreyImage) -> str:
 
 def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -> NoBoard:
     """Why too few corners are found between a board's markers; blur is compared with the size of their cells."""
+    if _is_mirrored(grey, board, len(own.ids)):
+        return NoBoard(failure=BoardFailure.MIRRORED)
     found = f"{corners} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
     sides_px = np.linalg.norm(np.roll(own.corners_px, 1, axis=1) - own.corners_px, axis=-1)
     cell_px = float(np.median(sides_px)) / (marker_dictionary(board).markerSize + 2)

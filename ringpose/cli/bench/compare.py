@@ -9,7 +9,7 @@ import typer
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
 from ringpose.cli.options.common import STDOUT, Force, JsonFile, file_option, number_option
-from ringpose.errors import DataError, UsageError
+from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:
     from ringpose.bench.compare import Pair
@@ -98,6 +98,8 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: Batch, 
     from ringpose.files.schema import Fields
     from ringpose.files.studies.results import holds_results, read_results
 
+    if name != STDOUT and not Path(name).exists():
+        raise NoInputError(name, "does not exist", "give the records of ringpose pose, a table or a study's folder")
     if name != STDOUT and holds_results(Path(name)):
         metadata, rows = read_results(Path(name))
         about = Fields(name, metadata)

@@ -138,8 +138,6 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
     """Names and values of --vary."""
     from math import prod
 
-    from ringpose.files.schema import hint
-
     bounds = {
         "laser_angle_rad": (0.001, 0.7),
         "baseline_m": (0.005, 2.0),
@@ -147,12 +145,17 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
         "dark_noise_e": (0.0, 1000.0),
         "lasers": (1.0, 8.0),
     }
+    units = {"rad": "radians", "m": "metres", "px": "pixels", "e": "electrons", "lasers": "numbers of lasers"}
     sweep: dict[str, list[float]] = {}
     for word in words:
         name, _, values = word.partition("=")
-        if name not in bounds or name in sweep:
-            raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(bounds)}", hint(name, bounds))
-        sweep[name] = sorted(set(numbers(values, f"--vary {name}", "give numbers separated by commas", bounds[name])))
+        if name in sweep:
+            raise UsageError("--vary", f"{name!r} is given twice", "give all its values in one --vary")
+        if name not in bounds:
+            known = f"give NAME=VALUES, where NAME is one of {', '.join(bounds)}"
+            raise UsageError("--vary", f"{name!r} cannot be varied", known)
+        remedy = f"give {units[name.rpartition('_')[2]]} separated by commas"
+        sweep[name] = sorted(set(numbers(values, f"--vary {name}", remedy, bounds[name])))
         if name == "lasers" and any(value != round(value) for value in sweep[name]):
             raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
     number = prod(map(len, sweep.values()))

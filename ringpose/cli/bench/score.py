@@ -23,7 +23,7 @@ from ringpose.cli.options.common import (
     number_option,
 )
 from ringpose.cli.progress import with_progress
-from ringpose.errors import NO_POSE, DataError, UsageError
+from ringpose.errors import NO_POSE, DataError, NoInputError, UsageError
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
@@ -288,6 +288,7 @@ def _scores_of_folders(
         if str(folder) == STDOUT or folder.is_file():
             raise UsageError("", f"{folder} is not a data set folder", "give --truth FILE to compare pose lines")
         with batch.guarded():
+            _require_data_set(folder, rig)
             of_shots = read_rig(rig or folder / "rig.yaml")
             truths = _truths(folder / "truth.jsonl")
             if since_s > -inf:
@@ -303,6 +304,17 @@ def _scores_of_folders(
                         estimates.append(replace(estimate_of(line, truth.shot), method=method.value))
             found += scores(estimates, truths, of_shots.camera)
     return found
+
+
+def _require_data_set(folder: Path, rig: Path | None) -> None:
+    """Reject a folder that does not hold a data set."""
+    if not folder.exists():
+        raise NoInputError(str(folder), "does not exist")
+    required = ("truth.jsonl", "shots") if rig is not None else ("rig.yaml", "truth.jsonl", "shots")
+    missing = [name for name in required if not (folder / name).exists()]
+    if missing:
+        remedy = "a data set holds rig.yaml, truth.jsonl and the folder shots; give --truth FILE to compare pose lines"
+        raise NoInputError(str(folder), f"is not a data set: it has no {' and no '.join(missing)}", remedy)
 
 
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:

@@ -5,7 +5,6 @@ from hashlib import sha256
 from pathlib import Path
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
-from ringpose.calibrate.boards.patterns.markers import marker_dictionary
 from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
@@ -26,8 +25,6 @@ class BoardImages:
     """The views read so far, and the images without a board."""
 
     def __init__(self, board: Board, overlay: Path | None, *, channel: str | None, force: bool) -> None:
-        if board.dictionary is not None:
-            marker_dictionary(board)  # an unknown name is rejected once, not with every image
         self.board = board
         self.overlay = None if overlay is None else make_folder(overlay)
         self.channel = channel

@@ -66,12 +66,12 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
 _Given = TypeVar("_Given")
 
 
-def given(value: _Given | None, name: str) -> _Given:
+def given(value: _Given | None, name: str, remedy: str = "") -> _Given:
     """The value of an argument that is required unless the command only prints a board."""
     from ringpose.errors import UsageError
 
     if not value:
-        raise UsageError(name, "is missing")
+        raise UsageError(name, "is missing", remedy)
     return value
 
 

@@ -135,7 +135,8 @@ def calibrate_planes(
 
         printed(print_board, given(board, "--board"), "four_markers", force=force, quiet=quiet)
         return
-    shots = given(inputs, "INPUT")
+    to_compare = ", or the pose records of a stream (.jsonl)" if check is not None or update is not None else ""
+    shots = given(inputs, "INPUT", f"give shots of a board and its file (--board){to_compare}")
     options = _Inputs(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
         _check(shots, check, options, None)

@@ -22,11 +22,13 @@ MAX_SHOTS = 10**9
 
 
 def seconds_or_auto(option: str, least_s: float, most_s: float, text: str) -> float | Literal["auto"]:
-    """Seconds within bounds, or `auto`."""
+    """Seconds within bounds, or `auto`; a unit may be given, as in a sequence (4ms)."""
+    from ringpose.types.session import seconds_of
+
     if text == "auto":
         return "auto"
     try:
-        value_s = float(text)
+        value_s = seconds_of(text) or float(text)
     except ValueError:
         value_s = math.nan
     if not (least_s <= value_s <= most_s and math.isfinite(value_s)):

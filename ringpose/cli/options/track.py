@@ -113,7 +113,11 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
     if robot_poses == STDIN and STDIN in (inputs or ()):
         raise UsageError("--robot-poses", "and the input are both standard input", "give one of them as a file")
     mount = read_mount(rig)
-    return CameraMotion(poses=read_robot_poses(robot_poses), mount=mount)
+    poses = read_robot_poses(robot_poses)
+    if poses.repeats:
+        number = f"{poses.repeats} of {poses.repeats + len(poses.stamp_s)} poses"
+        messages.echo(f"{robot_poses}: {number} repeat the one before exactly and are left out")
+    return CameraMotion(poses=poses, mount=mount)
 
 
 def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:

@@ -67,7 +67,6 @@ def simulate(
     quiet: Quiet = False,
 ) -> None:
     """Simulate shots of a scene, with their ground truth."""
-    import os
     from dataclasses import replace
 
     from ringpose.cli import messages
@@ -77,6 +76,7 @@ def simulate(
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
     from ringpose.files.scenes.scene import read_scene
+    from ringpose.processes import cores
     from ringpose.simulate.pipeline import simulate as simulated
     from ringpose.simulate.pipeline import simulated_boards
 
@@ -91,7 +91,7 @@ def simulate(
         deviations = deviations_of(*drawn, moves=read.motion is not None)
         write_features(seeded, scene, deviations, count, output, force=force)
         return
-    processes = jobs or len(os.sched_getaffinity(0))
+    processes = jobs or cores()
     shots = simulated(seeded, count, processes)  # checks the motion before anything is written
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
     for shot, truth in with_progress(shots, "shots", quiet):

@@ -17,6 +17,7 @@ from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.images.headers import ImageHeader, image_header
 from ringpose.files.io import read_bytes
+from ringpose.files.kinds import EXCHANGED, kind_of_data, kind_of_text
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.rig import Camera
@@ -85,6 +86,8 @@ def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageH
         header = image_header(encoded)
     except (struct.error, ValueError):
         raise DataError(str(path), "is an image whose header is damaged or cut short", _REMEDY) from None
+    if header is None and (kind := kind_of_text(encoded) or kind_of_data(encoded)):
+        raise DataError(str(path), f"is {kind}, must be an image", EXCHANGED)
     if header is None:
         raise DataError(str(path), "is not an image of a known format", _REMEDY)
     if min(header.width, header.height) < 1:

@@ -105,7 +105,7 @@ def _check_masks(shot: Shot, rig: Rig, location: str) -> None:
 
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
     """The images in an archive; the declared type and size are checked before memory of that size is allocated."""
-    dtype, shape = archive.declared("images", "u", (None, None, None))
+    dtype, shape = archive.declared("images", "u", ("frames", "rows", "columns"))
     frames, height, width = shape
     if 0 in shape:
         raise archive.problem("images", f"has {frames} frames of {width} x {height} pixels, must have one or more")

@@ -73,7 +73,7 @@ def parsed_record(line: str | bytes, location: str) -> dict[str, Any]:
 
 
 def _reject_constant(word: str) -> None:
-    raise ValueError(f"{word} is not allowed, write null")
+    raise ValueError(f"{word} is not a number; leave out what is not known")
 
 
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

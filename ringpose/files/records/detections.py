@@ -12,6 +12,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.io import provenance
+from ringpose.files.kinds import DETECTION
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.records.rejections import rejections_in
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
@@ -90,10 +91,7 @@ def _part(name: str, part: object) -> dict[str, Any] | None:
 def detection_of(record: Mapping[str, Any], location: str) -> Detection:
     """The detection in a record of version 1 or 2; null numbers become NaN, and unknown keys are ignored."""
     fields = Fields(location, record)
-    schema = fields.text("schema")
-    if schema not in (SCHEMA, SCHEMA_1):
-        found = f"is {schema[:60]!r}, must be {SCHEMA!r} or {SCHEMA_1!r}"
-        raise fields.problem("schema", found, "give the output of ringpose detect")
+    fields.schema((SCHEMA, SCHEMA_1), DETECTION)
     parts = {key: fields.fields(key) for key in _PARTS if fields.has(key)}
     points = _break_points(parts["break_points"]) if "break_points" in parts else _reason(fields)
     if isinstance(points, BreakPoints) and "repeated" in parts:
@@ -186,6 +184,10 @@ def _check_positions(detection: Detection, camera: Camera, location: str) -> Non
 
 
 def _reason(fields: Fields) -> NoBreakPoints:
+    if not fields.has("reason"):
+        raise fields.problem(
+            "", "is a detection with neither break_points nor a reason", f"{DETECTION.remedy} unchanged"
+        )
     reason = fields.text("reason")
     try:
         return NoBreakPoints(reason)

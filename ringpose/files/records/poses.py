@@ -10,6 +10,7 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
+from ringpose.files.kinds import POSE_LINE
 from ringpose.files.records.rejections import rejections_in
 from ringpose.files.rigs import rig_stability
 from ringpose.files.schema import Fields, checked_covariance
@@ -144,11 +145,7 @@ def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
     Records of version 1 state no priors, lasers, rejections or measurement.
     """
     fields = Fields(location, record)
-    schema = fields.text("schema")
-    if schema not in (SCHEMA, SCHEMA_1):
-        found = f"is {schema[:60]!r}, must be {SCHEMA!r} or {SCHEMA_1!r}"
-        raise fields.problem("schema", found, "give the output of ringpose pose")
-    names = _KEYS_1 if schema == SCHEMA_1 else {key: key for key in _KEYS_1}
+    names = _KEYS_1 if fields.schema((SCHEMA, SCHEMA_1), POSE_LINE) == SCHEMA_1 else {key: key for key in _KEYS_1}
     flags = _checked_flags(fields)
     return PoseLine(
         shot=fields.text("shot"),

@@ -3,6 +3,7 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ringpose.errors import DataError, NoInputError, RingposeError
 from ringpose.files.inputs import Input, Problem, Record, inputs
+from ringpose.files.kinds import ROBOT_POSE, kind_of
 from ringpose.files.schema import Fields
 from ringpose.geometry.rotations import rotation_of
 from ringpose.types.arrays import Array, Float64
@@ -30,23 +32,36 @@ class RobotPose(NamedTuple):
     position_m: Float64[Array, "xyz=3"]
     rotation: Float64[Array, "3 3"]
 
+    def repeats(self, other: "RobotPose") -> bool:
+        """Whether this is the other pose once more."""
+        return (
+            self.stamp_s == other.stamp_s
+            and np.array_equal(self.position_m, other.position_m)
+            and np.array_equal(self.rotation, other.rotation)
+        )
+
 
 def read_robot_poses(source: Path | str) -> RobotPoses:
-    """The poses in a file, or on standard input (`-`) until its end, in the order of their stamps."""
-    poses = sorted((_robot_pose(item) for item in inputs([source], (".jsonl",))), key=lambda pose: pose.stamp_s)
+    """The poses in a file, or on standard input (`-`) until its end, in the order of their stamps, without repeats."""
+    read = sorted((_robot_pose(item) for item in inputs([source], (".jsonl",))), key=lambda pose: pose.stamp_s)
     location = "standard input" if source == STDIN else str(source)
-    stamps_s = [pose.stamp_s for pose in poses]
-    if len(poses) < 2 or len(set(stamps_s)) < len(poses):
-        found = "has two poses of one stamp" if len(poses) > 1 else "has fewer than two poses"
-        raise DataError(location, found, "give the robot's poses at least ten times a second")
-    return _joined(poses)
+    poses: list[RobotPose] = []
+    for pose in read:
+        if not poses or pose.stamp_s > poses[-1].stamp_s:
+            poses.append(pose)
+        elif not pose.repeats(poses[-1]):
+            found = f"has two poses of the stamp {pose.stamp_s:.6f} that differ"
+            raise DataError(location, found, "give the poses of one robot, each with the stamp at which it holds")
+    if len(poses) < 2:
+        raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
+    return replace(_joined(poses), repeats=len(read) - len(poses))
 
 
 class RobotPoseStream:
     """Poses that arrive on standard input while the target is measured; a thread reads them."""
 
     def __init__(self, report: Callable[[DataError | NoInputError], None]) -> None:
-        """`report` receives the errors of invalid poses, which are left out."""
+        """`report` receives the errors of invalid poses, which are left out, as identical repeats are."""
         self._report, self._poses, self._ended = report, deque[RobotPose](), False
         self._failure: RingposeError | None = None
         self._changed = threading.Condition()
@@ -81,6 +96,8 @@ class RobotPoseStream:
 
     def _add(self, pose: RobotPose, location: str) -> None:
         with self._changed:
+            if self._poses and pose.repeats(self._poses[-1]):
+                return
             if self._poses and pose.stamp_s <= self._poses[-1].stamp_s:
                 found = f"has the stamp {pose.stamp_s:.6f}, which is not later than the one before"
                 raise DataError(location, found, "give the poses in the order of their stamps")
@@ -105,6 +122,9 @@ def _robot_pose(item: Input | Problem) -> RobotPose:
             raise DataError(str(item), "is not a file of robot poses", "give JSON lines in a file *.jsonl")
         raise item
     fields = Fields(item.location, item.values)
+    other = kind_of(fields.values)
+    if other is not None and other is not ROBOT_POSE:
+        raise fields.problem("", *ROBOT_POSE.instead_of(other))
     pose = fields.fields("base_from_tool")
     position_m = pose.vector("position_m", 3)
     pose.check_metres("position_m", position_m, MAX_REACH_M)

@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 from math import nan
 from typing import Any
 
+from ringpose.files.kinds import TRACK_LINE
 from ringpose.files.records.poses import SCHEMA as POSE_SCHEMA
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.schema import Fields
@@ -57,10 +58,7 @@ def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:
     robot's base has no pose here.
     """
     fields = Fields(location, record)
-    if fields.text("schema") != SCHEMA:
-        raise fields.problem(
-            "schema", f"is {record['schema']!r}, must be {SCHEMA!r}", "give the output of ringpose track"
-        )
+    fields.schema((SCHEMA,), TRACK_LINE)
     in_camera = fields.text("frame") == "camera"
     line = pose_line_of(
         {
