@@ -15,14 +15,16 @@ HEIGHT, WIDTH = 130, 200
 class DrawnCamera(FakeCamera):
     """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails.
 
+    Frames from number `slow_from` on take two seconds more to arrive, as on a busy machine.
     In the frames that `hidden` numbers something stands before the lasers. Once it is `away` it has to be opened anew.
     """
 
     image_width, image_height = WIDTH, HEIGHT
 
-    def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True):
+    def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True, slow_from=None):
         self.contacts, self.rng, self.brightness_dn = contacts, rng, brightness_dn
         self.lost, self.reopens, self.hidden, self.away = set(lost), reopens, set(), False
+        self.slow_from = np.inf if slow_from is None else slow_from
         self.taken, self.opened, self.triggered_s = 0, 0, []
         self._exposure_s = 0.005
 
@@ -52,6 +54,7 @@ class DrawnCamera(FakeCamera):
         grey = 2.0 + light * exposed_s / 0.005
         noisy = grey + self.rng.normal(size=grey.shape) * np.sqrt(0.5 + 0.05 * grey)
         image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        time.sleep(2.0 if self.taken >= self.slow_from else 0.0)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposed_s)
 
 

@@ -26,8 +26,11 @@ from ringpose.types.session import Step
 MIN_SETTLE_S = 0.02
 """Minimum settling time of the attempt that follows the first one with wrong lasers."""
 
-SHARE_OF_LIMIT = 0.8
-"""Share of the watchdog's on-time limit that settling and exposure together may use in such an attempt."""
+SHARE_OF_LIMIT = 0.5
+"""Share of the watchdog's on-time limit that settling and exposure together may use in such an attempt.
+
+The other half is for a busy machine: at least 0.5 s with the default limit.
+"""
 
 CHANGES_TO_AWAIT = (0, 1, 2)
 """Ambient-light changes to wait for before the attempts after a lost one, in turn.
@@ -121,6 +124,45 @@ def _camera_errors() -> Iterator[None]:
         raise _CameraError(error) from error
 
 
+class _Findings:
+    """What the attempts at one shot have found."""
+
+    def __init__(self) -> None:
+        self.of_shots: list[DeviceError] = []
+        """Problems of lasers in shots that were checked."""
+        self.interruptions: list[DeviceError] = []
+        """Why attempts ended before their shot was complete: a slow machine, a lost camera, a board that fails."""
+        self.light: AmbientLightChanged | None = None
+        """The changes of ambient light in all lost attempts."""
+
+    @property
+    def failures(self) -> int:
+        """Attempts that failed because of camera or lasers."""
+        return len(self.of_shots) + len(self.interruptions)
+
+    @property
+    def missing(self) -> int:
+        """The mask of the lasers that were commanded but not seen in some attempt."""
+        return int(
+            np.bitwise_or.reduce([each.lasers for each in self.of_shots if isinstance(each, MissingLasers)] or [0])
+        )
+
+    def first(self) -> DeviceError:
+        """The finding to raise, with the others attached: what a shot has shown says more than why one broke off.
+
+        Changing ambient light goes first where it alone has used up the attempts.
+        """
+        of_shots: list[DeviceError] = [each for each in self.of_shots if not isinstance(each, MissingLasers)]
+        times = sum(isinstance(each, MissingLasers) for each in self.of_shots)
+        if times:
+            position = next(i for i, each in enumerate(self.of_shots) if isinstance(each, MissingLasers))
+            of_shots.insert(position, MissingLasers(self.missing, times))
+        light = [self.light] if self.light is not None else []
+        ordered = [*of_shots, *self.interruptions]
+        ordered = [*light, *ordered] if self.failures < TRIES and not self.interruptions else [*ordered, *light]
+        return ordered[0].followed_by(*ordered[1:])
+
+
 class _Sequencer:
     """Takes shots by a procedure; keeps the settling time and the checker's state from shot to shot."""
 
@@ -148,36 +190,54 @@ class _Sequencer:
     def shot(self, name: str) -> Shot:
         """Take shots until one passes all checks, and return it; with `yields_lost` also one that is lost.
 
-        The last problem is raised after `TRIES` attempts that failed because of camera or lasers, or after `MAX_LOST`
-        attempts in a row that were lost to changing ambient light.
+        The first problem is raised, with those of later attempts attached, after `TRIES` attempts that failed because
+        of camera or lasers, or after `MAX_LOST` attempts in a row that were lost to changing ambient light.
         """
-        problem, failures, wrong, attempts = DeviceError("lasers", "no shot could be taken"), 0, 0, 0
-        while failures < TRIES and len(self._lost) < MAX_LOST:
+        findings = _Findings()
+        try:
+            shot = self._accepted_shot(name, findings)
+            if shot is not None:
+                return shot
+            self._reject_lasers_in_dark(findings)
+        except DeviceError as error:
+            findings.interruptions.append(error)
+        raise findings.first()
+
+    def _accepted_shot(self, name: str, findings: "_Findings") -> Shot | None:
+        """The first shot that passes all checks, or one that is lost and wanted; None after the last attempt."""
+        attempts = 0
+        while findings.failures < TRIES and len(self._lost) < MAX_LOST:
             attempts += 1
             try:
-                shot = self._attempt(name, wrong, is_first=attempts == 1)
+                shot = self._attempt(name, len(findings.of_shots), is_first=attempts == 1)
             except LasersWentOff as error:
                 self._lasers.set_mask(0)
-                problem, failures = error, failures + 1
+                findings.interruptions.append(error)
                 continue
             except _CameraError as error:
                 self._lasers.set_mask(0)
-                problem, failures = self._reconnected(error), failures + 1
+                findings.interruptions.append(self._reconnected(error))
                 continue
             checked, found = self._checker.checked(shot)
             if found is None:
-                return self._completed(checked, wrong, is_first=not failures and not self._lost)
+                is_first = not findings.failures and not self._lost
+                return self._completed(checked, len(findings.of_shots), is_first=is_first)
             if isinstance(found, AmbientLightChanged):
                 self._lost += found.changes
-                problem = AmbientLightChanged(self._lost, self._checker.never_seen(shot, len(self._lost)))
-                self._report_loss(shot.name, problem)
+                findings.light = AmbientLightChanged(self._lost, self._checker.never_seen(shot, len(self._lost)))
+                self._report_loss(shot.name, findings.light)
                 if self._procedure.yields_lost and len(self._lost) < MAX_LOST:
                     return lost_shot(shot, found.changes[0])
             else:
-                problem, failures, wrong = found, failures + 1, wrong + 1
-        if isinstance(problem, MissingLasers):
-            self._checker.reject_stripe_in_dark(problem.lasers)
-        raise problem
+                findings.of_shots.append(found)
+        return None
+
+    def _reject_lasers_in_dark(self, findings: "_Findings") -> None:
+        """Raise a safety fault if a laser is on while all are off, after attempts that have not shown every laser."""
+        self._checker.reject_stripe_in_dark(findings.missing)
+        if any(isinstance(each, LasersWentOff) for each in findings.interruptions):
+            commanded = [step.mask(self._lasers.count) for step in self._steps]
+            self._checker.reject_lasers_in_dark(int(np.bitwise_or.reduce(commanded)))
 
     def _attempt(self, name: str, wrong: int, *, is_first: bool) -> Shot:
         """A shot whose lasers and ambient light are not checked yet, after so many attempts with wrong lasers."""
@@ -262,7 +322,7 @@ class _Sequencer:
 
         Returns the error to raise if the camera is lost in every attempt at the shot.
         """
-        (problem,) = lost.args
+        problem: DeviceError = lost.args[0]
         self._camera.close()
         self._procedure.report(f"{problem}; trying to connect again for {sum(RECONNECT_PAUSES_S):.0f} s")
         for pause_s in RECONNECT_PAUSES_S:
@@ -271,7 +331,7 @@ class _Sequencer:
                 self._camera.open()
                 self._camera.arm(self._procedure.exposure_s)
             except DeviceError as error:
-                problem = error
+                problem.followed_by(error)
                 self._camera.close()
             else:
                 return DeviceError("camera", f"was lost again and again: {problem}")

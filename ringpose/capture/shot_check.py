@@ -40,10 +40,11 @@ DARK_CHECKS = 4
 class MissingLasers(DeviceError):
     """Lasers that were commanded but are not seen in any frame."""
 
-    def __init__(self, lasers: int) -> None:
+    def __init__(self, lasers: int, times: int = 1) -> None:
         self.lasers = lasers
+        often = f"{times} times" if times > 1 else "once"
         remedy = "does it shine, on the target? wait longer (--settle), or expose longer (--exposure)"
-        super().__init__("lasers", f"{laser_list(lasers)} commanded but not seen, {TRIES} times", remedy)
+        super().__init__("lasers", f"{laser_list(lasers)} commanded but not seen, {often}", remedy)
 
 
 class AmbientLightChanged(DeviceError):
@@ -71,6 +72,8 @@ class ShotChecker:
         self._lasers = lasers
         self._must_see = must_see
         self._pixels: dict[int, LitPixels] = {}
+        self._last_shot: Shot | None = None
+        """The last shot that was checked; its scale is that of the pixels."""
 
     def checked(self, shot: Shot) -> tuple[Shot, DeviceError | None]:
         """The shot with the masks seen in its images, and the problem that another attempt may remove."""
@@ -78,6 +81,7 @@ class ShotChecker:
         if reported:
             self._check_reported_off()
             return shot, DeviceError("lasers", f"{laser_list(reported)} reported on in frames of others")
+        self._last_shot = shot
         seen, pixels = seen_lasers(shot)
         if seen is None:
             return shot, None
@@ -130,6 +134,19 @@ class ShotChecker:
         """Raise a safety fault if a stripe shows with all lasers off while the lasers of the mask are missing."""
         if missing:
             _reject_stripe(missing, _dark_frame(self._camera, self._lasers).image)
+
+    def reject_lasers_in_dark(self, commanded: int) -> None:
+        """Raise a safety fault if one of these lasers is on with all off, where shots broke off before their check.
+
+        A laser that an earlier shot has shown is searched for where it was; any other may be a stripe that shows.
+        """
+        frame = _dark_frame(self._camera, self._lasers)
+        known = {laser: pixels for laser, pixels in self._pixels.items() if commanded >> laser & 1}
+        if known and self._last_shot is not None:
+            _reject_lit(known, scaled_like(frame.image, frame.exposure_s, self._last_shot))
+        unknown = self._not_remembered(commanded)
+        if unknown:
+            _reject_stripe(unknown, frame.image)
 
     def _not_remembered(self, mask: int) -> int:
         """The lasers of a mask of which no pixels are known, as no shot has shown them."""

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from drawn_camera import DrawnCamera
+from drawn_camera import ContactLasers, DrawnCamera
 from guarded_lasers import BOARDS, PATIENT, LinkedRelays, lasers_at
 
+from ringpose.capture.lasers.driver import LasersWentOff
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.simulate.serve.relays import RelayFaults
@@ -83,9 +84,9 @@ def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(dr
 
 
 def test_lasers_are_waited_for_no_longer_than_the_watchdog_allows(shots_of):
-    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.23}), longest_on_s=0.3)
+    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.23}), longest_on_s=0.5)
 
-    assert shot.meta["settle_s"] == pytest.approx(0.24)
+    assert shot.meta["settle_s"] == pytest.approx(0.25)  # half is left for a busy machine
 
 
 def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
@@ -136,6 +137,95 @@ def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(drawn_devices)
 def test_a_laser_that_burns_from_the_beginning_is_a_safety_fault(shots_of):
     with pytest.raises(LaserSafetyError, match="laser 1 was not seen to go on or off, and a stripe shows"):
         shots_of(procedure(), RelayFaults(welded=frozenset({0})))
+
+
+class WatchedLasers(ContactLasers):
+    """Lasers with a watchdog that switches off, in virtual time, when no command has come for a second."""
+
+    longest_on_s = 1.0
+
+    def set_mask(self, lasers):
+        if lasers:
+            self._check()
+        super().set_mask(lasers)
+        self.commanded_s = self.clock.monotonic()
+
+    def read_mask(self):
+        self._check()
+        self.commanded_s = self.clock.monotonic()
+        return super().read_mask()
+
+    def _check(self):
+        if self.on_mask and self.clock.monotonic() > self.commanded_s + 1.0:
+            super().set_mask(0)
+            raise LasersWentOff("board", "the watchdog switched the lasers off: no command came for 1 s")
+
+
+@pytest.fixture
+def watched_devices(drawn_devices):
+    """Creates a camera whose frames take as long as on a busy machine from number `slow_from` on, and its lasers."""
+
+    def created(slow_from, **faults):
+        camera, lasers = drawn_devices(RelayFaults(**faults), slow_from=slow_from)
+        return camera, WatchedLasers(camera.contacts, lasers.clock)
+
+    return created
+
+
+WENT_OFF = r"the watchdog switched the lasers off: no command came for 1 s"
+
+
+@pytest.mark.parametrize("sequence", [IN_TURN, "off,all,1,2,3,off"])
+def test_a_dark_laser_is_named_though_later_attempts_are_too_slow(watched_devices, sequence):
+    frames = sequence.count(",") + 1
+    camera, lasers = watched_devices(slow_from=frames + 1, dead=frozenset({1}))
+
+    with (
+        camera,
+        lasers,
+        pytest.raises(DeviceError, match=rf"laser 2 was commanded but not seen, once; .*\(then: board: {WENT_OFF}\)"),
+    ):
+        list(captured_shots(camera, lasers, procedure(sequence), ["a"]))
+
+
+@pytest.mark.parametrize("fault", ["stuck", "welded"])
+@pytest.mark.parametrize("whole", [0, 1, 2])
+def test_a_welded_contact_is_a_safety_fault_though_attempts_are_too_slow(watched_devices, fault, whole):
+    """Without a whole attempt no check of a shot is made."""
+    camera, lasers = watched_devices(slow_from=5 * whole + 1, **{fault: frozenset({0})})
+
+    with camera, lasers, pytest.raises(LaserSafetyError, match=r"laser.* 1.* while all are off"):
+        list(captured_shots(camera, lasers, procedure(), ["a"]))
+
+
+def test_a_contact_that_welds_after_a_shot_is_a_safety_fault_though_attempts_are_too_slow(watched_devices):
+    camera, lasers = watched_devices(slow_from=6)
+    with camera, lasers:
+        shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
+        next(shots)
+        lasers.contacts.faults = RelayFaults(stuck=frozenset({0}))
+
+        with pytest.raises(LaserSafetyError, match="laser 1 was seen while all are off"):
+            next(shots)
+
+
+def test_a_machine_that_is_too_slow_is_no_fault_of_the_lasers(watched_devices):
+    camera, lasers = watched_devices(slow_from=1)
+
+    with camera, lasers, pytest.raises(DeviceError, match=f"^board: {WENT_OFF}$"):
+        list(captured_shots(camera, lasers, procedure(), ["a"]))
+
+
+@pytest.mark.parametrize("lost", [(6, 7), (6,)])
+def test_a_dark_laser_is_named_though_the_camera_is_lost_afterwards(drawn_devices, lost):
+    camera, lasers = drawn_devices(RelayFaults(dead=frozenset({1})), lost=lost, reopens=len(lost) > 1)
+
+    with (
+        camera,
+        lasers,
+        pytest.raises(DeviceError, match=r"laser 2 was commanded but not seen, once; .*\(then: camera: "),
+    ):
+        list(captured_shots(camera, lasers, procedure(), ["a"]))
 
 
 @pytest.mark.parametrize("frame", [2, 4, 7])
