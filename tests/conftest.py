@@ -7,13 +7,14 @@ import socket
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shape_checks
 from hypothesis import settings
+from needed import missing
 
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("ringpose")
@@ -43,7 +44,7 @@ def _floating_point_traps() -> Iterator[None]:
 def shared_data(request: pytest.FixtureRequest) -> Path:
     """The folder of photographs and rendered shots from outside the project."""
     if not SHARED_DATA.is_dir():
-        _missing(f"the shared data are not at {SHARED_DATA}", allowed=request.config.getoption("--without-shared-data"))
+        missing(f"the shared data are not at {SHARED_DATA}", allowed=request.config.getoption("--without-shared-data"))
     return SHARED_DATA
 
 
@@ -81,20 +82,7 @@ def _aravis() -> None:
     from ringpose.capture.cameras.aravis_library import PACKAGE, library
 
     if library() is None:
-        _missing(f"libaravis is not installed (apt install {PACKAGE})")
-
-
-@pytest.fixture(scope="session")
-def needed_program() -> Callable[[str], str]:
-    """Path of a program that the test requires."""
-
-    def path(name: str) -> str:
-        found = shutil.which(name)
-        if found is None:
-            _missing(f"{name} is not installed (apt install {name})")
-        return str(found)
-
-    return path
+        missing(f"libaravis is not installed (apt install {PACKAGE})")
 
 
 @pytest.fixture(scope="session")
@@ -146,10 +134,3 @@ def pytest_runtest_setup() -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--without-shared-data", action="store_true", help="skip, even in CI, what needs the shared data")
-
-
-def _missing(what: str, allowed: bool = False) -> None:
-    """Skip on a developer's machine; fail in CI unless allowed."""
-    if os.environ.get("CI") and not allowed:
-        pytest.fail(what)
-    pytest.skip(what)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from needed import needed_program
 
 from ringpose import errors
 from ringpose.bench.score import FLAGS_OF_QUANTITY
@@ -140,9 +141,9 @@ def test_the_examples_of_a_page_run(page, run_in_example_folder):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_page_is_clean_mdoc(page, needed_program):
+def test_a_page_is_clean_mdoc(page):
     done = subprocess.run(
-        [needed_program("mandoc"), "-T", "lint", "-W", "warning", page], capture_output=True, text=True
+        [needed_program("mandoc", "mandoc"), "-T", "lint", "-W", "warning", page], capture_output=True, text=True
     )
 
     assert done.stdout == ""

@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import pytest
+from needed import needed_module
 
 from ringpose.cli.main import main
 from ringpose.files.rigs import read_rig
@@ -32,7 +33,7 @@ def test_without_a_rig_that_covers_the_volume_the_status_is_3(capsys):
 
 @pytest.mark.slow
 def test_a_report_has_maps(tmp_path):
-    pytest.importorskip("matplotlib")
+    needed_module("matplotlib", "ringpose[report]")
 
     assert main([*SMALL, "--report", str(tmp_path / "page.html")]) == 0
     assert (tmp_path / "page.html").read_text().count("<img") == 5

@@ -4,6 +4,7 @@ import json
 
 import pytest
 from filelock import SoftFileLock
+from needed import needed_module
 
 from ringpose.cli.main import main
 from ringpose.files.studies.specification import preset_names, read_study, study_path
@@ -28,7 +29,7 @@ def test_a_study_prints_tables_and_writes_a_row_for_each_shot_and_method(folder,
 
 @pytest.mark.slow
 def test_parquet_has_the_same_rows_and_names_the_study(folder, study_rows):
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = needed_module("pyarrow.parquet", "ringpose[report]")
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
 
     table = parquet.read_table("out/results.parquet")
@@ -149,7 +150,7 @@ def test_the_worst_shots_are_written_as_a_data_set(folder):
 
 @pytest.mark.slow
 def test_a_report_has_every_section_and_no_external_reference(folder):
-    pytest.importorskip("matplotlib")
+    needed_module("matplotlib", "ringpose[report]")
 
     words = ["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "20", "--report", "page.html"]
     assert main(words) == 0

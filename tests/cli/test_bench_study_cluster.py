@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from needed import needed_module
 
 import ringpose
 from ringpose.cli.main import main
 
-pytest.importorskip("distributed")
+needed_module("distributed", "ringpose[cluster]")
 pytestmark = pytest.mark.slow
 
 KILL_AFTER_A_PART = """
@@ -29,7 +30,7 @@ ResultFolder.add = add
 @pytest.fixture
 def cluster(tmp_path):
     """Starts a scheduler and a worker; returns the address and the scheduler's process."""
-    distributed = pytest.importorskip("distributed")
+    distributed = needed_module("distributed", "ringpose[cluster]")
     processes = []
 
     def start(module, *words, **environment):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from needed import needed_module
 from plane_views import run_in
 
 from ringpose.cli.main import main
@@ -89,7 +90,7 @@ def test_summary_and_verdict_are_printed_on_stderr(run):
 
 
 def test_the_report_has_a_verdict_and_pictures(run):
-    pytest.importorskip("matplotlib")
+    needed_module("matplotlib", "ringpose[report]")
 
     html = (run.folder / "camera.html").read_text()
     assert "Verdict: " in html

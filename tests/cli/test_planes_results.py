@@ -5,6 +5,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from needed import needed_module
 from plane_views import ORDER, calibrate, copy_views, run_in, written
 
 from ringpose.calibrate.camera.parameters import parameters_of
@@ -91,7 +92,7 @@ def test_the_summary_has_held_out_errors_by_distance_and_the_verdict_the_views_t
 
 
 def test_the_report_shows_residuals_and_uncertainty(run):
-    pytest.importorskip("matplotlib")
+    needed_module("matplotlib", "ringpose[report]")
 
     html = (run.folder / "out.html").read_text()
     assert html.count("data:image/png;base64,") == 3

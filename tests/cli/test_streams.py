@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from guarded_lasers import wait_for
+from needed import needed_module
 
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in
@@ -295,7 +296,9 @@ def test_full_disk_in_a_batch_leaves_what_was_finished(started, picture, tmp_pat
 
 
 def test_a_full_disk_names_the_overlay_as_well_as_the_report(started, rig, detections, tmp_path):
-    pytest.importorskip("matplotlib.font_manager")  # the process could not write its cache, which it would report
+    needed_module(
+        "matplotlib.font_manager", "ringpose[report]"
+    )  # the process could not write its cache, which it would report
     words = ["pose", detections, "--rig", rig, "--overlay", tmp_path / "drawn", "--report", tmp_path / "r.html"]
     with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))) as process:
         _, said = process.communicate(timeout=DEADLINE_S)

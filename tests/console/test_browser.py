@@ -1,7 +1,6 @@
 """The console in the system's chromium: controls, measurement, recording, two browsers, no request to elsewhere."""
 
 import json
-import os
 import re
 import shutil
 import socket
@@ -10,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from needed import needed_module, needed_program
 
 from ringpose.cli.main import main
 
@@ -22,14 +22,10 @@ WAIT_MS = 180_000
 
 @pytest.fixture(scope="module")
 def chromium():
-    """A browser; in CI a missing one is a failure."""
-    path = shutil.which("chromium")
-    if path is None:
-        what = "chromium is not installed (apt install chromium)"
-        pytest.fail(what) if os.environ.get("CI") else pytest.skip(what)
-    from playwright.sync_api import sync_playwright
+    path = needed_program("chromium", "chromium")
+    playwright_api = needed_module("playwright.sync_api", "ringpose[dev]")
 
-    with sync_playwright() as playwright:
+    with playwright_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield browser
         browser.close()

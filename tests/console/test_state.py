@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from needed import needed_module
 from served_scene import small_scene
 
 from ringpose.cli.simulate.console import trajectory_in
@@ -144,7 +145,7 @@ def test_points_project_to_the_same_place_of_a_preview(scene, rng):
     [({}, 7.0e6), ({"model": "sinosat2"}, 7.0e6), ({"model": "sinosat2", "state": "stowed"}, 4.2164e7)],
 )
 def test_the_earth_is_drawn_as_large_as_it_is_and_outside_all_parts(tmp_path, rng, target, orbit_radius_m):
-    pytest.importorskip("viser")
+    needed_module("viser", "ringpose[console]")
     from ringpose.console.page import drawn_earth_m
 
     small_scene(tmp_path)

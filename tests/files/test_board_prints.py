@@ -7,6 +7,7 @@ from math import ceil
 import cv2
 import numpy as np
 import pytest
+from needed import needed_program
 
 from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
 from ringpose.calibrate.boards.views import find_board
@@ -41,11 +42,11 @@ SLOW = ("chessboard", "aruco_grid")
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind in SLOW else kind for kind in BOARDS]
 )
-def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path, needed_program):
+def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path):
     write_board_print(tmp_path / "board.pdf", board_drawing(BOARDS[kind]))
     dots_per_inch = 80 if kind == "asymmetric_circles" else 300
 
-    program = [needed_program("pdftoppm"), "-r", str(dots_per_inch), "-gray", "-singlefile"]
+    program = [needed_program("pdftoppm", "poppler-utils"), "-r", str(dots_per_inch), "-gray", "-singlefile"]
     subprocess.run([*program, tmp_path / "board.pdf", tmp_path / "page"], check=True)
 
     image = cv2.imread(str(tmp_path / "page.pgm"), cv2.IMREAD_GRAYSCALE)

@@ -5,11 +5,11 @@ conductor reflects the share F0 at all angles; here Schlick's term adds less tha
 are within 45 degrees of the bisector. The foil is the same height field, there as a mesh with interpolated normals.
 """
 
-import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from needed import needed_module
 
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import illuminated_ring
@@ -34,11 +34,7 @@ SEGMENTS = 4096
 
 @pytest.fixture(scope="module")
 def mitsuba():
-    try:
-        import mitsuba
-    except ImportError:
-        missing = "mitsuba is not installed (pip install 'ringpose[dev]')"
-        pytest.fail(missing) if os.environ.get("CI") else pytest.skip(missing)
+    mitsuba = needed_module("mitsuba", "ringpose[dev]")
     mitsuba.set_variant("scalar_rgb")
     return mitsuba
 

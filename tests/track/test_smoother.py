@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from moving_rings import Shots, drawn_motion, stream
+from needed import needed_module
 
 from ringpose.track.common_errors import common_errors
 from ringpose.track.filters import started
@@ -16,7 +17,7 @@ from ringpose.track.pipeline import Tracker
 from ringpose.track.states import ERRORS, after, charted, jacobians, moved, perturbed, step_rates
 from ringpose.types.assumptions import motion_prior
 
-gtsam = pytest.importorskip("gtsam", reason="GTSAM is not installed (pip install gtsam)")
+gtsam = needed_module("gtsam", "ringpose[dev]")
 
 FREE = slice(0, 12)
 """The components of a state of constant velocity: without the rate about the normal and the lever."""

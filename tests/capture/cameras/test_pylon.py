@@ -5,6 +5,7 @@ import sys
 
 import pytest
 from fake_camera import camera_of
+from needed import needed_module
 
 from ringpose.errors import DeviceError
 
@@ -12,8 +13,7 @@ from ringpose.errors import DeviceError
 @pytest.fixture
 def emulated():
     os.environ["PYLON_CAMEMU"] = "1"  # pypylon reads it when it is imported
-    if not os.environ.get("CI"):  # there it must not be missing
-        pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
+    needed_module("pypylon.pylon", "ringpose[pylon]")
 
     return lambda address="", **parameters: camera_of(f"pylon:{address}", **parameters)
 

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 
 import pytest
 from guarded_lasers import lasers_at
+from needed import needed_module
 
 from ringpose.capture.lasers import relay_board
 from ringpose.capture.lasers.relay_board import RelayBoard
@@ -68,7 +69,7 @@ def line():
 
 @pytest.fixture
 def server(line):
-    pytest.importorskip("pymodbus")
+    needed_module("pymodbus", "ringpose[dev]")
     words = [sys.executable, "-c", SERVER, line[1]]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "serving\n"

@@ -4,6 +4,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from needed import needed_module, needed_program
 from other_client import Port
 from served_scene import small_scene
 
@@ -27,7 +28,7 @@ def served(tmp_path, loopback_address, notes):
 @pytest.fixture
 def nodes(served, loopback_address):
     """GenApi's node map, and the GVCP port through which it reads and writes."""
-    genapi = pytest.importorskip("genicam.genapi", reason="genicam is not installed (pip install genicam)")
+    genapi = needed_module("genicam.genapi", "genicam")
 
     class GenApiPort(genapi.AbstractPort):
         def __init__(self, port: Port) -> None:
@@ -105,8 +106,8 @@ def test_genapi_receives_twelve_bits(nodes):
     assert node_map.PayloadSize.value == 2 * 200 * 150
 
 
-def test_the_tool_of_aravis_reads_the_camera(served, loopback_address, needed_program):
-    tool = needed_program("arv-tool-0.8")
+def test_the_tool_of_aravis_reads_the_camera(served, loopback_address):
+    tool = needed_program("arv-tool-0.8", "aravis-tools-cli")
 
     done = subprocess.run(
         [tool, "-a", loopback_address, "control", "Width", "PixelFormat", "ExposureTime"],
