@@ -5,8 +5,19 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LOWEST := .venv-lowest
-PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_FLAGS)
+PORTABLE := build/portable
+IN_PARALLEL := -n auto --dist worksteal $(PYTEST_FLAGS)
+PYTEST := $(BIN)/python -m pytest $(IN_PARALLEL)
+# Whose results depend on how a processor rounds; the commands and devices above them add no arithmetic.
+NUMERIC := $(addprefix tests/,kernels geometry types estimate detect pose track files simulate calibrate)
 KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
+
+# A virtual environment that is there keeps its Python, whatever PYTHON is. Empty if that is supported.
+UNSUPPORTED = $(shell python=$(BIN)/python; test -x $$python || python='$(PYTHON)'; \
+  $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>&- || \
+  echo "$$python is $$($$python -V 2>&- || echo missing)")
+REQUIRE_PYTHON = $(if $(UNSUPPORTED),$(error $(UNSUPPORTED), ringpose needs 3.11 or later: \
+  give another one, make PYTHON=..., after make clean if it is that of $(VENV)))
 
 # Modules that are instrumented or rewritten for the tests are kept from run to run: half of the time to collect them.
 export PYTHONDONTWRITEBYTECODE =
@@ -14,7 +25,7 @@ export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: help demo bench-speed bench-targets compare-baseline baseline golden structure test test-slow test-lowest \
-  check lint types layers man clean
+  test-baseline-cpu test-other-cpu check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
@@ -25,10 +36,13 @@ help:
 	@echo "make golden       show which lines of the rendered shots have changed, and make today's the golden ones"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
+	@echo "make test-baseline-cpu  the numeric fast tests as on a processor without AVX, also in the kernels (x86-64)"
+	@echo "make test-other-cpu     the same as on one with another vector unit than this machine's"
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
 	@echo "make check        lint, types, layers, man pages"
 
 $(STAMP): pyproject.toml $(KERNELS)
+	@$(REQUIRE_PYTHON)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	$(BIN)/python -m compileall -q ringpose  # as pip does for packages that are not editable
@@ -68,6 +82,7 @@ test-slow: $(STAMP)
 # uv alone resolves to the lowest versions; those for which there is no wheel for this Python are passed over. The test
 # tools come second, so that they cannot raise what they share with ringpose.
 $(LOWEST)/.installed: pyproject.toml $(KERNELS)
+	@$(REQUIRE_PYTHON)
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check 'uv>=0.5'
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --only-binary :all: \
@@ -78,6 +93,25 @@ $(LOWEST)/.installed: pyproject.toml $(KERNELS)
 test-lowest: $(LOWEST)/.installed
 	$(LOWEST)/bin/python -m pytest -m "not slow" $(PYTEST_FLAGS) tests/test_main_job.py tests/files/test_images.py \
 	  tests/files/test_shots.py tests/files/test_declared_sizes.py tests/cli/test_print_board.py
+
+# Built from a copy, so that no file of the normal build is taken or replaced. Of a function with clones, the object file
+# has a symbol whose name ends in .avx2.
+$(PORTABLE)/.installed: $(STAMP) $(shell find ringpose -name '*.py') $(KERNELS)
+	rm -rf $(PORTABLE)
+	mkdir -p $(PORTABLE)/source
+	cp -r ringpose pyproject.toml README.md LICENSE $(PORTABLE)/source
+	rm -f $(PORTABLE)/source/ringpose/kernels/*.so
+	CFLAGS=-DRINGPOSE_PORTABLE $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
+	  --target $(PORTABLE)/packages $(PORTABLE)/source
+	! grep -q '[.]avx2' $(PORTABLE)/packages/ringpose/kernels/*.so
+	touch $@
+
+test-baseline-cpu: $(PORTABLE)/.installed
+	PYTHONSAFEPATH=1 PYTHONPATH=$(CURDIR)/$(PORTABLE)/packages \
+	  $(BIN)/python tests/processors.py baseline $(IN_PARALLEL) -m "not slow" $(NUMERIC)
+
+test-other-cpu: $(STAMP)
+	$(BIN)/python tests/processors.py other $(IN_PARALLEL) -m "not slow" $(NUMERIC)
 
 check: lint types layers man
 
