@@ -99,7 +99,7 @@ test-lowest: $(LOWEST)/.installed
 $(PORTABLE)/.installed: $(STAMP) $(shell find ringpose -name '*.py') $(KERNELS)
 	rm -rf $(PORTABLE)
 	mkdir -p $(PORTABLE)/source
-	cp -r ringpose pyproject.toml README.md LICENSE $(PORTABLE)/source
+	cp -r ringpose man pyproject.toml README.md LICENSE $(PORTABLE)/source
 	rm -f $(PORTABLE)/source/ringpose/kernels/*.so
 	CFLAGS=-DRINGPOSE_PORTABLE $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
 	  --target $(PORTABLE)/packages $(PORTABLE)/source
