@@ -122,9 +122,15 @@ class Batch:
         With several jobs `work` must be a function that worker processes can import. The first result is yielded as
         soon as it is there, even if inputs are still awaited.
         """
-        from ringpose.processes import WorkerKilled, outcomes
+        from ringpose.processes import outcomes
 
-        for outcome in outcomes(work, self.valid_inputs(items), jobs):
+        return self.reported(outcomes(work, self.valid_inputs(items), jobs))
+
+    def reported(self, outcomes: "Iterable[Result | Exception]") -> "Iterator[Result]":
+        """Yield the results in order; exceptions about single inputs are reported on stderr, others are raised."""
+        from ringpose.processes import WorkerKilled
+
+        for outcome in outcomes:
             with self.guarded():
                 if isinstance(outcome, WorkerKilled):
                     place = getattr(outcome.item, "location", outcome.item)

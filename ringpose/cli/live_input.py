@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from ringpose.capture.latest_frame import LiveShot
-    from ringpose.capture.source import CaptureRequest
+    from ringpose.capture.source import CaptureRequest, TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.types.detection import Detection
-    from ringpose.types.image import Shot
-    from ringpose.types.pose import PoseLine
-    from ringpose.types.rig import Rig
+    from ringpose.measure.stream import Measured, Stream
 
 Item = TypeVar("Item")
 
@@ -27,20 +24,24 @@ PATIENCE_S = 0.2
 
 @contextmanager
 def live_lines(
-    request: "CaptureRequest", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
-) -> "Iterator[Iterator[PoseLine]]":
-    """Pose lines of a live camera: after each measurement, the latest shot is measured next.
+    request: "CaptureRequest", stream: "Stream", batch: "Batch", sequence: "TrackedSequence | None" = None
+) -> "Iterator[Iterator[Measured]]":
+    """The lines of a live camera: after each measurement, the latest shot is measured next.
 
-    A shot that is lost to changing ambient light has a line, too. A bad shot ends the stream, as all that follow would
-    be bad for the same reason. At the end of the block the lasers are off and the devices closed.
+    `sequence`: chooses the lasers of the next shot by the track. A shot that is lost to changing ambient light has a
+    line, too. A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block
+    the lasers are off and the devices closed.
     """
     from ringpose.capture.latest_frame import NewestShots
     from ringpose.cli.acquisition import source_of
     from ringpose.files.images.shots import checked_shot
 
-    def line_of(live: "LiveShot") -> "PoseLine":
-        line = measure(checked_shot(live.shot, rig, request.camera))
-        return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+    def measured(live: "LiveShot") -> "Measured":
+        found = stream.measure(checked_shot(live.shot, stream.setup.rig, request.camera))
+        if sequence is not None:
+            sequence.report(is_assigned=stream.assigns_lasers)
+        latency_s = perf_counter() - live.taken_s
+        return replace(found, line=replace(found.line, shots_dropped=live.dropped, latency_s=latency_s))
 
     source = source_of(replace(request, yields_lost=True), batch)
     with ExitStack() as stack:
@@ -50,7 +51,7 @@ def live_lines(
         newest = stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
         import ringpose.detect.pipeline  # noqa: F401  # imported while the first shot is taken
 
-        yield map(line_of, newest)
+        yield map(measured, newest)
 
 
 def live_camera_motion(rig: Path, batch: "Batch") -> "Callable[[float], CameraMotion]":

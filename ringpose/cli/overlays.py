@@ -12,10 +12,9 @@ from ringpose.files import atomic
 from ringpose.files.io import write_page
 
 if TYPE_CHECKING:
+    from ringpose.measure.stream import Measured
     from ringpose.report.page import Picture
     from ringpose.types.arrays import Array, UInt8
-    from ringpose.types.detection import Detection
-    from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
 
@@ -57,8 +56,6 @@ class PosePictures:
         check_report(report, force)
         self._rig, self._report, self._force = rig, report, force
         self._overlays = None if folder is None else OverlayFolder(folder, force=force)
-        self._source: Shot | Detection | None = None
-        self._detection: Detection | None = None
         self._lines: list[PoseLine] = []
         self._worst: list[tuple[tuple[int, float], int, Picture]] = []
         """Badness, number and picture of the worst shots, the worst first."""
@@ -76,17 +73,12 @@ class PosePictures:
                 raise
             messages.error(problem)  # the error that ended the block is reported, too
 
-    def keep(self, source: "Shot | Detection", detection: "Detection") -> None:
-        """Keep the shot and its detection for the picture of the next line."""
-        self._source, self._detection = source, detection
-
-    def add(self, line: "PoseLine") -> None:
-        """Draw the overlay of `line` on the shot last given to `keep`, and add the line to the report."""
-        if self._detection is None:
-            return
+    def add(self, measured: "Measured") -> None:
+        """Draw the overlay of a measured shot, and add its line to the report."""
+        line = measured.line
         is_bad = self._report is not None and self._is_among_worst(line)
         if self._overlays is not None or is_bad:
-            picture = self._drawn(line, self._detection)
+            picture = self._drawn(measured)
             if self._overlays is not None:
                 self._overlays.write(line.shot, picture)
             if is_bad:
@@ -103,15 +95,16 @@ class PosePictures:
         html = pose_report(self._lines, worst, f"Poses of {len(self._lines)} shots")
         write_page(self._report, html, force=self._force)
 
-    def _drawn(self, line: "PoseLine", detection: "Detection") -> "UInt8[Array, 'row column 3']":
+    def _drawn(self, measured: "Measured") -> "UInt8[Array, 'row column 3']":
         import numpy as np
 
         from ringpose.report.overlay import overlay, picture_of
-        from ringpose.types.image import Shot
 
+        assert measured.detection is not None  # as with a single process
         camera = self._rig.camera
         dark = np.zeros((camera.image_height, camera.image_width), np.uint8)  # a detection has no image
-        return overlay(picture_of(self._source) if isinstance(self._source, Shot) else dark, detection, line, self._rig)
+        picture = dark if measured.shot is None else picture_of(measured.shot)
+        return overlay(picture, measured.detection, measured.line, self._rig)
 
     def _is_among_worst(self, line: "PoseLine") -> bool:
         from ringpose.report.poses import badness

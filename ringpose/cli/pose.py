@@ -1,6 +1,6 @@
 """`ringpose pose`: detections, shots, images or a live camera -> one pose line each, or the line of its track."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import fields
 from functools import partial
@@ -37,12 +37,16 @@ from ringpose.cli.options.track import (
     record_writer,
     track_writer,
 )
-from ringpose.cli.pose_jobs import PoseStream, SingleShot, recorded_lines
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN, Method
 
 if TYPE_CHECKING:
+    from ringpose.cli.overlays import PosePictures
+    from ringpose.files.inputs import Input
+    from ringpose.measure.stream import Measured, Stream
+    from ringpose.types.detection import Detection
+    from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
 
 LiveCamera = Annotated[
@@ -85,46 +89,74 @@ def pose(
     quiet: Quiet = False,
 ) -> None:
     """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
+    from ringpose.cli.live_input import live_camera_motion
     from ringpose.files.rigs import read_rig, require_mount
+    from ringpose.files.sources import SourceReader
+    from ringpose.measure.stream import Setup, Stream
 
     _check_source(inputs, camera, shots)
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
         raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
     _check_method(method, assumed, robot_poses)
     _check_track(track, method, frame, settings)
-    options, known = assumed.options, known_ring(ring, method, assumed.ring_tolerance)
-    loaded_rig, batch = read_rig(rig), Batch()
+    known = known_ring(ring, method, assumed.ring_tolerance)
+    batch, loaded_rig = Batch(), read_rig(rig)
     if frame is PoseFrame.TOOL:
         require_mount(loaded_rig, rig)
     is_live_robot = camera is not None and robot_poses == STDIN
-    motion = None if is_live_robot else camera_motion(robot_poses, rig, inputs)
-    single = SingleShot(loaded_rig, channel, method, frame, known, options, motion)
-    stream = PoseStream(single, settings.tracker(loaded_rig, options, motion) if track else None)
+    setup = Setup(
+        rig=loaded_rig,
+        method=method,
+        frame=frame,
+        known=known,
+        options=assumed.options,
+        camera=None if is_live_robot else camera_motion(robot_poses, rig, inputs),
+    )
+    in_stream = partial(Stream, setup, settings.options(assumed.options) if track else None, clock=time)
     if is_live_robot:
-        from ringpose.cli.live_input import live_camera_motion
-
-        stream.motion_until = live_camera_motion(rig, batch)
-    lines: AbstractContextManager[Iterator[PoseLine]]
+        in_stream = partial(in_stream, motion_until=live_camera_motion(rig, batch))
+    found: AbstractContextManager[Iterator[Measured]]
     if camera is None:
-        lines = nullcontext(recorded_lines(inputs or [], single, jobs, batch, lambda: stream.rig, stream.measured))
-    else:
-        from ringpose.capture.latest_frame import EarlyStripes
-        from ringpose.cli.live_input import live_lines
-
-        early = EarlyStripes()
-        stream.searched = early.stripes_of
-        request = shots.request(
-            camera, loaded_rig, choose=None if shots.sequence else stream.sequence, on_frame=early.add
+        found = nullcontext(
+            batch.reported(_recorded(inputs or [], in_stream(), SourceReader(loaded_rig, channel), jobs, batch))
         )
-        lines = live_lines(request, loaded_rig, batch, stream.measured)
+    else:
+        found = _live(camera, shots, in_stream, batch)
     with batch, ExitStack() as stack:
+        pictures = None
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures
 
-            stream.pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
-        write = _writer(stream, record_writer(stack, newest), output_format, brief, verbose, batch)
-        _write(stack.enter_context(lines), stream, write, batch, verbose, quiet)
+            pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
+        write = _writer(record_writer(stack, newest), track, output_format, brief, verbose, batch)
+        _write(with_progress(stack.enter_context(found), "shots", quiet), write, pictures, batch, verbose)
     batch.finish()
+
+
+def _recorded(
+    inputs: list[str], stream: "Stream", read: "Callable[[Input], Shot | Detection]", jobs: int, batch: Batch
+) -> "Iterator[Measured | Exception]":
+    """The lines of the shots and detections in files, or what is wrong with them."""
+    from ringpose.files.images.shots import SHOT_SUFFIXES
+    from ringpose.files.inputs import RECORDS_SUFFIX
+    from ringpose.files.inputs import inputs as named
+
+    return stream.outcomes(batch.valid_inputs(named(inputs, (RECORDS_SUFFIX, *SHOT_SUFFIXES))), read, jobs)
+
+
+def _live(
+    camera: str, shots: ShotOptions, in_stream: "Callable[..., Stream]", batch: Batch
+) -> "AbstractContextManager[Iterator[Measured]]":
+    """The lines of a live camera, whose lasers the track chooses unless the options do."""
+    from ringpose.capture.latest_frame import EarlyStripes
+    from ringpose.capture.source import TrackedSequence
+    from ringpose.cli.live_input import live_lines
+
+    early = EarlyStripes()
+    stream = in_stream(early=early.stripes_of)
+    sequence = TrackedSequence() if stream.is_tracking else None
+    choose = None if shots.sequence else sequence
+    return live_lines(shots.request(camera, stream.rig, choose=choose, on_frame=early.add), stream, batch, sequence)
 
 
 def _check_source(inputs: list[str] | None, camera: str | None, shots: ShotOptions) -> None:
@@ -164,14 +196,14 @@ def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackS
 
 
 def _writer(
-    stream: PoseStream,
     write: "Callable[[Mapping[str, Any]], None]",
+    track: bool,
     output_format: Format,
     brief: bool,
     verbose: bool,
     batch: Batch,
-) -> "Callable[[PoseLine], None]":
-    """A function that writes the record of a pose line, or of the track that the line continues."""
+) -> "Callable[[Measured], None]":
+    """A function that writes the record of a pose line, or of the track after it."""
     from ringpose.files.records.poses import pose_record
 
     record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
@@ -180,45 +212,40 @@ def _writer(
 
         record = ros_messages
 
-    def pose_written(line: "PoseLine") -> None:
-        write(record(line))
-        if line.pose is None:
+    def pose_written(measured: "Measured") -> None:
+        write(record(measured.line))
+        if measured.line.pose is None:
             batch.record_status(NO_POSE)
 
-    if stream.shots is None:
+    if not track:
         return pose_written
-    shots, track_written = stream.shots, track_writer(write, output_format, brief, verbose, batch)
+    track_written = track_writer(write, output_format, brief, verbose, batch)
 
-    def track_of_pose_written(line: "PoseLine") -> None:
-        with batch.guarded():
-            track_written(shots.added(line, time()))
-        if stream.sequence is not None:
-            stream.sequence.report(is_assigned=shots.assigns_lasers(stream.rig))
+    def track_of_pose_written(measured: "Measured") -> None:
+        if measured.problem is not None:
+            batch.report(measured.problem)
+        elif measured.track is not None:
+            track_written(measured.track)
 
     return track_of_pose_written
 
 
 def _write(
-    lines: "Iterator[PoseLine]",
-    stream: PoseStream,
-    write: "Callable[[PoseLine], None]",
+    found: "Iterable[Measured]",
+    write: "Callable[[Measured], None]",
+    pictures: "PosePictures | None",
     batch: Batch,
     verbose: bool,
-    quiet: bool,
 ) -> None:
-    """Write each line as it comes, report the health of the rig, then draw the line's picture."""
+    """Write each line as it comes, with what the stream has shown about the rig, then draw the line's picture."""
     from ringpose.pose.pipeline import remarks_on
 
-    for line in with_progress(lines, "shots", quiet):
-        with_health, warning = stream.monitor.update(line)
-        if warning is not None:
-            messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
-        with_health, warning = stream.form.update(with_health)
-        if warning is not None:
-            messages.echo(f"{line.shot}: {warning}")
-        write(with_health)
+    for measured in found:
+        for warning in measured.warnings:
+            messages.echo(f"{measured.line.shot}: {warning}")
+        write(measured)
         if verbose:
-            messages.echo(f"{line.shot}: {remarks_on(with_health)}")
-        if stream.pictures is not None:
+            messages.echo(f"{measured.line.shot}: {remarks_on(measured.line)}")
+        if pictures is not None:
             with batch.guarded():
-                stream.pictures.add(with_health)
+                pictures.add(measured)

@@ -67,9 +67,10 @@ def track(
     from ringpose.files.inputs import RECORDS_SUFFIX
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
+    from ringpose.track.pipeline import Tracker
 
     assumed, motion = Assumed(max_speed=max_speed, max_rate=max_rate).options, camera_motion(robot_poses, rig, inputs)
-    tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
+    tracker = Tracker(read_rig(rig) if rig is not None else None, settings.options(assumed), motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with batch, ExitStack() as stack:

@@ -1,13 +1,6 @@
-"""Shot or detection -> pose line, the computation of `ringpose pose`.
+"""Detection -> pose line: one shot by itself; `ringpose.measure.stream` measures streams of them.
 
-The pose is estimated in closed form or by maximum likelihood (ringpose-method(7), sections 4 and 5). In a notebook,
-with the readers and writers of `ringpose.files`:
-
-rig = read_rig(Path("rig.yaml"))
-line = pose_line(read_shot(Path("shots/0001.npz"), rig=rig), rig)
-print(line.status, line.pose.center_m, pose_record(line))
-
-Set OPENBLAS_NUM_THREADS=1 in the environment, as the commands do: the matrices of a shot are too small for threads.
+The pose is estimated in closed form or by maximum likelihood (ringpose-method(7), sections 4 and 5).
 """
 
 from collections.abc import Sequence
@@ -46,8 +39,18 @@ RADIUS_SD_M = 0.0005
 """Standard deviation assumed for a radius that the user looks up."""
 
 
+def assumptions_about(
+    source: Shot | Detection, rig: Rig, known: KnownRadii | Sequence[Ring] | None, options: AssumptionOptions
+) -> Assumptions:
+    """What is assumed about a shot; the tolerance of a known ring of the catalogue replaces that of the options."""
+    assumptions = options.about_shot(rig.stability, still=source.still)
+    if isinstance(known, KnownRadii) and known.tolerance_m is not None:
+        assumptions = replace(assumptions, ring_tolerance_m=known.tolerance_m)
+    return assumptions
+
+
 def pose_line(
-    source: Shot | Detection,
+    source: Detection,
     rig: Rig,
     method: Method = Method.ML,
     frame: PoseFrame = PoseFrame.CAMERA,
@@ -62,19 +65,10 @@ def pose_line(
     its motion by the poses of the robot that carries it, which is removed within the shot; velocity and assumptions
     about the motion are then relative to the robot's base. None for a camera that counts as inertial.
     """
-    assumptions = options.about_shot(rig.stability, still=source.still)
-    if isinstance(known, KnownRadii) and known.tolerance_m is not None:
-        assumptions = replace(assumptions, ring_tolerance_m=known.tolerance_m)
+    assumptions = assumptions_about(source, rig, known, options)
     if frame is PoseFrame.TOOL and rig.tool_from_camera is None:
         frame = PoseFrame.CAMERA
-    start_s = detected_s = perf_counter()
-    stage_s = {}
-    if isinstance(source, Shot):
-        from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
-
-        source = detect(source, rig, assumptions=assumptions, camera=camera)
-        detected_s = perf_counter()
-        stage_s["detect"] = detected_s - start_s
+    start_s = perf_counter()
     points = source.break_points
     ambient = PoseFlag.AMBIENT_CHANGED if source.ambient_changed else PoseFlag(0)
     if not isinstance(points, BreakPoints):
@@ -88,7 +82,6 @@ def pose_line(
             lasers=unused_lasers(rig, source.lasers_on, points not in WITHOUT_STRIPES),
             rejected=source.rejected,
             latency_s=perf_counter() - start_s,
-            stage_s=stage_s,
             rig=rig.sha256,
         )
     result = pose_result(
@@ -127,7 +120,7 @@ def pose_line(
         rejected=rejected,
         plane_evidence=result.plane_evidence,
         latency_s=end_s - start_s,
-        stage_s={**stage_s, "pose": end_s - detected_s},
+        stage_s={"pose": end_s - start_s},
         rig=rig.sha256,
     )
 

@@ -35,7 +35,6 @@ from benchmarks.stripe_images import (
 from ringpose.bench.speed import POSES_PER_ROUND, median_times_s, one_core, solve_pnp
 from ringpose.capture.latest_frame import EarlyStripes
 from ringpose.cli.bench.speed import start_calls
-from ringpose.cli.options.common import PoseFrame
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.difference_images import laser_images
 from ringpose.detect.pipeline import detect
@@ -43,6 +42,7 @@ from ringpose.detect.stripes import find_stripes
 from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.scenes.scene import read_scene
+from ringpose.measure.stream import Setup
 from ringpose.pose.pipeline import estimate_pose, pose_line
 from ringpose.simulate.pipeline import illuminated_ring, moving_frame, render_ring_view
 from ringpose.simulate.placement import ring_views
@@ -190,7 +190,7 @@ def _judgement(shot: Shot, rig: Rig) -> Callable[[], object]:
 
 def _pose_record(shot: Shot | Detection, rig: Rig) -> str:
     """The line that `ringpose pose` writes for a shot."""
-    return line_of(pose_record(pose_line(shot, rig, Method.ML, PoseFrame.CAMERA)))
+    return line_of(pose_record(Setup(rig=rig).measure(shot)))
 
 
 def pose_figures(rounds: int) -> list[Figure]:

@@ -27,7 +27,7 @@ from tracked_rings import DEGREES_OF_FREEDOM, errors_at, nees_at
 
 from ringpose.cli.main import main as ringpose
 from ringpose.files.scenes.scene import read_scene
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import Setup, Stream, track_options
 from ringpose.simulate.motion import velocities
 from ringpose.simulate.pipeline import render_ring_view, simulated_shot
 from ringpose.simulate.placement import ring_views
@@ -35,9 +35,7 @@ from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.genicam import Identity
 from ringpose.simulate.serve.relays import RelayContacts
-from ringpose.track.explanations import TrackOptions
-from ringpose.track.pipeline import Tracker
-from ringpose.types.assumptions import AssumptionOptions, motion_prior
+from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.scene import Scene
 
 RIG = Path(__file__).parents[2] / "examples" / "scene-rig.yaml"
@@ -123,17 +121,12 @@ def rendered(rng, folder: Path) -> Iterator[Figure]:
     grasps_m, used, shots = [], 0, 0
     for rate_deg_s, light_w_m2 in zip((1.0, 2.0, 4.0, 6.0, 8.0), (0.0, 0.3, 0.0, 0.3, 0.0), strict=True):
         scene = tumbling_scene(folder, rate_deg_s, light_w_m2, rng)
-        tracker, truth, views = (
-            Tracker(scene.rig, TrackOptions(motion=motion_prior(0.2, 8.0))),
-            Path3D(scene),
-            ring_views(scene),
-        )
+        stream, truth = Stream(Setup(rig=scene.rig, options=assumed), track_options(assumed)), Path3D(scene)
+        views = ring_views(scene)
         for number in range(len(views)):
-            shot, _ = simulated_shot(scene, views, number)
-            line = pose_line(shot, scene.rig, options=assumed)
-            used += tracker.add(line).fusion_status == "fused"
+            at = stream.measure(simulated_shot(scene, views, number)[0]).track
+            used += at.attempt.fusion_status == "fused"
             shots += 1
-            at = tracker.line_at(tracker.track.stamp_s)
             if number < 2 or at.pose is None or not np.isfinite(at.pose.center_m).all():
                 continue
             for name, value in nees_at(truth, at).items():

@@ -11,17 +11,13 @@ from study_work import reversed_name
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.main import main
-from ringpose.cli.pose_jobs import SingleShot, recorded_lines
 from ringpose.errors import DataError
 from ringpose.files.records import line_of
 from ringpose.files.records.detections import detection_record
-from ringpose.files.rigs import read_rig, write_rig
+from ringpose.files.rigs import write_rig
 from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import tilted
 from ringpose.simulate.features import drawn_features
-from ringpose.types.assumptions import NOISE_ONLY
-from ringpose.types.options import Method, PoseFrame
-from ringpose.types.rig import PlaneCorrection
 from ringpose.types.scene import Approach
 
 
@@ -121,21 +117,3 @@ def test_pictures_and_tracks_cannot_be_made_by_several_processes(run, rig, words
 
     assert status == 2
     assert words[1] in message
-
-
-def test_shots_after_a_correction_of_the_rig_are_measured_again_with_it(carried_data):
-    shots = sorted((carried_data / "rig_b" / "shots").glob("*.npz"))[:2]
-    given = read_rig(carried_data / "rig_b" / "rig.yaml")
-    corrected = replace(given, moved_planes={"left": PlaneCorrection(change=np.zeros(3), covariance=np.eye(3))})
-    rigs, measured = [given, corrected], []
-    work = SingleShot(rig=given, channel=None, method=Method.ML, frame=PoseFrame.CAMERA, known=None, options=NOISE_ONLY)
-
-    def measure(source):
-        measured.append(source.name)
-        return replace(work(shots[1])[1], reason="with the corrected rig")
-
-    found = list(recorded_lines(list(map(str, shots)), work, 2, Batch(), lambda: rigs.pop(0), measure))
-
-    assert [line.shot for line in found] == [shot.stem for shot in shots]
-    assert measured == [shots[1].stem]
-    assert found[1].reason == "with the corrected rig"

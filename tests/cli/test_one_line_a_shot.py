@@ -19,6 +19,7 @@ from ringpose.files.images.shots import write_shot
 from ringpose.files.records.detections import checked_detection, detection_of, detection_record
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
+from ringpose.measure.stream import Setup
 from ringpose.pose.pipeline import pose_line
 from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
 from ringpose.types.options import Method, PoseFrame
@@ -41,7 +42,7 @@ def without_times(line):
 def test_a_shot_and_its_detection_give_the_same_line(drawn_shot):
     read = read_back(detect(drawn_shot, DRAWN_RIG), DRAWN_RIG)
 
-    line = pose_line(drawn_shot, DRAWN_RIG)
+    line = Setup(rig=DRAWN_RIG).measure(drawn_shot)
 
     assert read.ring is not None
     assert records.line_of(without_times(pose_line(read, DRAWN_RIG))) == records.line_of(without_times(line))

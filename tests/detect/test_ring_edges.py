@@ -34,7 +34,7 @@ from ringpose.detect.ring_edges import (
 from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import Setup
 from ringpose.types.assumptions import IDEAL
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
 from ringpose.types.image import Shot
@@ -316,7 +316,7 @@ def lit_shot(scene: DrawnScene, rig: Rig, rng: np.random.Generator, laser: int, 
 def test_a_displaced_stripe_does_not_lead_to_edges_of_another_ring(rig, rng, laser, along_px):
     scene = DrawnScene()
 
-    line = pose_line(lit_shot(scene, rig, rng, laser, along_px), rig)
+    line = Setup(rig=rig).measure(lit_shot(scene, rig, rng, laser, along_px))
 
     assert line.status == "degraded"
     error_m = line.pose.center_m - np.array(scene.center_m)

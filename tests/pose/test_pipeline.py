@@ -9,6 +9,7 @@ from drawn_scene import DrawnScene, draw_shot, drawn_rig
 from ringpose.detect.pipeline import detect
 from ringpose.files.records import plain
 from ringpose.files.records.detections import detection_of, detection_record
+from ringpose.measure.stream import Setup
 from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
 from ringpose.pose.pipeline import pose_line, remarks_on
 from ringpose.types.assumptions import AssumptionOptions
@@ -24,7 +25,7 @@ def shot():
 def test_a_shot_and_its_detection_give_the_same_pose_line(shot):
     rig = drawn_rig()
 
-    of_shot, of_detection = pose_line(shot, rig), pose_line(detect(shot, rig), rig)
+    of_shot, of_detection = Setup(rig=rig).measure(shot), pose_line(detect(shot, rig), rig)
 
     np.testing.assert_array_equal(of_shot.pose.center_m, of_detection.pose.center_m)
     assert of_shot.latency_s > 0
@@ -32,7 +33,7 @@ def test_a_shot_and_its_detection_give_the_same_pose_line(shot):
 
 
 def test_a_dark_shot_gives_a_line_with_the_reason(shot):
-    line = pose_line(replace(shot, images=np.zeros_like(shot.images)), drawn_rig())
+    line = Setup(rig=drawn_rig()).measure(replace(shot, images=np.zeros_like(shot.images)))
 
     assert line.pose is None
     assert line.status == "none"
@@ -63,15 +64,16 @@ def test_a_change_of_ambient_light_within_a_shot_is_flagged_and_named(shot, is_d
     rig = drawn_rig()
     changed = replace(shot, meta={**shot.meta, "ambient_change_dn": 9.0})
 
-    line = pose_line(detection_of(plain(detection_record(detect(changed, rig))), "a") if is_detected else changed, rig)
+    source = detection_of(plain(detection_record(detect(changed, rig))), "a") if is_detected else changed
+    line = Setup(rig=rig).measure(source)
 
     assert line.status == "degraded"
-    assert line.flags & ~pose_line(shot, rig).flags == PoseFlag.AMBIENT_CHANGED
+    assert line.flags & ~Setup(rig=rig).measure(shot).flags == PoseFlag.AMBIENT_CHANGED
     assert "ambient light" in (line.reason or "")
 
 
 def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
-    line = pose_line(shot, drawn_rig(), options=AssumptionOptions(still=True))
+    line = pose_line(detect(shot, drawn_rig()), drawn_rig(), options=AssumptionOptions(still=True))
     weak = replace(line, pose=replace(line.pose, flags=PoseFlag.CENTER_WEAK))
 
     assert "the centre is known to" in remarks_on(weak)
@@ -79,7 +81,7 @@ def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
 
 def test_a_drift_is_warned_of_once(shot):
     rig = drawn_rig()
-    line = pose_line(shot, rig)
+    line = Setup(rig=rig).measure(shot)
     contradicted = replace(line, plane_evidence=None, flags=line.flags | PoseFlag.STRIPE_REJECTED)
     monitor = DriftMonitor(rig, rig.stability)
 
@@ -90,7 +92,7 @@ def test_a_drift_is_warned_of_once(shot):
 
 def test_every_line_of_a_stream_has_the_health_of_each_laser(shot):
     rig = drawn_rig()
-    line, _ = DriftMonitor(rig, rig.stability).update(pose_line(shot, rig))
+    line, _ = DriftMonitor(rig, rig.stability).update(Setup(rig=rig).measure(shot))
 
     assert set(line.rig_health) == set(rig.lasers.names)
 
@@ -98,8 +100,8 @@ def test_every_line_of_a_stream_has_the_health_of_each_laser(shot):
 def test_a_switched_shot_without_stamps_of_its_own_is_weak_unless_it_is_still(shot):
     undated = replace(shot, stamp_s=np.full(len(shot.stamp_s), 1.0))
 
-    line = pose_line(undated, drawn_rig())
-    still = pose_line(undated, drawn_rig(), options=AssumptionOptions(still=True))
+    line = Setup(rig=drawn_rig()).measure(undated)
+    still = Setup(rig=drawn_rig(), options=AssumptionOptions(still=True)).measure(undated)
 
     assert {PoseFlag.CENTER_WEAK, PoseFlag.NORMAL_WEAK, PoseFlag.GRASP_WEAK} <= set(line.flags)
     assert "--still" in (line.reason or "")

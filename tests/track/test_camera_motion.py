@@ -13,9 +13,9 @@ from scipy.stats import chi2
 from tracked_rings import errors_at, nees_at, newest, track_of
 
 from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.measure.warm_start import WarmStart
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import predicted_ring, predicted_stripes
-from ringpose.track.shots import ShotTracker
 from ringpose.types.rig import Mount
 from ringpose.types.track import FusionStatus
 
@@ -77,7 +77,7 @@ def test_a_robot_that_goes_on_is_where_its_last_speed_leads(time_s):
 
 
 def test_lasers_are_assigned_with_robot_poses_up_to_the_last_shot(in_base, rng):
-    shots, lines = ShotTracker(tracker := Tracker(None)), stream(SeenByRobot(in_base), 1.5, Shots(), rng)
+    shots, lines = WarmStart(tracker := Tracker(None)), stream(SeenByRobot(in_base), 1.5, Shots(), rng)
     for line in lines:
         tracker.camera = robot(line.pose_stamp_s - START_S + 0.15)
         shots.added(line)
@@ -87,7 +87,7 @@ def test_lasers_are_assigned_with_robot_poses_up_to_the_last_shot(in_base, rng):
 
 
 def test_a_first_shot_without_a_measurement_assigns_no_lasers(in_base, rng):
-    shots, lines = ShotTracker(Tracker(None, camera=robot(2.0))), stream(SeenByRobot(in_base), 1.5, Shots(), rng)
+    shots, lines = WarmStart(Tracker(None, camera=robot(2.0))), stream(SeenByRobot(in_base), 1.5, Shots(), rng)
 
     shots.added(replace(lines[0], measurement=None))
     assert not shots.assigns_lasers(RIGS["B"])

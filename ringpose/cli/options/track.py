@@ -18,9 +18,8 @@ from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.pipeline import Tracker
+    from ringpose.track.explanations import TrackOptions
     from ringpose.types.assumptions import AssumptionOptions
-    from ringpose.types.rig import Rig
     from ringpose.types.track import TrackLine
 
 
@@ -68,13 +67,12 @@ class TrackSettings:
         number_option("--gripper-tilt-deg", "DEG", "How far the ring's normal may be from the reported one.", 0, 90),
     ] = None
 
-    def tracker(self, rig: "Rig | None", assumed: "AssumptionOptions", camera: "CameraMotion | None") -> "Tracker":
-        """The tracker; a track begins with the motion that is assumed within a shot."""
-        from ringpose.track.explanations import Gripper, TrackOptions
-        from ringpose.track.pipeline import Tracker
-        from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
+    def options(self, assumed: "AssumptionOptions") -> "TrackOptions":
+        """What the track is followed with; it begins with the motion that is assumed within a shot."""
+        from ringpose.measure.stream import track_options
+        from ringpose.track.explanations import Gripper
 
-        options, radial_m, tilt_deg = TrackOptions(), self.gripper_radial_m, self.gripper_tilt_deg
+        options, radial_m, tilt_deg = track_options(assumed), self.gripper_radial_m, self.gripper_tilt_deg
         if radial_m is not None and tilt_deg is not None:
             options = replace(options, gripper=Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg)))
         elif radial_m is not None or tilt_deg is not None:
@@ -90,11 +88,7 @@ class TrackSettings:
         for option, value in (("--max-speed", assumed.max_speed_m_s), ("--max-rate", assumed.max_rate_deg_s)):
             if value == 0:
                 raise UsageError(option, "is 0, but a track is of a target that may move", "give more, or leave it out")
-        motion = motion_prior(
-            MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
-            MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
-        )
-        return Tracker(rig, replace(options, motion=motion), camera)
+        return options
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":

@@ -1,26 +1,19 @@
-"""Shots -> track in one process: the track predicts where a shot shows the stripes, and to which lasers they belong.
+"""What earlier shots show about the next one of a stream: its stripes by the track, their lasers, its background."""
 
-The computation of `ringpose pose --track`, with `ringpose.pose.pipeline` between detection and track:
-
-detection = shots.detected(shot, rig, assumptions)
-track_line = shots.added(pose_line(detection, rig), now_s)
-"""
-
-from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.difference_images import LaserImage, laser_images
-from ringpose.detect.pipeline import MOVED_PX, detect
+from ringpose.detect.difference_images import laser_images
+from ringpose.detect.pipeline import MOVED_PX
 from ringpose.detect.ring_edges import PredictedRing
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
 from ringpose.types.arrays import Array, Bool
-from ringpose.types.assumptions import Assumptions
-from ringpose.types.detection import BreakPoints, Detection, Stripes
+from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Frame, Shot
 from ringpose.types.pose import PoseLine
 from ringpose.types.rig import Rig
@@ -46,11 +39,20 @@ FIRST_INTERVAL_S = 0.5
 """... and the interval before there were two shots."""
 
 
-class ShotTracker:
-    """Detects what shots show near the prediction of a track, and extends the track by them."""
+class Prior(NamedTuple):
+    """What earlier shots show about the next one, as arguments of `ringpose.detect.pipeline.detect`."""
+
+    predicted: BreakPoints | None
+    """The stripes at the times of the shot's frames; None if the track does not predict them well enough."""
+    background: Frame | None
+    """A frame without lasers of an earlier shot; None if it does not show the background of this one."""
+
+
+class WarmStart:
+    """Predicts what the next shot of a stream shows, and extends the track by it."""
 
     def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
+        self.tracker = tracker
         """The tracker; the motion of its camera, if it has one, is also used within the shots."""
         self._background: Frame | None = None
         """The newest frame without lasers."""
@@ -64,38 +66,21 @@ class ShotTracker:
         """Whether the last measurement continued the track."""
         self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
 
-    def detected(
-        self,
-        shot: Shot,
-        rig: Rig,
-        assumptions: Assumptions,
-        searched: Callable[[LaserImage], Stripes | None] | None = None,
-    ) -> Detection:
-        """What the shot shows, searched near the prediction if there is one, else everywhere.
+    def before(self, shot: Shot, rig: Rig) -> Prior:
+        """What is known about a shot before its detection."""
+        return Prior(self.prediction(shot, rig), self._usable_background(shot, rig))
 
-        `searched`: as in `detect`.
-        """
-        predicted = self.prediction(shot, rig)
-        background = self._usable_background(shot, rig)
-        found = detect(
-            shot,
-            rig,
-            predicted=predicted,
-            background=background,
-            assumptions=assumptions,
-            camera=self._tracker.camera,
-            searched=searched,
-        )
-        points = found.break_points
+    def after(self, shot: Shot, detection: Detection, prior: Prior) -> None:
+        """Keep what the detection of a shot shows about the following ones."""
+        points = detection.break_points
         if isinstance(points, BreakPoints):
             self._seen = points.seen
         dark = np.flatnonzero(shot.lasers == 0)
         if len(dark):
             self._background, self._used = list(shot.frames)[int(dark[-1])], 0
-        is_subtracted = bool(len(dark)) or background is not None
+        is_subtracted = bool(len(dark)) or prior.background is not None
         self._used += is_subtracted
         self._sharing = self._used if is_subtracted else 0
-        return found
 
     def added(self, line: PoseLine, now_s: float = float("inf")) -> TrackLine:
         """The track after a pose line; `now_s` is the host's clock. Raises `DataError` as `Tracker.add` does."""
@@ -103,16 +88,16 @@ class ShotTracker:
         if line.stamp_s > self._stamp_s:
             self._interval_s = line.stamp_s - self._stamp_s
         self._stamp_s = line.stamp_s
-        attempt = self._tracker.add(line, now_s, shared_inflation(self._sharing))
+        attempt = self.tracker.add(line, now_s, shared_inflation(self._sharing))
         self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
-        return self._tracker.line_of(attempt)
+        return self.tracker.line_of(attempt)
 
     def prediction(self, shot: Shot, rig: Rig) -> BreakPoints | None:
         """The stripes at the times of the shot's frames; None if the track does not predict them well enough."""
         stamps_s = np.full(len(rig.lasers.names), shot.measured_at_s)
         for image in laser_images(shot, len(stamps_s)):
             stamps_s[list(image.lasers)] = image.stamp_s
-        rings = {stamp_s: self._ring_at(stamp_s, self._tracker.camera) for stamp_s in set(stamps_s.tolist())}
+        rings = {stamp_s: self._ring_at(stamp_s, self.tracker.camera) for stamp_s in set(stamps_s.tolist())}
         each = [rings[stamp_s] for stamp_s in stamps_s.tolist()]
         predicted = None if None in each else predicted_stripes([ring for ring in each if ring is not None], rig)
         if predicted is None or self._seen is None:
@@ -124,7 +109,7 @@ class ShotTracker:
         """Whether the track will assign the stripes of the next frame with all lasers on to their lasers."""
         if not self._is_followed:
             return False
-        stamp_s, camera = self._tracker.track.stamp_s + AHEAD * self._interval_s, self._tracker.camera
+        stamp_s, camera = self.tracker.track.stamp_s + AHEAD * self._interval_s, self.tracker.camera
         if camera is not None:
             camera = camera.going_on_until(stamp_s)  # poses of a robot that arrive meanwhile are not known ahead
         ring = self._ring_at(stamp_s, camera)
@@ -132,22 +117,22 @@ class ShotTracker:
         return predicted is not None and predicted.labelled
 
     def _ring_at(self, stamp_s: float, camera: CameraMotion | None) -> PredictedRing | None:
-        track = self._tracker.track
-        if not track.stamp_s <= stamp_s or validity(track, stamp_s, self._tracker.options) not in FOLLOWED:
+        track = self.tracker.track
+        if not track.stamp_s <= stamp_s or validity(track, stamp_s, self.tracker.options) not in FOLLOWED:
             return None
         with np.errstate(all="ignore"):  # improbable states may be far off
             return predicted_ring(track, stamp_s, camera)
 
     def _usable_background(self, shot: Shot, rig: Rig) -> Frame | None:
         """The newest frame without lasers, unless the ring's edges have moved since, or the exposure has changed."""
-        dark, track, stamp_s = self._background, self._tracker.track, shot.measured_at_s
+        dark, track, stamp_s = self._background, self.tracker.track, shot.measured_at_s
         if dark is None or not track.banks or dark.stamp_s > stamp_s:  # of a clock that was set back since
             return None
         if not np.allclose(shot.exposure_s, dark.exposure_s, rtol=1e-3):
             return None
         with np.errstate(all="ignore"):
             taken_s = dark.stamp_s + dark.exposure_s / 2
-            moved_px = motion_px(track, taken_s, stamp_s, rig, self._tracker.camera)
+            moved_px = motion_px(track, taken_s, stamp_s, rig, self.tracker.camera)
         return dark if moved_px <= MOVED_PX and dark.image.shape == shot.images.shape[1:] else None
 
 

@@ -9,10 +9,10 @@ from recorded_shots import make_shot
 from ring_scenes import RIGS, pixels_of
 from tracked_rings import track_of
 
+from ringpose.detect.pipeline import detect
+from ringpose.measure.warm_start import BACKGROUND_SHARE, WarmStart, shared_inflation
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
-from ringpose.track.shots import BACKGROUND_SHARE, ShotTracker, shared_inflation
-from ringpose.types.assumptions import USUAL
 from ringpose.types.image import Shot
 
 RIG = RIGS["B"]
@@ -76,7 +76,7 @@ def shot(masks, stamp_s: float) -> Shot:
 
 
 def test_each_stripe_of_a_switched_shot_is_predicted_at_the_time_of_its_own_frame(tracker, moving):
-    shots, switched = ShotTracker(tracker), shot([0, 1, 2, 4, 0], tracker.track.stamp_s + 0.1)
+    shots, switched = WarmStart(tracker), shot([0, 1, 2, 4, 0], tracker.track.stamp_s + 0.1)
 
     predicted = shots.prediction(switched, RIG)
 
@@ -87,14 +87,14 @@ def test_each_stripe_of_a_switched_shot_is_predicted_at_the_time_of_its_own_fram
 
 
 def test_without_a_track_nothing_is_predicted_and_lasers_are_switched():
-    shots = ShotTracker(Tracker(None))
+    shots = WarmStart(Tracker(None))
 
     assert shots.prediction(shot([7], START_S), RIG) is None
     assert not shots.assigns_lasers(RIG)
 
 
 def test_lasers_are_assigned_while_shots_continue_the_track_and_not_after_one_that_does_not(records):
-    shots = ShotTracker(Tracker(None))
+    shots = WarmStart(Tracker(None))
     found = []
     for line in records[:8]:
         shots.added(line)
@@ -117,7 +117,7 @@ def test_shots_with_one_background_contribute_the_information_of_their_mean(coun
 def test_shots_are_counted_from_their_background_on(rng, monkeypatch):
     still = drawn_motion(rng, speed_m_s=0.0, rate_deg_s=0.0)
     tracker, inflations = Tracker(None), []
-    shots, add = ShotTracker(tracker), tracker.add
+    shots, add = WarmStart(tracker), tracker.add
     monkeypatch.setattr(
         tracker, "add", lambda line, now_s, factor: inflations.append(factor) or add(line, now_s, factor)
     )
@@ -126,7 +126,8 @@ def test_shots_are_counted_from_their_background_on(rng, monkeypatch):
         shots.added(line)
     inflations.clear()
     for line, masks in zip(lines[10:16], ([7], [0, 7], [7], [7], [0, 7], [7]), strict=True):
-        shots.detected(shot(masks, line.pose_stamp_s), RIG, USUAL.about_shot(RIG.stability, still=False))
+        taken = shot(masks, line.pose_stamp_s)
+        shots.after(taken, detect(taken, RIG), shots.before(taken, RIG))
         shots.added(line)
 
     assert inflations == [shared_inflation(number) for number in (0, 1, 2, 3, 1, 2)]

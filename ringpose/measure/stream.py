@@ -1,0 +1,222 @@
+"""Shots or detections -> lines: what ringpose measures, for commands, a live camera, the console, studies, notebooks.
+
+stream = Stream(Setup(rig=rig), track=TrackOptions())
+for shot in shots:
+    measured = stream.measure(shot)
+    print(measured.line.status, measured.track.grasp)
+
+One shot gives one line. From shot to shot, a stream keeps what the earlier ones have shown: light planes that have
+moved, a ring that is not round, and the track, which predicts where the next shot shows its stripes.
+
+Set OPENBLAS_NUM_THREADS=1 in the environment, as the commands do: the matrices of a shot are too small for threads.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import inf
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from ringpose.errors import DataError
+from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.pose.drift import DriftMonitor
+from ringpose.pose.form_monitor import FormMonitor
+from ringpose.pose.pipeline import assumptions_about, pose_line
+from ringpose.processes import outcomes
+from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, USUAL, AssumptionOptions, motion_prior
+from ringpose.types.detection import Detection, Stripes
+from ringpose.types.image import Shot
+from ringpose.types.options import Method, PoseFrame
+from ringpose.types.pose import KnownRadii, PoseLine, Ring
+from ringpose.types.rig import Rig
+from ringpose.types.track import TrackLine
+
+if TYPE_CHECKING:  # not imported to measure detections
+    from ringpose.detect.difference_images import LaserImage
+    from ringpose.measure.warm_start import WarmStart
+    from ringpose.track.explanations import TrackOptions
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Setup:
+    """What a shot is measured with; worker processes receive it."""
+
+    rig: Rig
+    method: Method = Method.ML
+    frame: PoseFrame = PoseFrame.CAMERA
+    """Frame of the vectors; `tool` needs the rig's mount."""
+    known: KnownRadii | Sequence[Ring] | None = None
+    """The ring's radii, or the catalogue that it belongs to."""
+    options: AssumptionOptions = USUAL
+    camera: CameraMotion | None = None
+    """The camera's motion by the poses of the robot that carries it; None for a camera that counts as inertial."""
+
+    def detection(self, shot: Shot, **prior: Any) -> Detection:
+        """What a shot shows; `prior`: what earlier shots have shown, as `detect` takes it."""
+        from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
+
+        assumptions = assumptions_about(shot, self.rig, self.known, self.options)
+        return detect(shot, self.rig, assumptions=assumptions, camera=self.camera, **prior)
+
+    def line(self, detection: Detection) -> PoseLine:
+        """The pose line of a detection by itself."""
+        return pose_line(detection, self.rig, self.method, self.frame, self.known, self.options, self.camera)
+
+    def measure(self, source: Shot | Detection) -> PoseLine:
+        """The pose line of a shot or detection by itself, whatever other shots show."""
+        return _measured(self, source, self.detection)[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measured:
+    """One shot of a stream."""
+
+    line: PoseLine
+    """Its pose line, with what the stream has shown about the rig and the ring."""
+    track: TrackLine | None = None
+    """The track after it; None in a stream without a track, or if the track cannot use the line."""
+    problem: DataError | None = None
+    """Why the track cannot use the line, such as a shot that was given twice."""
+    warnings: tuple[str, ...] = ()
+    """What the stream has shown with this shot for the first time."""
+    shot: Shot | None = None
+    """None if its detection was given, or another process has measured it."""
+    detection: Detection | None = None
+    """None if another process has measured it."""
+
+
+class Stream:
+    """Measures shots one after the other, each with what the earlier ones have shown.
+
+    `track`: None for a stream without a track. `clock`: the host's clock, by which stamps in the future are noticed.
+    `early`: the stripes of a frame that were found before its shot was complete. `motion_until`: the motion of the
+    camera up to a stamp, for robot poses that arrive meanwhile.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        track: "TrackOptions | None" = None,
+        *,
+        clock: Callable[[], float] = lambda: inf,
+        early: "Callable[[LaserImage], Stripes | None] | None" = None,
+        motion_until: Callable[[float], CameraMotion] | None = None,
+    ) -> None:
+        self.setup = setup
+        self._clock, self._early, self._motion_until = clock, early, motion_until
+        self._drift = DriftMonitor(setup.rig, setup.rig.stability.scaled(setup.options.rig_stability))
+        self._form = FormMonitor()
+        self._warm = None if track is None else _warm_start(setup, track)
+
+    @property
+    def rig(self) -> Rig:
+        """The rig, with the light planes that the stream has shown to have moved."""
+        return self._drift.rig
+
+    @property
+    def is_tracking(self) -> bool:
+        """Whether its lines have a track."""
+        return self._warm is not None
+
+    @property
+    def assigns_lasers(self) -> bool:
+        """Whether the track will assign the stripes of the next frame with all lasers on to their lasers."""
+        return self._warm is not None and self._warm.assigns_lasers(self.rig)
+
+    def measure(self, source: Shot | Detection) -> Measured:
+        """The line of the next shot of the stream."""
+        shot = source if isinstance(source, Shot) else None
+        setup = replace(self.setup, rig=self.rig)
+        if shot is not None and self._motion_until is not None:
+            setup = replace(setup, camera=self._motion_until(shot.mid_exposure_s(-1)))
+            if self._warm is not None:
+                self._warm.tracker.camera = setup.camera
+        detection, line = _measured(setup, source, partial(self._detection, setup))
+        return replace(self._next(line), shot=shot, detection=detection)
+
+    def outcomes(
+        self, items: Iterable[Item], read: "Callable[[Item], Shot | Detection]", jobs: int = 1
+    ) -> Iterator[Measured | Exception]:
+        """The lines of the shots that `read` reads, or why there is none, in the order of the items.
+
+        With several processes, each measures shots by themselves, and what goes from shot to shot is computed here, so
+        that the lines do not depend on their number: once the stream shows that a light plane has moved, the following
+        shots are measured again with the corrected rig. A track needs its shots one after the other.
+        """
+        if jobs == 1:
+            yield from outcomes(lambda item: self.measure(read(item)), items, 1)
+            return
+        for outcome in outcomes(_ByItself(self.setup, read), items, jobs):
+            if isinstance(outcome, Exception):
+                yield outcome
+            elif self.rig is self.setup.rig:
+                yield self._next(outcome[1])
+            else:
+                yield from outcomes(lambda item: self.measure(read(item)), [outcome[0]], 1)
+
+    def _detection(self, setup: Setup, shot: Shot) -> Detection:
+        if self._warm is None:
+            return setup.detection(shot, searched=self._early)
+        prior = self._warm.before(shot, setup.rig)
+        detection = setup.detection(shot, searched=self._early, **prior._asdict())
+        self._warm.after(shot, detection, prior)
+        return detection
+
+    def _next(self, line: PoseLine) -> Measured:
+        """The line with what the monitors add, and the track after it."""
+        line, moved = self._drift.update(line)
+        line, form = self._form.update(line)
+        warnings = tuple(filter(None, [moved and f"{moved}; run ringpose calibrate-planes", form]))
+        measured = Measured(line=line, warnings=warnings)
+        if self._warm is None:
+            return measured
+        try:
+            return replace(measured, track=self._warm.added(line, self._clock()))
+        except DataError as problem:
+            return replace(measured, problem=problem)
+
+
+def _warm_start(setup: Setup, track: "TrackOptions") -> "WarmStart":
+    from ringpose.measure.warm_start import WarmStart  # imports the detector
+    from ringpose.track.pipeline import Tracker
+
+    return WarmStart(Tracker(setup.rig, track, setup.camera))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ByItself:
+    """Measures a shot independently of the others; worker processes import this class."""
+
+    setup: Setup
+    read: Callable[[Any], Shot | Detection]
+
+    def __call__(self, item: Any) -> tuple[Any, PoseLine]:
+        return item, self.setup.measure(self.read(item))
+
+
+def _measured(
+    setup: Setup, source: Shot | Detection, detect: Callable[[Shot], Detection]
+) -> tuple[Detection, PoseLine]:
+    """The detection and the pose line of a source, with the time that its stages took."""
+    if isinstance(source, Detection):
+        return source, setup.line(source)
+    start_s = perf_counter()
+    detection = detect(source)
+    detect_s = perf_counter() - start_s
+    line = setup.line(detection)
+    return detection, replace(line, latency_s=line.latency_s + detect_s, stage_s={"detect": detect_s, **line.stage_s})
+
+
+def track_options(assumed: AssumptionOptions) -> "TrackOptions":
+    """The options of a track that begins with the motion that is assumed within a shot, by default the usual one.
+
+    A track never assumes that its target is still.
+    """
+    from ringpose.track.explanations import TrackOptions
+
+    return TrackOptions(
+        motion=motion_prior(assumed.max_speed_m_s or MAX_SPEED_M_S, assumed.max_rate_deg_s or MAX_RATE_DEG_S)
+    )
