@@ -109,12 +109,12 @@ def _lines_by_shot(
 def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Truth | None") -> "ReplayShot":
     """The picture of a shot, and the errors of its pose, which must be in the camera frame to be compared."""
     from ringpose.bench.score import estimate_of, score
-    from ringpose.detect.pipeline import detect
     from ringpose.estimate.pose_errors import truth_at
+    from ringpose.measure.stream import Setup
     from ringpose.report.overlay import overlay, picture_of
     from ringpose.report.replay import ReplayShot, replay_picture
 
-    picture = overlay(picture_of(shot), detect(shot, rig), line, rig, with_numbers=False)
+    picture = overlay(picture_of(shot), Setup(rig=rig).detection(shot), line, rig, with_numbers=False)
     errors: Mapping[str, float] = {}
     if line is not None and truth is not None:
         estimate = estimate_of(line, shot.name)

@@ -16,15 +16,14 @@ import numpy as np
 
 from ringpose.bench.score import estimate_of, score
 from ringpose.console.state import ConsoleState
-from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import truth_at
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import Setup, Stream
 from ringpose.report.overlay import captioned, overlay, picture_of
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import illuminated_ring, simulated_shot, view_truth
 from ringpose.simulate.renderer import render_view
-from ringpose.track.pipeline import Tracker
+from ringpose.track.explanations import TrackOptions
 from ringpose.types.arrays import Array, UInt8
 from ringpose.types.image import Shot
 from ringpose.types.pose import PoseLine
@@ -156,7 +155,8 @@ class Engine:
         self._scene, self._report = scene, report or self.fail
         self._lock = threading.Lock()
         self._cameras: dict[tuple[object, ...], Camera] = {}
-        self._tracker, self._tracked = Tracker(None), (-1, 0.0)
+        self._stream: Stream | None = None
+        self._measured_at = -1, 0.0
         self._ended = threading.Event()
         self.failure: BaseException | None = None
         self._changed_s = self._due_s = -np.inf
@@ -246,14 +246,14 @@ class Engine:
             shot, truth = simulated_shot(scene, (state.view(scene),), 0)
         except DataError as problem:
             return _unseen(state, scene.rig, problem)
-        detection = detect(shot, scene.rig)
-        line = pose_line(detection, scene.rig)
+        measured = self._stream_of(state, scene.rig).measure(shot)
+        line, track = measured.line, measured.track
+        assert measured.detection is not None  # as of a shot
         estimate = estimate_of(line, shot.name)
-        track = self._track(state, line, scene.rig)
-        track_truth = truth_at(truth, track.stamp_s, shot.measured_at_s)
         return ConsolePicture(
             state=state,
-            image=overlay(picture_of(shot), detection, line, scene.rig, with_numbers=False),  # the page has them
+            # the page has the numbers
+            image=overlay(picture_of(shot), measured.detection, line, scene.rig, with_numbers=False),
             rig=scene.rig,
             truth=truth_at(truth, estimate.stamp_s, line.stamp_s),
             shot=shot,
@@ -261,18 +261,16 @@ class Engine:
             line=line,
             errors=dict(score(truth, estimate, estimate.method, scene.rig.camera).errors),
             track=track,
-            track_error_m=np.nan
-            if track.pose is None or track_truth.center_m is None
-            else float(np.linalg.norm(track.pose.center_m - track_truth.center_m)),
+            track_error_m=np.nan if track is None else _track_error_m(track, truth, shot),
         )
 
-    def _track(self, state: ConsoleState, line: PoseLine, rig: Rig) -> TrackLine:
-        """The track after this measurement; a new one begins when something other than the time was changed."""
-        since, time_s = self._tracked
-        if state.since != since or state.time_s <= time_s:
-            self._tracker = Tracker(rig)
-        self._tracked = state.since, state.time_s
-        return self._tracker.line_of(self._tracker.add(line))
+    def _stream_of(self, state: ConsoleState, rig: Rig) -> Stream:
+        """The stream that a state continues; a new one begins when something other than the time was changed."""
+        since, time_s = self._measured_at
+        if self._stream is None or state.since != since or state.time_s <= time_s:
+            self._stream = Stream(Setup(rig=rig), TrackOptions())
+        self._measured_at = state.since, state.time_s
+        return self._stream
 
     def _scene_of(self, state: ConsoleState) -> Scene:
         """The scene of a state, with the camera record of earlier pictures, whose rays the renderer has cached."""
@@ -283,6 +281,14 @@ class Engine:
             if len(self._cameras) > MAX_CAMERAS:
                 del self._cameras[next(iter(self._cameras))]
         return replace(scene, rig=replace(scene.rig, camera=camera))
+
+
+def _track_error_m(track: TrackLine, truth: Truth, shot: Shot) -> float:
+    """Error of the track's centre; NaN if there is none."""
+    center_m = truth_at(truth, track.stamp_s, shot.measured_at_s).center_m
+    if track.pose is None or center_m is None:
+        return np.nan
+    return float(np.linalg.norm(track.pose.center_m - center_m))
 
 
 def _unseen(state: ConsoleState, rig: Rig, problem: Exception) -> ConsolePicture:

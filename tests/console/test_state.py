@@ -225,7 +225,7 @@ def test_a_preview_renders_one_frame_with_one_ray_a_pixel_and_measures_nothing(s
         return render_view(*arguments, samples=samples, **others)
 
     monkeypatch.setattr("ringpose.console.engine.render_view", render)
-    for name in ("simulated_shot", "detect", "pose_line"):
+    for name in ("simulated_shot", "Stream"):
         monkeypatch.delattr(f"ringpose.console.engine.{name}")
 
     picture = Engine(scene, lambda *_: None).preview(replace(state, width=200))

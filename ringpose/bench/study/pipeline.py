@@ -167,7 +167,7 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     """Pictures of the shots with the largest errors, with what was detected; none if features are drawn, not images."""
     import cv2
 
-    from ringpose.detect.pipeline import detect
+    from ringpose.measure.stream import Setup
     from ringpose.report.overlay import overlay, picture_of
 
     if study.level == "features":
@@ -178,7 +178,7 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     for index, shot in _worst(study, folder, OVERLAYS):
         source = shot.run[-1]
         assert isinstance(source, Shot)
-        picture = overlay(picture_of(source), detect(source, shot.scene.rig))
+        picture = overlay(picture_of(source), Setup(rig=shot.scene.rig).detection(source))
         png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
         setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
         caption = f"Shot {index} ({method}): {finding(rows[index])}; {setting}"

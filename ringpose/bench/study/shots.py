@@ -20,18 +20,16 @@ from ringpose.bench.design.bounds import Bound, cramer_rao
 from ringpose.bench.design.rig_changes import with_changes
 from ringpose.bench.score import Judgement, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
-from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import tilt_basis, tilted
+from ringpose.measure.stream import Measured, Setup, Stream, track_options
 from ringpose.pose.pipeline import RADIUS_SD_M, pose_line
 from ringpose.simulate.features import Deviations, drawn_features, run_errors
 from ringpose.simulate.motion import moved_view
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.simulate.placement import ring_rotation, ring_views
-from ringpose.track.explanations import TrackOptions
-from ringpose.track.pipeline import Tracker
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrior
 from ringpose.types.detection import BreakPoints, Detection
@@ -200,17 +198,10 @@ def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
 
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
-    start_s = perf_counter()
-    detections = [
-        source
-        if isinstance(source, Detection)
-        else detect(source, rig, assumptions=options.about_shot(rig.stability, still=source.still))
-        for source in shot.run
-    ]
-    detect_s = perf_counter() - start_s
     radii = _radii(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
+    result = run_result(shot.run, rig, study.methods, radii, options)
     bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
-    points, edges = detections[-1].break_points, detections[-1].ring_edges
+    points, edges = result.detection.break_points, result.detection.ring_edges
     common: Row = {
         "shot": index,
         **shot.setting,
@@ -220,39 +211,92 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         **_by_axis("true_center_{}_m", truth.center_m),
         **_by_axis("true_normal_{}", truth.normal),
         "simulate_s": shot.simulate_s,
-        "detect_s": detect_s,
+        "detect_s": result.detect_s,
     }
     empty: Row = dict.fromkeys(columns(study))
     for method in study.methods:
-        start_s = perf_counter()
-        line = measured_line(detections, rig, method, radii, options)
-        pose_s = perf_counter() - start_s
+        line = result.lines[method]
         estimate = replace(estimate_of(line, truth.shot), method=method.value)
         # the grasp point of a track moves with the ring, also out of the arc that the stripes of the last shot span
         scored = score(truth, estimate, method.value, None if method is StudyMethod.TRACK else rig.camera)
-        row = {**empty, **common, **_scored(scored, line, truth), "pose_s": pose_s}
+        row = {**empty, **common, **_scored(scored, line, truth), "pose_s": result.pose_s[method]}
         bound = None if method is StudyMethod.TRACK else bounds[method in WITH_RADII]
         if bound is not None:
             row |= {f"bound_{name}": value for name, value in bound.standard_deviations.items()}
         yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
 
 
-def measured_line(
-    run: Sequence[Detection], rig: Rig, method: StudyMethod, radii: KnownRadii, options: AssumptionOptions
-) -> PoseLine:
-    """The pose line of the last detection of a run by one of the methods."""
-    detection = run[-1]
-    if method is StudyMethod.TRACK:
-        lines = [pose_line(each, rig, options=options) for each in run]
-        return tracked(lines, rig, options.about_shot(rig.stability, still=False).motion)
-    if method in _POSE_METHODS:
-        of_pose, known = _POSE_METHODS[method]
-        return pose_line(detection, rig, of_pose, known=radii if known else None, options=options)
+class RunResult(NamedTuple):
+    """What the methods make of a run of shots."""
+
+    lines: Mapping[StudyMethod, PoseLine]
+    """Their lines of the last shot."""
+    pose_s: Mapping[StudyMethod, float]
+    """Time that each method took for the run after its detection."""
+    detection: Detection
+    """Detection of the last shot."""
+    detect_s: float
+    """Time that the detection of the run took."""
+
+
+def run_result(
+    run: Sequence[Shot | Detection],
+    rig: Rig,
+    methods: Sequence[StudyMethod],
+    radii: KnownRadii,
+    options: AssumptionOptions,
+) -> RunResult:
+    """The lines of a run of shots by each method.
+
+    The methods of `ringpose pose` measure the run as a stream: the line of the last shot is by the rig that the earlier
+    ones have corrected. The first of them detects for the others, but for a track, which predicts what the shots show.
+    """
+    detecting = next((method for method in methods if method in _POSE_METHODS), StudyMethod.ML)
+    detections: list[Detection] = []
+    lines, pose_s, detect_s = {}, {}, 0.0
+    for method in dict.fromkeys([detecting, *methods]):
+        start_s = perf_counter()
+        if method in BASELINES:
+            lines[method] = _baseline_line(method, detections[-1], rig, radii)
+            pose_s[method] = perf_counter() - start_s
+            continue
+        of_pose, known = _POSE_METHODS.get(method, (Method.ML, False))
+        setup = Setup(rig=rig, method=of_pose, known=radii if known else None, options=options)
+        is_track = method is StudyMethod.TRACK
+        stream = Stream(setup, track_options(options) if is_track else None)
+        found = [stream.measure(source) for source in (run if is_track or not detections else detections)]
+        detection_s = sum(each.line.stage_s.get("detect", 0.0) for each in found)
+        lines[method] = _line_of_track(found[-1]) if is_track else found[-1].line
+        pose_s[method] = perf_counter() - start_s - detection_s
+        if method is detecting:
+            detections = [each.detection for each in found if each.detection is not None]
+            detect_s = detection_s
+    return RunResult(lines, pose_s, detections[-1], detect_s)
+
+
+def _baseline_line(method: StudyMethod, detection: Detection, rig: Rig, radii: KnownRadii) -> PoseLine:
+    """The line of one of the older methods."""
     pose = BASELINES[method](detection, rig, radii)
     of_shot = partial(PoseLine, shot=detection.shot, stamp_s=detection.stamp_s, pose_stamp_s=detection.stamp_s)
     if isinstance(pose, RingPose):
         return of_shot(pose=pose)
     return of_shot(pose=None, reason=pose.value if isinstance(pose, NoPose) else pose)
+
+
+def _line_of_track(measured: Measured) -> PoseLine:
+    """The line of a shot with the pose of the track through the stream instead of its own."""
+    line, track = measured.line, measured.track
+    if track is None:
+        return replace(line, pose=None, reason=str(measured.problem))
+    return PoseLine(
+        shot=line.shot,
+        stamp_s=line.stamp_s,
+        pose_stamp_s=track.stamp_s,
+        pose=track.pose,
+        reason=None if track.pose is not None else f"the track is {track.validity}",
+        flags=track.flags,
+        velocity=track.velocity,
+    )
 
 
 def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
@@ -360,29 +404,3 @@ def with_run(scene: Scene, run: ShotRun, prior: MotionPrior | None, rng: np.rand
     begins_s = (run.period_s * np.arange(1 - run.shots, 0)).tolist()
     before = [moved_view(view, path, begin_s, path.face_m, name) for name, begin_s in zip(names, begins_s, strict=True)]
     return in_run(views=(*before, replace(view, path=path)))
-
-
-def tracked(lines: Sequence[PoseLine], rig: Rig, prior: MotionPrior | None) -> PoseLine:
-    """The last pose line, with the pose of a track through all of the lines instead of its own.
-
-    The track assumes the motion of `prior`; like `ringpose track` it never assumes a still target, and uses its
-    defaults for a speed or rate of 0.
-    """
-    options = TrackOptions()
-    if prior is not None:
-        speed_sd_m_s = prior.speed_sd_m_s or options.motion.speed_sd_m_s
-        rate_sd_rad_s = prior.rate_sd_rad_s or options.motion.rate_sd_rad_s
-        options = replace(options, motion=MotionPrior(speed_sd_m_s=speed_sd_m_s, rate_sd_rad_s=rate_sd_rad_s))
-    tracker = Tracker(rig, options)
-    for line in lines[:-1]:
-        tracker.add(line)
-    last = tracker.line_of(tracker.add(lines[-1]))
-    return PoseLine(
-        shot=lines[-1].shot,
-        stamp_s=lines[-1].stamp_s,
-        pose_stamp_s=last.stamp_s,
-        pose=last.pose,
-        reason=None if last.pose is not None else f"the track is {last.validity}",
-        flags=last.flags,
-        velocity=last.velocity,
-    )

@@ -17,7 +17,6 @@ from ringpose.cli.options.common import (
     CsvFile,
     Force,
     JsonFile,
-    PoseFrame,
     Quiet,
     file_option,
     number_option,
@@ -29,6 +28,8 @@ from ringpose.types.options import Method
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
     from ringpose.bench.summary import Summary
+    from ringpose.types.detection import Detection
+    from ringpose.types.image import Shot
     from ringpose.types.scene import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
@@ -278,10 +279,9 @@ def _scores_of_folders(
     In a folder that is still being filled, shots written before `since_s`, and shots not written yet, are left out.
     """
     from ringpose.bench.score import estimate_of, scores
-    from ringpose.detect.pipeline import detect
     from ringpose.files.images.shots import read_shot
     from ringpose.files.rigs import read_rig
-    from ringpose.pose.pipeline import pose_line
+    from ringpose.measure.stream import Setup, Stream
 
     found = []
     for folder in map(Path, folders):
@@ -294,14 +294,15 @@ def _scores_of_folders(
             if since_s > -inf:
                 shots = {path.stem: path.stat().st_mtime for path in (folder / "shots").glob("*.npz")}
                 truths = [truth for truth in truths if shots.get(truth.shot, -inf) >= since_s]
-            estimates = []
+            estimates, streams = [], [Stream(Setup(rig=of_shots, method=method)) for method in methods]
             for truth in with_progress(truths, "shots", quiet):
                 with batch.guarded():
-                    shot = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
-                    detection = detect(shot, of_shots)
-                    for method in methods:
-                        line = pose_line(detection, of_shots, method, PoseFrame.CAMERA)
-                        estimates.append(replace(estimate_of(line, truth.shot), method=method.value))
+                    source: "Shot | Detection" = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
+                    for stream in streams:  # the first one detects for all of them
+                        measured = stream.measure(source)
+                        source = measured.detection or source
+                        method = stream.setup.method.value
+                        estimates.append(replace(estimate_of(measured.line, truth.shot), method=method))
             found += scores(estimates, truths, of_shots.camera)
     return found
 

@@ -20,7 +20,7 @@ from ringpose.bench.design.maps import (
 from ringpose.bench.design.rig_changes import with_changes
 from ringpose.estimate.nuisance import with_stability
 from ringpose.files.scenes.scene import read_scene
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import Setup
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.types.assumptions import NOISE_ONLY, TYPICAL_STABILITY, AssumptionOptions, RigStability
@@ -51,7 +51,8 @@ def is_as_mapped(scene, place, shots, *, rendered=False):
             source, _ = simulated_shot(seeded, seeded.views, 0)
         else:
             source = next(drawn_features(seeded, Deviations(rig_errors=True), 1)).detection
-        pose = pose_line(source, scene.rig, options=NOISE_ONLY if rendered else AssumptionOptions()).pose
+        setup = Setup(rig=scene.rig, options=NOISE_ONLY if rendered else AssumptionOptions())
+        pose = setup.measure(source).pose
         errors_m.append(np.inf if pose is None else np.linalg.norm(pose.center_m - at_place.views[0].center_m))
     ratio = np.sqrt(np.mean(np.square(errors_m))) / place_result(scene, place).sd["center_m"]
     low, high = np.sqrt(chi2.ppf([0.005, 0.995], shots) / shots)  # along one direction, the widest band
