@@ -15,7 +15,8 @@ from ringpose import errors
 from ringpose.bench.score import FLAGS_OF_QUANTITY
 from ringpose.cli.app import app
 from ringpose.cli.main import COMMANDS
-from ringpose.types.pose import PoseFlag
+from ringpose.types.detection import NoBreakPoints
+from ringpose.types.pose import NoPose, PoseFlag
 
 MANUAL = Path(__file__).parents[1] / "man"
 PAGES = sorted(MANUAL.glob("*.[1-9]"))
@@ -174,3 +175,31 @@ def test_the_table_of_flags_forbids_the_quantities_that_a_flag_excuses():
     for name, *cells in rows:
         may_be_used = [not PoseFlag[name.upper()] & FLAGS_OF_QUANTITY[each] for each in ("grasp", "normal", "center")]
         assert [cell == "yes" for cell in cells] == may_be_used, name
+
+
+TROUBLESHOOTING = MANUAL / "ringpose-troubleshooting.7"
+
+
+def messages_explained() -> list[str]:
+    return re.findall(r'^\.It Li "(.*)"$', TROUBLESHOOTING.read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("reasons", [NoBreakPoints, NoPose])
+def test_every_reason_for_no_pose_is_explained(reasons):
+    assert {reason.value for reason in reasons} - set(messages_explained()) == set()
+
+
+def test_every_message_that_is_explained_stands_in_the_source():
+    sources = [path.read_text() for path in sorted((MANUAL.parent / "ringpose").rglob("*.py"))]
+    texts = re.sub(r'"\s*\n\s*f?"', "", "\n".join(sources)).replace('\\"', '"')
+
+    parts = [
+        part.strip(" :") for message in messages_explained() for part in message.split("...") if part.strip(" :()")
+    ]
+    assert [part for part in parts if part.removeprefix("standard input ") not in texts] == []
+
+
+def test_every_flag_is_in_the_page_on_troubleshooting():
+    text = TROUBLESHOOTING.read_text()
+
+    assert [flag.name for flag in PoseFlag if str(flag.name).lower() not in text] == []
