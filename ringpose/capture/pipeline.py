@@ -39,6 +39,9 @@ None, because most lamps then stay as they are for a while; one, in case a shot 
 changes; two, in case the lamp flashes.
 """
 
+MAX_CUT_SHORT = 6
+"""Attempts at one shot that the watchdog may cut short: a busy machine may be late for seconds, and then in time."""
+
 MAX_STEADY_S = 1.0
 """Stop waiting for a change if ambient light has been constant for this long."""
 
@@ -141,6 +144,12 @@ class _Findings:
         return len(self.of_shots) + len(self.interruptions)
 
     @property
+    def are_enough(self) -> bool:
+        """Whether no further attempt is to be made."""
+        cut_short = sum(isinstance(each, LasersWentOff) for each in self.interruptions)
+        return self.failures - cut_short >= TRIES or cut_short >= MAX_CUT_SHORT
+
+    @property
     def missing(self) -> int:
         """The mask of the lasers that were commanded but not seen in some attempt."""
         return int(
@@ -159,7 +168,7 @@ class _Findings:
             of_shots.insert(position, MissingLasers(self.missing, times))
         light = [self.light] if self.light is not None else []
         ordered = [*of_shots, *self.interruptions]
-        ordered = [*light, *ordered] if self.failures < TRIES and not self.interruptions else [*ordered, *light]
+        ordered = [*light, *ordered] if not self.are_enough and not self.interruptions else [*ordered, *light]
         return ordered[0].followed_by(*ordered[1:])
 
 
@@ -191,7 +200,8 @@ class _Sequencer:
         """Take shots until one passes all checks, and return it; with `yields_lost` also one that is lost.
 
         The first problem is raised, with those of later attempts attached, after `TRIES` attempts that failed because
-        of camera or lasers, or after `MAX_LOST` attempts in a row that were lost to changing ambient light.
+        of camera or lasers, `MAX_CUT_SHORT` that the watchdog cut short, or `MAX_LOST` in a row that were lost to
+        changing ambient light.
         """
         findings = _Findings()
         try:
@@ -206,7 +216,7 @@ class _Sequencer:
     def _accepted_shot(self, name: str, findings: "_Findings") -> Shot | None:
         """The first shot that passes all checks, or one that is lost and wanted; None after the last attempt."""
         attempts = 0
-        while findings.failures < TRIES and len(self._lost) < MAX_LOST:
+        while not findings.are_enough and len(self._lost) < MAX_LOST:
             attempts += 1
             try:
                 shot = self._attempt(name, len(findings.of_shots), is_first=attempts == 1)
