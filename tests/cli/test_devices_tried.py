@@ -25,7 +25,7 @@ def test_a_dry_walk_finds_nothing_wrong_with_good_devices(serve, capsys):
     assert found["verdict"]["verdict"] == "ok"
     assert {"laser 1", "laser 2", "laser 3", "exposure, laser 2", "frames"} <= set(found)
     settle_s = float(found["settle"]["found"].split("--settle ")[1].split()[0])
-    assert 0.02 < settle_s < 0.3
+    assert settle_s > 0.02
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
 import json
+import time
 
 import numpy as np
 import pytest
@@ -49,11 +50,13 @@ def test_tool_frame_needs_the_mount(pose, rig):
 
 
 def test_line_names_the_rig_by_its_hash_and_the_time_it_took(pose):
+    began_s = time.monotonic()
+
     found = pose()
 
     line = pose_line_of(found.records[0], "x")
     assert len(line.rig) == 64
-    assert 0 < line.latency_s < 5
+    assert 0 < line.latency_s < time.monotonic() - began_s
     assert line.stamp_s == 1.7e9
     assert found.messages == []
 
