@@ -58,7 +58,8 @@ class Field:
         self._control = control
         self._handle: Any = _handle_of(server, control)
         self._remark = server.gui.add_markdown("", visible=False)
-        self._is_refused = False
+        self.is_refused = False
+        """Whether what was last in the field was not taken."""
 
     @property
     def value(self) -> object:
@@ -87,10 +88,10 @@ class Field:
         A browser replaces a number out of range by the nearest limit when the field is left: then the range is shown.
         """
         control = self._control
-        if not refusal and self._is_refused and isinstance(control, Number):
+        if not refusal and self.is_refused and isinstance(control, Number):
             is_limit = self.value in (control.low, control.high)
             refusal = f"limited to {control.low:g} to {control.high:g}" if is_limit else ""
-        self._is_refused = bool(refusal)
+        self.is_refused = bool(refusal)
         text = f"*{plain(refusal)}*" if refusal else ""
         if self._remark.content != text:
             self._remark.content, self._remark.visible = text, bool(text)

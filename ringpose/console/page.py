@@ -453,7 +453,9 @@ class ConsolePage:
 
     def _show_time(self, time_s: float) -> None:
         """Let the slider follow; while the motion plays not too often, as that replaces a digit that is being typed."""
-        now_s = time.monotonic()
+        now_s, field = time.monotonic(), self._fields["time_s"]
+        if field.value != self._values["time_s"] and not field.is_refused:
+            return  # it was just set, and is about to be taken over
         if not self._playing.value or now_s > self._slider_moved_s + SLIDER_PERIOD_S:
             self._slider_moved_s = now_s
             self._set({"time_s": time_s})

@@ -6,6 +6,8 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -98,6 +100,77 @@ def errors_in(page):
     )
 
 
+def reading(value):
+    try:
+        return float(value)
+    except ValueError:
+        return None
+
+
+NUMBERS = ("focal length (%)", "pixel pitch (%)", "exposure (ms)", "tilt of left (deg)", "ambient light (W/m2)")
+EXTREMES = ("0", "-5", "-1", "1000", "99", "199", "1e308", "0.0000001", "-", "", "12345678901234567890")
+
+
+def test_20_drawn_values_that_are_typed_are_taken_or_named_and_limited_and_the_page_goes_on(page, rng):
+    page.get_by_role("tab", name="Rig and light").click()
+    for _ in range(20):
+        label = NUMBERS[rng.integers(len(NUMBERS))]
+        typed = str(rng.choice(EXTREMES)) if rng.random() < 0.7 else str(rng.integers(50, 200))
+        field = number_field(page, label)
+        row = field.locator("xpath=ancestor::div[contains(@class, 'Flex-root')][2]")
+        field.fill(typed)
+        field.press("Tab")
+        low, high = (float(each) for each in row.locator(".mantine-Slider-markLabel").all_inner_texts())
+        page.wait_for_timeout(300)
+        shown = reading(field.input_value())
+        assert shown is None or low <= shown <= high, (label, typed)
+
+    for label, value in zip(NUMBERS, ("100", "100", "5", "0", "0.5"), strict=True):
+        number_field(page, label).fill(value)
+    page.get_by_role("tab", name="Target").click()
+    page.wait_for_selector("text=errors: centre", timeout=WAIT_MS)
+    assert "internal error" not in page.inner_text("body")
+
+
+def test_a_number_out_of_range_is_named_while_it_is_typed_and_limited_when_the_field_is_left(page):
+    page.get_by_role("tab", name="Rig and light").click()
+    field = number_field(page, "pixel pitch (%)")
+    field.fill("0")
+    page.wait_for_selector("text=not taken: 0 is out of range; it must be 50 to 200; 100 stays", timeout=WAIT_MS)
+    field.press("Tab")
+    page.wait_for_selector("text=limited to 50 to 200", timeout=WAIT_MS)
+    assert field.input_value() == "50"
+    field.fill("100")
+    page.wait_for_selector("text=limited to 50 to 200", state="detached", timeout=WAIT_MS)
+
+
+def test_a_page_of_another_origin_can_neither_open_the_socket_nor_show_the_page(console, chromium):
+    address = console[0].removeprefix("http://")
+    handler = type("Quiet", (SimpleHTTPRequestHandler,), {"log_message": lambda *_: None})
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as foreign:
+        threading.Thread(target=foreign.serve_forever, daemon=True).start()
+        page = chromium.new_page()
+        page.goto(f"http://127.0.0.1:{foreign.server_port}/")
+        opened = page.evaluate(
+            """address => new Promise(done => {
+                const socket = new WebSocket(`ws://${address}/`);
+                socket.onopen = () => done("open"); socket.onerror = () => done("refused");
+            })""",
+            address,
+        )
+        page.evaluate(
+            """address => new Promise(done => {
+                const frame = document.createElement("iframe");
+                frame.onload = done; frame.src = `http://${address}/`; document.body.append(frame);
+            })""",
+            address,
+        )
+        shown = [frame.url for frame in page.frames if frame.url.startswith(f"http://{address}")]
+        page.close()
+        foreign.shutdown()
+    assert (opened, shown) == ("refused", [])
+
+
 def test_nothing_is_requested_from_elsewhere(page):
     assert page.requested
     foreign = [url for url in page.requested if not re.match(r"(http|ws|blob:http)://127\.0\.0\.1[:/]|data:", url)]
@@ -179,9 +252,11 @@ def test_while_the_motion_plays_every_picture_has_the_stamp_of_its_state(page):
 
 
 def test_a_time_that_is_set_while_the_motion_plays_is_shown_and_in_step_each_state_is_measured(page):
+    page.get_by_label("speed").click()
+    page.get_by_role("option", name="0.25").click()
     page.get_by_role("checkbox", name="play").click()
-    number_field(page, "time (s)").fill("31.5")
-    page.wait_for_selector(r"text=/camera: state \d+, 31\.50 s/", timeout=WAIT_MS)
+    number_field(page, "time (s)").fill("51.5")
+    page.wait_for_selector(r"text=/camera: state \d+, 5[1-9]\.\d\d s/", timeout=WAIT_MS)
 
     page.get_by_label("speed").click()
     page.get_by_role("option", name="each shot measured").click()
@@ -241,6 +316,24 @@ def test_recorded_shots_are_shown_with_pose_track_and_errors_of_bench(chromium, 
     main(["bench", str(tmp_path / "poses.jsonl"), "--truth", str(data / "truth.jsonl"), *rig, "--json", "-"])
     scored = next(each for each in json.loads(capsys.readouterr().out)["shots"] if each["shot"] == "B_z0500_p00_dim")
     assert float(first["grasp"]) == pytest.approx(1e3 * scored["errors"]["grasp_m"], abs=6e-4)
+
+
+def test_html_in_the_reason_of_a_record_is_shown_as_text(chromium, carried_data, tmp_path):
+    data = carried_data / "rig_b"
+    reason = "<img src=x onerror=\"document.title='run'\"> <b>bold</b> ![a](/etc/hostname) *b*"
+    record = {"schema": "ringpose/pose/2", "shot": "B_z0500_p00_dim", "stamp_s": 0.0, "frame": "camera", "flags": []}
+    (tmp_path / "poses.jsonl").write_text(json.dumps(record | {"status": "none", "pose": None, "reason": reason}))
+    words = ["view", data / "shots" / "B_z0500_p00_dim.npz", "--rig", data / "rig.yaml", "--quiet"]
+    program = [Path(sys.executable).parent / "ringpose", *words, "--poses", tmp_path / "poses.jsonl"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
+        page = chromium.new_page(viewport={"width": 640, "height": 480})
+        page.goto(json.loads(process.stdout.readline())["page"])
+        page.wait_for_selector("text=shot 1 of 1", timeout=WAIT_MS)
+        assert reason in page.inner_text("body")
+        assert page.title() != "run"
+        page.close()
+        process.terminate()
+        assert process.wait(300) == 143
 
 
 def test_image_and_controls_are_in_view_in_narrow_and_wide_windows(page):
