@@ -106,6 +106,7 @@ def detect(
         found = _confirmed(found, ring_edges, images)
     if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found = with_repetition(found, images, shot, rig, on_ring.motion)
+    found = _explained(found, stripes, images, rig)
     rejected: tuple[Rejection, ...] = on_ring.rejected if isinstance(found, BreakPoints) else ()
     if edges and edges_missing and isinstance(found, BreakPoints):
         rejected = (*rejected, Rejection(what="edge"))
@@ -372,6 +373,53 @@ def _face(tracks: Float64[Array, "track column=11"], unlabelled: list[int], rig:
     if face.ambiguous:
         return NoBreakPoints.AMBIGUOUS_LABELS
     return NoBreakPoints.SURFACE_IN_FRONT if face.behind else face
+
+
+UNEXPLAINED = (
+    NoBreakPoints.HIDDEN_BY_SATURATION,
+    NoBreakPoints.CONTRADICTED_MASKS,
+    NoBreakPoints.CONTRADICTED_RIG,
+    NoBreakPoints.AMBIGUOUS_LABELS,
+)
+"""Reasons that frames in another order or images upside down have as well: these are looked for."""
+
+
+def _explained(
+    found: BreakPoints | NoBreakPoints, stripes: Stripes, images: list[LaserImage], rig: Rig
+) -> BreakPoints | NoBreakPoints:
+    """The result; a reason may become one for which the shot has evidence: exchanged frames, an image upside down."""
+    if found not in UNEXPLAINED:
+        return found
+    with_dark = [image for image in images if image.dark is not None]
+    if with_dark and all(_dark_frame_lit(image) for image in with_dark):
+        return NoBreakPoints.DARK_FRAME_LIT
+    if found is NoBreakPoints.HIDDEN_BY_SATURATION:
+        return found
+    x, y = stripes.position_px.T
+    turned_px = np.stack([x, rig.camera.image_height - 1 - y], axis=1)
+    tracks = stripe_line_segments(replace(stripes, position_px=turned_px), rig.camera)
+    unlabelled = [laser for image in images if image.label == UNLABELLED for laser in image.lasers]
+    face = ring_face(tracks, unlabelled, rig)
+    fits = face is not None and len(face.lasers) >= CONFIRMED and not face.ambiguous and not face.behind
+    return NoBreakPoints.UPSIDE_DOWN if fits else found
+
+
+BRIGHTER = 10
+"""Ratio of pixels that are brighter without a laser to those brighter with it: one of them is a stripe's, the other is
+noise or motion, and in 20 rendered shots at most 3 pixels to 2,000."""
+
+
+def _dark_frame_lit(image: LaserImage) -> bool:
+    """Whether the background shows stripes that the frame with the laser does not have."""
+    if image.dark is None:
+        return False
+    step_dn = round(DARK_SHARE * image.threshold_scale_dn)
+    lit, dark = image.lit, image.dark
+    brighter_lit = np.count_nonzero((lit > dark) & (lit - dark > step_dn))
+    brighter_dark = np.count_nonzero((dark > lit) & (dark - lit > step_dn))
+    if brighter_dark <= BRIGHTER * brighter_lit:
+        return False
+    return len(find_stripes(dark, lit, saturation_dn=image.threshold_scale_dn).piece) >= LONG_COLUMNS
 
 
 def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:

@@ -194,7 +194,13 @@ WITHOUT_STRIPES = (
 )
 """Reasons of shots in which no stripe was found or searched."""
 
-CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)
+CONTRADICTED = (
+    NoBreakPoints.AMBIGUOUS_LABELS,
+    NoBreakPoints.CONTRADICTED_MASKS,
+    NoBreakPoints.CONTRADICTED_RIG,
+    NoBreakPoints.UPSIDE_DOWN,
+    NoBreakPoints.DARK_FRAME_LIT,
+)
 """Reasons of shots whose stripes fit no ring as the rig and the lasers' masks assign them."""
 
 FLAG_OF_REJECTION = MappingProxyType(

@@ -57,6 +57,8 @@ class NoBreakPoints(Enum):
     CONTRADICTED_MASKS = "the stripes fit a ring only if assigned to other lasers than by the masks; check the wiring"
     CONTRADICTED_RIG = "most stripes would lie behind the camera; the images are of another rig, or upside down"
     AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
+    UPSIDE_DOWN = "the stripes fit a ring if the image is upside down or mirrored; see the camera's flip, and its mount"
+    DARK_FRAME_LIT = "a laser is seen in the frame that should be dark; see whether frames and masks have one order"
     AMBIENT_CHANGED = "ambient light changed within the shot, so that its frames cannot be compared"
     NOT_SOUGHT = "break points were not searched for"
 

@@ -73,6 +73,10 @@ BUILT: dict[str, Callable[[Path], None]] = {
     "rig_of_camera_keys.yaml": _rig_of_camera_keys,
     "camera_of_rig_b.yaml": _camera,
     "poses.jsonl": _pose_lines,
+    "upside_down.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[:, ::-1, ::-1]),
+    "flipped.npz": _changed_shot("B_z0500_p00_dim.npz", images=lambda images: images[:, ::-1]),
+    "reversed.npz": _changed_shot("B_z0500_p00_dim.npz", images=lambda images: images[::-1]),
+    "reversed_pair.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[::-1]),
     "two_axes.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[1]),
     "mirrored_board": _mirrored_board,
 }
