@@ -1,18 +1,24 @@
 """Worker processes: a pool that survives killed workers, and results in the order of the items."""
 
+import math
 import os
+import resource
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from threading import Thread
-from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
 Result = TypeVar("Result")
+
+POLL_S = 0.2
+"""Timeout of one wait for workers. A signal that arrives just before the wait begins does not interrupt it; Python runs
+the signal handler between two waits."""
 
 MIN_ITEMS_PER_PROCESS = 4
 """Fewer items than this take less time than starting a process."""
@@ -113,12 +119,15 @@ class _Worker(NamedTuple):
 
 
 class Pool:
-    """Worker processes; unlike those of an executor they have no threads or locks that a kill could leave behind."""
+    """Worker processes; unlike those of an executor they have no threads or locks that a kill could leave behind.
 
-    def __init__(self, work: Callable[[Any], Any]) -> None:
+    OpenCV uses one thread in each of them, or all cores if `threads` is None.
+    """
+
+    def __init__(self, work: Callable[[Any], Any], threads: int | None = 1) -> None:
         import multiprocessing
 
-        self._work = work
+        self._work, self._threads = work, threads
         self._context = multiprocessing.get_context("spawn")
         self._idle: list[_Worker] = []
         self.busy: dict[Any, tuple[_Worker, list[Any], float]] = {}
@@ -144,7 +153,9 @@ class Pool:
         """
         from multiprocessing.connection import wait
 
-        for connection in wait([*self.busy, *others]):
+        while not (ready := wait([*self.busy, *others], POLL_S)):
+            pass
+        for connection in ready:
             if connection in others:
                 continue
             worker, chunk, started_s = self.busy.pop(connection)
@@ -166,20 +177,66 @@ class Pool:
 
     def _started(self) -> _Worker:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(self._work, theirs), daemon=True)
-        process.start()
+        process = self._context.Process(target=_serve, args=(self._work, theirs, self._threads), daemon=True)
+        # a worker inherits the mask: Ctrl-C, which the parent handles, must not end it while it starts either
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         return _Worker(process, ours)
 
 
-def _serve(work: Callable[[Any], Any], connection: "Connection[Any, Any]") -> None:
+def _serve(work: Callable[[Any], Any], connection: "Connection[Any, Any]", threads: int | None) -> None:
     """Main function of a worker: it ends when the parent closes the connection, even by being killed."""
     import cv2
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
-    cv2.setNumThreads(1)
+    if threads is not None:
+        cv2.setNumThreads(threads)
     try:
         while True:
             connection.send([work(index) for index in connection.recv()])
     except (EOFError, OSError):
         return
+
+
+class LimitedCalls(Generic[Result]):
+    """Calls of a function, one after the other, in a process of their own.
+
+    A signal ends such a call at once even while C code runs, which holds signals back in its own process; and a call
+    that takes more CPU time than its limit ends. The process starts with the first call and serves all of them.
+    `work` must be a function that it can import.
+    """
+
+    def __init__(self, work: Callable[..., Result]) -> None:
+        self._pool = Pool(partial(_limited, work), threads=None)
+
+    def __enter__(self) -> "LimitedCalls[Result]":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.close()
+
+    def __call__(self, limit_s: int, *arguments: Any) -> Result:
+        """The function's result; its exception, or `WorkerKilled` after more than `limit_s` seconds of CPU time."""
+        self._pool.give([(limit_s, arguments)])
+        ((_, outcomes, _),) = self._pool.collected()
+        if outcomes is None:
+            raise WorkerKilled(arguments)
+        if isinstance(outcomes[0], Exception):
+            raise outcomes[0]
+        result: Result = outcomes[0]
+        return result
+
+
+def _limited(work: Callable[..., Result], call: tuple[int, tuple[Any, ...]]) -> Result | Exception:
+    """The result or exception of one call; the kernel kills the process (SIGXCPU) when its time is over."""
+    limit_s, arguments = call
+    end_s, most_s = math.ceil(process_time()) + limit_s, resource.getrlimit(resource.RLIMIT_CPU)[1]
+    resource.setrlimit(resource.RLIMIT_CPU, (end_s if most_s == resource.RLIM_INFINITY else min(end_s, most_s), most_s))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # this signal would leave a memory dump
+    try:
+        return work(*arguments)
+    except Exception as error:
+        return error

@@ -87,12 +87,11 @@ def _each_board_found_once() -> Iterator[None]:
 
     It takes most of the time of a calibration, and the tests share the carried views.
     """
-    import ringpose.calibrate.planes.shots
-    import ringpose.cli.calibrate.board_views
+    from ringpose.calibrate.boards.search import BoardSearch
     from ringpose.calibrate.boards.views import find_board
     from ringpose.types.board import BoardView
 
-    def found(image, board, name):
+    def found(_, image, board, name):
         key = (hashlib.sha256(image.tobytes()).digest(), f"{image.shape} {image.dtype} {board}")
         if key not in _boards_found:
             _boards_found[key] = find_board(image, board, name)
@@ -100,8 +99,7 @@ def _each_board_found_once() -> Iterator[None]:
         return replace(view, name=name) if isinstance(view, BoardView) else view
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (ringpose.calibrate.planes.shots, ringpose.cli.calibrate.board_views):
-            patch.setattr(module, "find_board", found)
+        patch.setattr(BoardSearch, "__call__", found)
         yield
 
 

@@ -100,12 +100,14 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
 
 def _board_views(scene: Scene, boards: BoardSet, jobs: int) -> Iterator[tuple[Shot, BoardView]]:
     from ringpose.calibrate.boards.diagnostics import NoBoard
-    from ringpose.calibrate.boards.views import board_image, find_board
+    from ringpose.calibrate.boards.search import BoardSearch
+    from ringpose.calibrate.boards.views import board_image
 
-    for shot, _ in simulated_boards(scene, boards, jobs=jobs):
-        view = find_board(board_image(shot), boards.board, shot.name)
-        if not isinstance(view, NoBoard):
-            yield shot, view
+    with BoardSearch() as find_board:
+        for shot, _ in simulated_boards(scene, boards, jobs=jobs):
+            view = find_board(board_image(shot), boards.board, shot.name)
+            if not isinstance(view, NoBoard):
+                yield shot, view
 
 
 def computed(

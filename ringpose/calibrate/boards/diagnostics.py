@@ -1,5 +1,6 @@
 """Diagnostics for images without a usable board: the reason as text, with the measured numbers."""
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -7,9 +8,9 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.layout import marker_corners
-from ringpose.calibrate.boards.patterns.chessboard import largest_grid
+from ringpose.calibrate.boards.patterns.chessboard import Grid
 from ringpose.calibrate.boards.patterns.circles import brightened
-from ringpose.calibrate.boards.patterns.image_patch import GreyImage
+from ringpose.calibrate.boards.patterns.image_patch import GreyImage, reduced
 from ringpose.calibrate.boards.patterns.markers import Markers, find_markers, marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
@@ -23,6 +24,19 @@ DARK_DN = 25.0
 BRIGHT_SHARE = 0.5
 """Share of saturated pixels above which an image is overexposed."""
 
+CONTRAST_BLOCK_PX = 4
+"""Side of the blocks whose mean grey values show whether an image has contrast beyond its noise."""
+
+MIN_CONTRAST_SIGMAS = 12.0
+"""Minimum range of these means in their standard deviations; noise alone has a range of 10 in 5 megapixels."""
+
+MIN_CONTRAST_DN = 8.0
+"""Minimum range of these means in an 8-bit image without noise."""
+
+MAX_BLUR_PER_SQUARE = 0.7
+"""Standard deviation of the blur, in squares, above which less than 1 % of a chessboard's contrast is left:
+exp(-(pi sigma / square)^2), the attenuation of its fundamental frequency."""
+
 BLURRED_PX = 4.0
 """Standard deviation of the steepest edges above which an image is blurred: sharp photographs have 0.8 to 2."""
 
@@ -33,6 +47,9 @@ _FAMILIES = tuple(
     (name, int(getattr(cv2.aruco, name)))
     for name in ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_APRILTAG_36h11")
 )
+
+MAX_OTHER_PX = 1200
+"""Longest side of the image in which markers of other dictionaries are searched; it is reduced to it."""
 
 _MIN_MARKERS = 3
 """Minimum number of markers of another dictionary, or of mirrored ones: one or two may be false detections."""
@@ -52,6 +69,7 @@ class BoardFailure(Enum):
     TOO_SMALL = "the image is too small"
     TOO_DARK = "too dark"
     SATURATED = "overexposed"
+    NO_CONTRAST = "nothing but noise is seen"
     FEW_MARKERS = "too few of the board's markers found"
     OTHER_MARKERS = "markers found, but not those of this board; is it the right board file"
     MIRRORED = "the image is mirrored: its mirror image shows the board's markers; turn the camera's flip off"
@@ -60,6 +78,7 @@ class BoardFailure(Enum):
     OTHER_SIZE = "a pattern of another size than that of the board file"
     NOT_WHOLE = "the whole pattern is not found; it must be in the image, uncovered, and of the size in the board file"
     BLURRED = "blurred"
+    GIVEN_UP = "the search is given up"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,16 +97,49 @@ class NoBoard:
         return f"{self.failure.value} ({self.found})" if self.found else self.failure.value
 
 
-def unusable(grey: GreyImage, seen: NoBoard) -> NoBoard | None:
-    """The failure of an image that is too dark or overexposed for any board.
+def hopeless(grey: GreyImage, board: Board) -> NoBoard | None:
+    """The failure of an image that can show no board at all, found before any search in a few milliseconds.
+
+    The image is too small, has no contrast beyond its noise, or its sharpest edge is too wide for the squares or
+    circles of the board even if the board fills the image. Markers are found by their outlines: their blur is judged
+    afterwards.
+    """
+    if min(grey.shape) < MIN_SIZE_PX:
+        return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
+    contrast, noise = _contrast_and_noise(grey)
+    if contrast < max(MIN_CONTRAST_DN, MIN_CONTRAST_SIGMAS * noise):
+        found = f"blocks of {CONTRAST_BLOCK_PX} x {CONTRAST_BLOCK_PX} pixels differ by {contrast:.0f} of 255"
+        return unusable(grey) or NoBoard(failure=BoardFailure.NO_CONTRAST, found=found)
+    if board.kind not in ("chessboard", "asymmetric_circles"):
+        return None
+    long, short = sorted((board.squares_x or 1, board.squares_y or 1), reverse=True)
+    square_px = min(max(grey.shape) / long, min(grey.shape) / short)
+    width_px = edge_width_px(grey)
+    if MAX_BLUR_PER_SQUARE * square_px < width_px < np.inf:
+        return NoBoard(failure=BoardFailure.BLURRED, found=edge_width_in_words(width_px))
+    return None
+
+
+def _contrast_and_noise(grey: GreyImage) -> tuple[float, float]:
+    """Range of the mean grey values of blocks, and the standard deviation that noise alone gives them."""
+    rows, columns = (size // CONTRAST_BLOCK_PX for size in grey.shape)
+    whole = grey[: rows * CONTRAST_BLOCK_PX, : columns * CONTRAST_BLOCK_PX].astype(np.float32)
+    mean, square = (cv2.resize(each, (columns, rows), interpolation=cv2.INTER_AREA) for each in (whole, whole * whole))
+    variance = float(np.median(np.maximum(square - mean * mean, 0.0)))
+    return float(mean.max() - mean.min()), np.sqrt(variance) / CONTRAST_BLOCK_PX
+
+
+def unusable(grey: GreyImage, seen: NoBoard | None = None) -> NoBoard | None:
+    """The failure of an image that is too dark or overexposed.
 
     If part of the board is found in an overexposed image, its own failure is more specific and is kept.
     """
-    bright = float(np.percentile(grey, 99))
+    count = np.cumsum(cv2.calcHist([grey], [0], None, [256], [0, 256]).ravel())
+    bright = int(np.searchsorted(count, 0.99 * grey.size))
     if bright < DARK_DN:
-        return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are at most {bright:.0f} of 255")
-    full = float(np.mean(grey == 255))
-    if full > BRIGHT_SHARE and not len(seen.points_px):
+        return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are at most {bright} of 255")
+    full = 1.0 - float(count[254]) / grey.size
+    if full > BRIGHT_SHARE and not (seen is not None and len(seen.points_px)):
         return NoBoard(failure=BoardFailure.SATURATED, found=f"{100 * full:.0f} % of the pixels are saturated")
     return None
 
@@ -110,10 +162,9 @@ def edge_width_in_words(width_px: float) -> str:
     return f"edges are {width_px:.1f} px wide" if np.isfinite(width_px) else "nothing has contrast"
 
 
-def pattern_failure(grey: GreyImage, board: Board) -> NoBoard:
-    """Why a chessboard, all of which must be visible, is not found."""
+def pattern_failure(grey: GreyImage, board: Board, grid: Grid | None) -> NoBoard:
+    """Why a chessboard, all of which must be visible, is not found; `grid` is the largest part that is seen."""
     width_px = edge_width_px(grey)
-    grid = largest_grid(grey)
     if grid is not None:
         rows, columns = sorted(grid.shape[:2])
         few, many = sorted((board.squares_x or 0, board.squares_y or 0))
@@ -178,7 +229,8 @@ def _numbers(markers: Markers) -> str:
 
 def _other_markers(grey: GreyImage) -> str:
     """The dictionary of OpenCV with the most markers in the image, and their numbers; empty for fewer than three."""
-    families = [(name, find_markers(grey, cv2.aruco.getPredefinedDictionary(number))) for name, number in _FAMILIES]
+    small = reduced(grey, math.ceil(max(grey.shape) / MAX_OTHER_PX))
+    families = [(name, find_markers(small, cv2.aruco.getPredefinedDictionary(number))) for name, number in _FAMILIES]
     name, markers = max(families, key=lambda family: len(family[1].ids))
     return f"{name}, {_numbers(markers)}" if len(markers.ids) >= _MIN_MARKERS else ""
 

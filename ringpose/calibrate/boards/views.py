@@ -1,22 +1,28 @@
 """Detection of a calibration board in an image: its corners with their numbers, or the reason why there are none."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.diagnostics import (
-    MIN_SIZE_PX,
     BoardFailure,
     NoBoard,
     charuco_failure,
     circle_failure,
+    hopeless,
     marker_failure,
     pattern_failure,
     unusable,
 )
 from ringpose.calibrate.boards.layout import corner_points, marker_corners, marker_layout, other_layout
-from ringpose.calibrate.boards.patterns.chessboard import chessboard_corners, refined_corners
+from ringpose.calibrate.boards.patterns.chessboard import (
+    chessboard_corners,
+    largest_grid,
+    refined_corners,
+    visible_grid,
+)
 from ringpose.calibrate.boards.patterns.circles import circle_centers
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage
 from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
@@ -32,6 +38,9 @@ from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.image import Shot
 
+BoardFinder = Callable[[UInt[Array, "row column"], Board, str], BoardView | NoBoard]
+"""`find_board`, or `BoardSearch`, which calls it in another process."""
+
 MIN_CORNERS = 6
 """Corners that a view must have: four determine the pose, six allow a check of the residuals."""
 
@@ -46,8 +55,8 @@ _SATURATION_WINDOW_PX = 9
 def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
     """The corners of the board in the image, in pixels and in the board frame, or the reason why there are none."""
     grey = grey_8_bit(image)
-    if min(grey.shape) < MIN_SIZE_PX:
-        return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
+    if (failure := hopeless(grey, board)) is not None:
+        return failure
     try:
         found = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
     except cv2.error as error:
@@ -73,8 +82,10 @@ def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoa
     """The view of a chessboard or a grid of circles: all of it must be visible."""
     columns, rows = board.squares_x or 0, board.squares_y or 0
     if board.kind == "chessboard":
+        if visible_grid(grey, columns - 1, rows - 1) is None:
+            return pattern_failure(grey, board, None)
         corners = chessboard_corners(grey, columns - 1, rows - 1)
-        return pattern_failure(grey, board) if corners is None else _view(name, board, corners)
+        return pattern_failure(grey, board, largest_grid(grey)) if corners is None else _view(name, board, corners)
     circles = circle_centers(grey, corner_points(board), columns, rows)
     if circles is None:
         return circle_failure(grey, board)

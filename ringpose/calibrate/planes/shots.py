@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.boards.patterns.image_patch import patch_around
-from ringpose.calibrate.boards.views import find_board, grey_8_bit
+from ringpose.calibrate.boards.views import BoardFinder, find_board, grey_8_bit
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import PlanesAssessment
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
@@ -55,9 +55,16 @@ class StripeShots:
     """Accumulator of the shots of a calibration; the first determines the number of lasers if no names are given."""
 
     def __init__(
-        self, board: Board, camera: Camera, names: str | None, order: str | None, surround_m: float = 0.0
+        self,
+        board: Board,
+        camera: Camera,
+        names: str | None,
+        order: str | None,
+        surround_m: float = 0.0,
+        find: BoardFinder = find_board,
     ) -> None:
         self.board = board
+        self.find_board = find
         self.camera = camera
         self.given_names, self.given_order = names, order
         """Values of --laser-names and --laser-order."""
@@ -76,7 +83,7 @@ class StripeShots:
             found = f"{width} x {height} pixels, the camera has {expected}"
             raise DataError(shot.name, found, "give the camera that took the shots")
         self._check_names(shot)
-        shift_px = board_shift_px(shot, board, self.board)
+        shift_px = board_shift_px(shot, board, self.board, self.find_board)
         if shift_px > STILL_PX:
             found = f"the board, or the camera, moved by {shift_px:.1f} px between its frames"
             raise DataError(shot.name, found, "left out: hold it still until all frames are taken")
@@ -129,7 +136,7 @@ class StripeShots:
             raise DataError(shot.name, found, "give all names with --laser-names, or shots of these lasers")
 
 
-def board_shift_px(shot: Shot, view: BoardView, board: Board) -> float:
+def board_shift_px(shot: Shot, view: BoardView, board: Board, find: BoardFinder = find_board) -> float:
     """Maximum displacement of the board from the first frame with the lasers off (else the first) to any other frame.
 
     NaN if no other frame shows the corners.
@@ -138,12 +145,16 @@ def board_shift_px(shot: Shot, view: BoardView, board: Board) -> float:
     first = int(off[0]) if len(off) else 0
     start = grey_8_bit(shot.images[first])
     others = [image for index, image in enumerate(shot.images) if index != first]
-    shifts = [_shift_px(start, image, view, board) for image in others]
+    shifts = [_shift_px(start, image, view, board, find) for image in others]
     return max((shift for shift in shifts if np.isfinite(shift)), default=float("nan"))
 
 
 def _shift_px(
-    start: UInt8[Array, "row column"], image: UInt[Array, "row column"], view: BoardView, board: Board
+    start: UInt8[Array, "row column"],
+    image: UInt[Array, "row column"],
+    view: BoardView,
+    board: Board,
+    find: BoardFinder,
 ) -> float:
     """Median displacement of the corners by template matching; if that fails, by detecting the board again."""
     chosen = view.points_px[np.linspace(0, len(view.points_px) - 1, min(_CORNERS, len(view.points_px))).astype(int)]
@@ -151,7 +162,7 @@ def _shift_px(
     moved = [shift for corner in chosen for shift in [_tracked(start, grey, corner)] if shift is not None]
     if len(moved) >= min(4, len(chosen)):
         return float(np.linalg.norm(np.median(moved, axis=0)))
-    anew = find_board(image, board, view.name)
+    anew = find(image, board, view.name)
     if not isinstance(anew, BoardView):
         return float("nan")
     _, before, after = np.intersect1d(view.ids, anew.ids, return_indices=True)

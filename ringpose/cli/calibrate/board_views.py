@@ -5,7 +5,8 @@ from hashlib import sha256
 from pathlib import Path
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
-from ringpose.calibrate.boards.views import board_image, find_board
+from ringpose.calibrate.boards.search import BoardSearch
+from ringpose.calibrate.boards.views import board_image
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.cli.progress import with_progress
@@ -33,6 +34,7 @@ class BoardImages:
         """Output files of the command, which must not be inputs."""
         self.luminance_too = False
         """Look for the board in a colour image's luminance where its channel, that of a laser, shows none."""
+        self.find_board = BoardSearch()
         self.views: list[BoardView] = []
         self.names: dict[str, str] = {}
         self.paths: list[Path] = []
@@ -76,11 +78,12 @@ class BoardImages:
 
         If no input could be read, the command ends here; the errors have been reported.
         """
-        for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "images", quiet):
-            with batch.guarded():
-                (read or self.read)(item)
-                if verbose:
-                    messages.echo(self.last)
+        with self.find_board:
+            for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "images", quiet):
+                with batch.guarded():
+                    (read or self.read)(item)
+                    if verbose:
+                        messages.echo(self.last)
         for name, reason in self.without_board:
             messages.echo(f"{name}: no board: {reason}")
         batch.record_status(NO_POSE if self.without_board else 0)
@@ -88,10 +91,10 @@ class BoardImages:
             batch.finish()
 
     def _board_in(self, image: UInt[Array, "row column"], name: str, item: Input) -> BoardView | NoBoard:
-        found = find_board(image, self.board, name)
+        found = self.find_board(image, self.board, name)
         if not (isinstance(found, NoBoard) and self.channel and self.luminance_too):
             return found
-        besides = find_board(board_image(read_shot(path_of_input(item))), self.board, name)
+        besides = self.find_board(board_image(read_shot(path_of_input(item))), self.board, name)
         return found if isinstance(besides, NoBoard) else besides
 
     def _reject_repeated(self, shot: Shot) -> None:

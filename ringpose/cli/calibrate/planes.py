@@ -360,7 +360,9 @@ def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeSh
     board = read_board(given(options.board, "--board"))
     images = BoardImages(board, options.overlay, channel=options.channel, force=options.force)
     images.luminance_too = True
-    return images, StripeShots(images.board, camera, options.names, options.order, options.surround_m)
+    return images, StripeShots(
+        images.board, camera, options.names, options.order, options.surround_m, images.find_board
+    )
 
 
 def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "StripeShots", batch: "Batch") -> None:

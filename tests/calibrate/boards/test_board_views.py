@@ -125,8 +125,8 @@ def test_an_image_on_which_opencv_fails_is_reported_as_bad_data(monkeypatch):
     monkeypatch.setattr(cv2, "findCirclesGrid", failing)
     circles = Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02)
 
-    with pytest.raises(DataError, match=r"vast: OpenCV fails on its 640 x 480 pixels: .*; give a smaller image"):
-        find_board(np.zeros((480, 640), np.uint8), circles, "vast")
+    with pytest.raises(DataError, match=r"vast: OpenCV fails on its 580 x 430 pixels: .*; give a smaller image"):
+        find_board(drawn_board(CHESSBOARD), circles, "vast")
 
 
 @pytest.mark.parametrize(("gain", "share"), [(1.0, 0.0), (2.0, 1.0)])

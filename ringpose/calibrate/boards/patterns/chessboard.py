@@ -61,10 +61,42 @@ _RANDOM_SEEDS = (1, 2, 3)
 _START_GRIDS = ((4, 3), (5, 4))
 """Minimum grids that noise does not produce; the larger one sometimes succeeds where the smaller one fails."""
 
+MAX_VISIBLE_IRREGULARITY = 1.0
+"""Maximum irregularity of a grid that shows that there is a chessboard: each of 121 views of boards, also dim, noisy or
+blurred ones, has one below 0.9, nearly all below 0.5; in 34 photographs without a board none has less than 1.2."""
+
+_VISIBLE_REDUCTIONS = (4, 2, 1)
+"""Factors by which the image is reduced in turn in the quick search."""
+
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
 _NORMALISED_ROUNDS, _NORMALISED_MARGIN_PX = 2, 3
 """Rounds of the refinement in normalised windows, and pixels around the window that determine its grey levels too."""
+
+
+def visible_grid(image: GreyImage, columns: int, rows: int) -> Grid | None:
+    """Part of a chessboard of any size, unrefined; None if the image shows none.
+
+    Quick searches by OpenCV's sector-based detector, from a start grid that clutter hardly ever forms, in the reduced
+    image first. Without a board they take a tenth of the time of the detectors of a whole board, which try all scales
+    and thresholds.
+    """
+    width, height = _START_GRIDS[-1]
+    start = (min(width, max(columns, rows)), min(height, columns, rows))
+    for factor in _VISIBLE_REDUCTIONS:
+        reduction = factor * reductions(image.shape)[0]
+        grid = _grown_grid(reduced(image, reduction), start, _RANDOM_SEEDS[0])
+        if grid is not None and irregularity(grid) < MAX_VISIBLE_IRREGULARITY:
+            return in_full_image(grid, reduction)
+    return None
+
+
+def _grown_grid(image: GreyImage, start: tuple[int, int], seed: int, flags: int = 0) -> Grid | None:
+    """The largest grid that OpenCV's sector-based detector grows from one of this size."""
+    cv2.setRNGSeed(seed)
+    flags |= cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners, squares = cv2.findChessboardCornersSBWithMeta(image, start, flags)
+    return np.asarray(corners, dtype=np.float64).reshape(*np.asarray(squares).shape[:2], 2) if found else None
 
 
 def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
@@ -189,14 +221,11 @@ def largest_grid(image: GreyImage) -> Grid | None:
     """The largest regular chessboard of any size in the image; used to explain why the expected one is not found."""
     reduction = reductions(image.shape)[0]
     small = reduced(image, reduction)
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     regular = []
     for size in _START_GRIDS:
         for seed in _RANDOM_SEEDS:
-            cv2.setRNGSeed(seed)
-            found, corners, squares = cv2.findChessboardCornersSBWithMeta(small, size, flags)
-            if found:
-                grid = np.asarray(corners, dtype=np.float64).reshape(*np.asarray(squares).shape[:2], 2)
+            grid = _grown_grid(small, size, seed, cv2.CALIB_CB_EXHAUSTIVE)
+            if grid is not None:
                 grid = in_full_image(_refined_grid(small, grid), reduction)
                 regular += [grid] if irregularity(grid) < MAX_IRREGULARITY else []
     return max(regular, key=lambda grid: grid.size, default=None)
