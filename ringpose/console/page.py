@@ -94,7 +94,7 @@ class ConsolePage:
         save: Callable[[ConsoleState], str] | None = None,
     ) -> None:
         self._scene, self._width = scene, width
-        self._views = tuple(view for view in ring_views(scene) if view.target == "ring" and not view.begin_s)
+        self._views = tuple(view for view in ring_views(scene).begins if view.target == "ring")
         if not self._views:
             raise DataError("the scene", "has no view of a ring", "add one to its trajectory")
         self._lasers = scene.rig.lasers.names

@@ -8,6 +8,7 @@ motion, rig, form of the ring, and outliers.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from math import sqrt
 from typing import NamedTuple
 
@@ -91,7 +92,7 @@ def drawn_features(
     """Draw a detection for the first `count` views of a scene, or all; rig and form of the ring are drawn once."""
     common = run_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
     shown: RingView | None = None
-    for number, view in enumerate(ring_views(scene)[:count]):
+    for number, view in enumerate(islice(ring_views(scene), count)):
         rng = np.random.default_rng([_FEATURES, scene.seed, number])
         if shown is None or not _looks_like(view, shown):
             shown = view

@@ -4,8 +4,10 @@ The attitude of a free body solves Euler's equations I dw/dt = -w x I w and dq/d
 body; its centre of mass moves at constant velocity. Velocities of the truth are central differences of the poses.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -24,24 +26,29 @@ DIFFERENCE_S = 1e-3
 
 
 class FreeAttitude:
-    """Attitude of a torque-free rigid body until `duration_s`, relative to its attitude at time 0."""
+    """Attitude of a torque-free rigid body until `duration_s`, relative to its attitude at time 0.
+
+    It is integrated only as far as it is asked for: the first shot of a long run does not wait for the last one.
+    """
 
     def __init__(
         self, inertia: Float64[Array, "3 3"], angular_velocity_rad_s: Float64[Array, "3"], duration_s: float
     ) -> None:
-        from scipy.integrate import solve_ivp
+        from scipy.integrate import DOP853
 
+        self._given = inertia, angular_velocity_rad_s, duration_s
         self._inverse, self._inertia, self._duration_s = np.linalg.inv(inertia), inertia, duration_s
         start = np.array([*angular_velocity_rad_s, 0.0, 0.0, 0.0, 1.0])
-        self._solution: Any = solve_ivp(
-            self._derivative,
-            (0.0, duration_s),
-            start,
-            method="DOP853",
-            rtol=RELATIVE_TOLERANCE,
-            atol=RELATIVE_TOLERANCE * float(np.abs(start).max()),
-            dense_output=True,
-        ).sol
+        atol = RELATIVE_TOLERANCE * float(np.abs(start).max())
+        self._solver: Any = DOP853(self._derivative, 0.0, start, duration_s, rtol=RELATIVE_TOLERANCE, atol=atol)
+        self._pieces: list[Any] = []
+        """The interpolants of the steps so far, and ..."""
+        self._ends_s: list[float] = []
+        """... the time at which each of them ends."""
+        self._lock = Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FreeAttitude, self._given
 
     def at(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
         """Attitude at a time, and the angular velocity then, along the body's axes.
@@ -52,7 +59,12 @@ class FreeAttitude:
             raise DataError("the scene's motion", f"was computed for {self._duration_s:.3f} s, not for {time_s:.3f} s")
         from scipy.spatial.transform import Rotation
 
-        state: Float64[Array, "7"] = self._solution(time_s)
+        with self._lock:
+            while self._solver.status == "running" and not (self._pieces and self._solver.t >= time_s):
+                self._solver.step()
+                self._pieces.append(self._solver.dense_output())
+                self._ends_s.append(self._solver.t)
+        state: Float64[Array, "7"] = self._pieces[min(bisect_left(self._ends_s, time_s), len(self._pieces) - 1)](time_s)
         return np.asarray(Rotation.from_quat(state[3:]).as_matrix()), state[:3]
 
     def _derivative(self, _time_s: float, state: Float64[Array, "7"]) -> Float64[Array, "7"]:
@@ -106,13 +118,13 @@ class FreePath:
 
     def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
         """See `TargetPath`."""
+        turned, moved_m = (None, None) if self.camera is None else self.camera.camera_from_target(time_s)
         center_m = self.motion.center_of_mass_m
         rotation = self.rotation @ self.attitude.at(time_s)[0]
         mass_m = self.rotation @ center_m + self.translation_m + self.motion.velocity_m_s * time_s
         translation_m = mass_m - rotation @ center_m
-        if self.camera is None:
+        if turned is None:  # inertial frame from camera
             return rotation, translation_m
-        turned, moved_m = self.camera.camera_from_target(time_s)  # inertial frame from camera
         return turned.T @ rotation, turned.T @ (translation_m - moved_m)
 
     def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
@@ -131,31 +143,12 @@ def velocities(
     return moved_m / (2 * DIFFERENCE_S), rotation_vector(after @ before.T) / (2 * DIFFERENCE_S)
 
 
-def moving_views(
-    views: Sequence[RingView],
-    placements: Sequence[tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]],
-    face_m: Float64[Array, "xyz=3"],
-    motion: FreeMotion | TimedPoses,
-    times_s: Float64[Array, "shot"],
-    duration_s: float,
-) -> tuple[RingView, ...]:
-    """Each view as a run of shots that begin at `times_s` and last `duration_s` at most.
-
-    `placements` are camera_from_target of the views; `face_m` is the centre of the ring's face in the target frame.
-    """
-    paths = _paths(placements, motion, float(times_s[-1]) + duration_s)
-    return tuple(
-        moved_view(view, path, time_s, face_m, f"{view.name}_{number:04d}" if len(times_s) > 1 else view.name)
-        for view, path in zip(views, paths, strict=True)
-        for number, time_s in enumerate(times_s.tolist())
-    )
-
-
-def _paths(
+def target_paths(
     placements: Sequence[tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]],
     motion: FreeMotion | TimedPoses,
     duration_s: float,
 ) -> list[TargetPath]:
+    """The path of the target for each of its placements (camera_from_target) at the begin, until `duration_s`."""
     if isinstance(motion, TimedPoses):
         return [PosePath(motion, "the scene's motion.file")] * len(placements)
     attitude = FreeAttitude(motion.inertia_kg_m2, motion.angular_velocity_rad_s, duration_s)

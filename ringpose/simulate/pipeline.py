@@ -21,6 +21,7 @@ from ringpose.simulate.target.parts import part_around, view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene, Truth, TruthFrame
+from ringpose.types.target import TimedPoses
 
 _SHOTS, _BOARDS = 0, 1
 """First number of each seed, so that the noise of boards and shots is independent."""
@@ -29,19 +30,30 @@ _SHOTS, _BOARDS = 0, 1
 def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[tuple[Shot, Truth]]:
     """The first `count` shots of a scene, or all, each as soon as it is ready; `jobs` does not change the result.
 
-    A motion that does not cover them, or a part around the camera where a shot begins, is a `DataError` before the
-    first is rendered.
+    A motion that does not cover them, or a part around the camera where one of the first `CHECKED_VIEWS` shots begins,
+    is a `DataError` before the first is rendered.
     """
-    views = ring_views(scene)[:count]
-    for view in views:
+    views = ring_views(scene)
+    shots = len(views) if count is None else min(count, len(views))
+    for view in views[: min(shots, CHECKED_VIEWS)]:
         _check_camera(scene, view, target_placement(scene, view))
-    if views and (last := views[-1]).path is not None:
+    if shots and _motion_ends(scene):
+        last = views[shots - 1]
         exposure_s = view_exposure_s(scene, illuminated_ring(scene, last, scene.sequence))
-        last.path.camera_from_target(last.begin_s + shot_begins_s(scene.sequence, exposure_s)[-1] + exposure_s)
-    return in_order(partial(simulated_shot, scene, views), len(views), jobs)
+        target_placement(scene, last, shot_begins_s(scene.sequence, exposure_s)[-1] + exposure_s)
+    return in_order(partial(simulated_shot, scene, views), shots, jobs)
 
 
-def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tuple[Shot, Truth]:
+CHECKED_VIEWS = 1000
+"""Number of views that are checked before the first is rendered; the others are checked when they are rendered."""
+
+
+def _motion_ends(scene: Scene) -> bool:
+    """Whether the motion of target or camera is given by poses, which end; a free motion without them does not."""
+    return isinstance(scene.motion, TimedPoses) or (scene.motion is not None and scene.motion.camera is not None)
+
+
+def simulated_shot(scene: Scene, views: Sequence[RingView], number: int) -> tuple[Shot, Truth]:
     """Shot and truth of one view; of a moving target, every frame is rendered at its own mid exposure."""
     view = views[number]
     illuminated = illuminated_ring(scene, view, scene.sequence)

@@ -1,8 +1,11 @@
 """Poses of ring and boards in the camera frame: those of the scene file, or random ones within its limits."""
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from threading import RLock
+from typing import Any, overload
 
 import numpy as np
 
@@ -11,11 +14,12 @@ from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import facing_normal
-from ringpose.simulate.motion import moving_views
+from ringpose.simulate.motion import moved_view, target_paths
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 from ringpose.types.rig import Camera
 from ringpose.types.scene import Approach, BoardApproach, BoardSet, NamedBoardPose, RingView, Scene
+from ringpose.types.target import TargetPath
 
 READOUT_S = 0.002
 """Time between the end of an exposure and the start of the next."""
@@ -68,36 +72,97 @@ def target_placement(scene: Scene, view: RingView, time_s: float = 0.0) -> Place
     return Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
 
 
-def ring_views(scene: Scene) -> tuple[RingView, ...]:
+def ring_views(scene: Scene) -> "RingViews":
     """All views of a scene: the given ones, then the random ones; of a moving target, each as a run of shots."""
-    random = (view for approach in scene.approaches for view in _random_views(scene, approach))
-    views = (*scene.views, *random)
-    if scene.motion is not None:
-        starts = [target_placement(scene, view) for view in views]
-        views = moving_views(
-            views,
-            [(start.rotation, start.translation_m) for start in starts],
-            np.array([0.0, 0.0, scene.ring.height_m]),
-            scene.motion,
-            scene.period_s * np.arange(scene.shots),
-            len(scene.sequence) * (max(scene.exposure_s, MAX_DURATION_S) + READOUT_S),
+    return RingViews(scene)
+
+
+class RingViews(Sequence[RingView]):
+    """The views of a scene, each drawn and moved when it is asked for: the first shot does not wait for the last."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._shots = scene, 1 if scene.motion is None else scene.shots
+        self._views = list(scene.views)
+        self._random = (view for approach in scene.approaches for view in _random_views(scene, approach))
+        self.runs = len(scene.views) + sum(
+            approach.count * len(approach.distances_m) * len(approach.lights) for approach in scene.approaches
         )
-    names = Counter(view.name for view in views)
-    if len(names) < len(views):
-        found = f"two views are called {names.most_common(1)[0][0]!r}"
-        raise DataError("the scene's trajectory", found, "give each generated set its own name")
-    return views
+        """Number of views that are given or drawn; a moving target makes a run of shots of each."""
+        self._lock = RLock()
+        self._reject_equal_names()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RingViews, (self._scene,)
+
+    def __len__(self) -> int:
+        return self.runs * self._shots
+
+    @overload
+    def __getitem__(self, index: int) -> RingView: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[RingView, ...]: ...
+    def __getitem__(self, index: int | slice) -> RingView | tuple[RingView, ...]:
+        if isinstance(index, slice):
+            return tuple(self[number] for number in range(*index.indices(len(self))))
+        run, shot = divmod(range(len(self))[index], self._shots)
+        start, scene = self._start(run), self._scene
+        if scene.motion is None:
+            return start
+        path, face_m = self._paths[run], np.array([0.0, 0.0, scene.ring.height_m])
+        name = f"{start.name}_{shot:04d}" if self._shots > 1 else start.name
+        return moved_view(start, path, shot * scene.period_s, face_m, name)
+
+    @property
+    def begins(self) -> tuple[RingView, ...]:
+        """The first shot of each run."""
+        return self[:: self._shots]
+
+    def _start(self, run: int) -> RingView:
+        """The view that is given or drawn; the drawn ones follow each other from one generator."""
+        with self._lock:
+            while len(self._views) <= run:
+                self._views.append(next(self._random))
+        return self._views[run]
+
+    @cached_property
+    def _paths(self) -> list[TargetPath]:
+        """The path of each run."""
+        scene = self._scene
+        assert scene.motion is not None
+        placed = [target_placement(scene, self._start(run)) for run in range(self.runs)]
+        shot_s = len(scene.sequence) * (max(scene.exposure_s, MAX_DURATION_S) + READOUT_S)
+        starts = [(each.rotation, each.translation_m) for each in placed]
+        return target_paths(starts, scene.motion, (self._shots - 1) * scene.period_s + shot_s)
+
+    def _reject_equal_names(self) -> None:
+        """Reject two views of one name. Drawn views of two sets have equal names if the first ones have."""
+        given = {view.name for view in self._scene.views}
+        drawn = [replace(each, count=min(each.count, 1)) for each in self._scene.approaches]
+        names = Counter([view.name for view in self._scene.views] + [name for each in drawn for name in _names(each)])
+        doubled = [name for name, count in names.items() if count > 1]
+        doubled += [name for each in self._scene.approaches if given for name in _names(each) if name in given]
+        if doubled:
+            found = f"two views are called {doubled[0]!r}"
+            raise DataError("the scene's trajectory", found, "give each generated set its own name")
+
+
+def _names(approach: Approach) -> Iterator[str]:
+    """Names of random views, in the order of `_random_views`."""
+    for distance_m in approach.distances_m:
+        for number in range(approach.count):
+            for light in approach.lights:
+                yield f"{approach.name}{1000 * distance_m:04.0f}_p{number:02d}_{light}"
 
 
 def _random_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
     """Random views for each distance, pose and light, in this order."""
-    generator = np.random.default_rng([scene.seed, approach.seed])
+    generator, names = np.random.default_rng([scene.seed, approach.seed]), _names(approach)
     for distance_m in approach.distances_m:
-        for number in range(approach.count):
+        for _ in range(approach.count):
             normal, center_m = _random_ring_pose(scene, approach, distance_m, generator)
             for light in approach.lights:
                 yield RingView(
-                    name=f"{approach.name}{1000 * distance_m:04.0f}_p{number:02d}_{light}",
+                    name=next(names),
                     center_m=center_m,
                     normal=normal,
                     light=light,

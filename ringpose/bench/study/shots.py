@@ -158,7 +158,7 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     scene = replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
     # as a view of its own, whose appearance is then computed once for the shot and its bound
     rng = np.random.default_rng([_MOTION, study.seed, index])
-    return with_run(replace(scene, views=ring_views(scene), approaches=()), study.run, _motion(setting), rng)
+    return with_run(replace(scene, views=ring_views(scene)[:], approaches=()), study.run, _motion(setting), rng)
 
 
 def _with_turned_plane(rig: Rig, setting: Mapping[str, Value], rng: np.random.Generator) -> Rig:

@@ -1,6 +1,6 @@
 """The camera of the image server: settings of the clients, and exposures of the shots of a scene."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -56,13 +56,14 @@ class ImageCamera:
         self._sequence = tuple(mask & lasers for mask in scene.sequence)
         self._shot_s = len(self._sequence) / rate_hz
         self._check()
-        self._scene_views = self._views = ring_views(scene)
-        self._motion = None if scene.motion is None else MotionRuns(scene, self._views)
+        self._scene_views: Sequence[RingView] = (views := ring_views(scene))
+        self._views: Sequence[RingView] = views
+        self._motion = None if scene.motion is None else MotionRuns(scene, views.begins)
         if self._motion is not None and self._shot_s > self._motion.duration_s:
             found = f"a shot takes {self._shot_s:.3g} s, but the scene's motion {self._motion.duration_s:.3g} s"
             raise UsageError("--rate", found, "raise it, or the motion's shots")
         self._rendered = RenderedShots(scene)
-        self._next_views: tuple[RingView, ...] | None = None
+        self._next_views: Sequence[RingView] | None = None
         self._number, self._paused = -1, False
         """Number of the view in its trajectory, and whether the next shot shows it again."""
         self._still: Future[RenderedShot] | None = None
@@ -270,7 +271,7 @@ class RenderedShots:
         kept = max(2, KEPT_BYTES // (4 * layers * camera.image_width * camera.image_height))
         self._requested = lru_cache(kept)(lambda view, number: self._worker.submit(self._render, view, number))
 
-    def shot(self, views: tuple[RingView, ...], number: int) -> Future[RenderedShot]:
+    def shot(self, views: Sequence[RingView], number: int) -> Future[RenderedShot]:
         """View `number` of a trajectory that begins again after its last one; the next view is rendered after it."""
         shown, following = number % len(views), (number + 1) % len(views)
         shot: Future[RenderedShot] = self._requested(views[shown], shown)
@@ -314,8 +315,8 @@ class MovingShot:
 class MotionRuns:
     """The moving views of a scene at the time of day, or at a simulated time; the runs follow each other and repeat."""
 
-    def __init__(self, scene: Scene, views: tuple[RingView, ...]) -> None:
-        self._runs = tuple(view for view in views if view.begin_s == 0.0)
+    def __init__(self, scene: Scene, runs: tuple[RingView, ...]) -> None:
+        self._runs = runs
         self.duration_s = (scene.shots - 1) * scene.period_s + len(scene.sequence) * (
             max(scene.exposure_s, MAX_DURATION_S) + READOUT_S
         )

@@ -13,7 +13,7 @@ from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.relays import RelayContacts
 from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.options import AdvancePolicy
-from ringpose.types.scene import Sensor
+from ringpose.types.scene import NamedBoardPose, RingView, Sensor
 
 _SLICES = 8
 """Time steps of an exposure in which a laser is warming up."""
@@ -23,9 +23,13 @@ class MovingViews:
     """The views in turn; the next one is rendered in the background and shown when it is due and ready."""
 
     def __init__(
-        self, names: Sequence[str], render: Callable[[int], RenderedView], move: AdvancePolicy, after_s: float
+        self,
+        views: Sequence[RingView | NamedBoardPose],
+        render: Callable[[int], RenderedView],
+        move: AdvancePolicy,
+        after_s: float,
     ) -> None:
-        self.names = tuple(names)
+        self._views = views
         self._render = render
         self._move = move
         self._after_s = after_s
@@ -49,14 +53,14 @@ class MovingViews:
             self._prepare()
         self._shown_s = now_s if self._shown_s is None else self._shown_s
         self._exposed_s = now_s
-        return self.names[self._number], self._current
+        return self._views[self._number].name, self._current
 
     def close(self) -> None:
         """Stop rendering."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self) -> None:
-        has_next = self._number + 1 < len(self.names) and self._move is not AdvancePolicy.NEVER
+        has_next = self._number + 1 < len(self._views) and self._move is not AdvancePolicy.NEVER
         self._next = self._worker.submit(self._render, self._number + 1) if has_next else None
 
 

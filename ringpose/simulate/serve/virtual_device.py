@@ -108,14 +108,12 @@ def _shown(scene: Scene, setup: Setup) -> tuple[MovingViews, float]:
     """The views of the ring or of a calibration board, and the camera's initial exposure."""
     if setup.show is ServedTarget.RING:
         views = ring_views(scene)
-        names = [view.name for view in views]
         exposure_s = view_exposure_s(scene, illuminated_ring(scene, views[0]))
-        return MovingViews(names, lambda k: render_ring_view(scene, views[k], k), setup.move, setup.after_s), exposure_s
+        return MovingViews(views, lambda k: render_ring_view(scene, views[k], k), setup.move, setup.after_s), exposure_s
     boards = scene.camera_boards if setup.show is ServedTarget.CAMERA_BOARD else scene.plane_boards
     if boards is None:
         raise DataError("the scene", f"has no {setup.show}", "give it one under boards")
     poses = board_poses(scene, boards)
-    names = [pose.name for pose in poses]
     return MovingViews(
-        names, lambda k: render_board_view(scene, boards, poses[k], k), setup.move, setup.after_s
+        poses, lambda k: render_board_view(scene, boards, poses[k], k), setup.move, setup.after_s
     ), boards.exposure_s

@@ -15,7 +15,7 @@ from ringpose.simulate.renderer import RenderedView
 from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
 from ringpose.simulate.serve.views import MovingViews, SceneExposures
 from ringpose.types.options import AdvancePolicy
-from ringpose.types.scene import Beacon, Light, Sensor
+from ringpose.types.scene import Beacon, Light, RingView, Sensor
 
 BLACK_DN = Sensor().black_level_dn
 
@@ -27,9 +27,8 @@ def exposures(tmp_path):
 
         def made(contacts: RelayContacts, warm_up_s: float = 0.0, **changes) -> SceneExposures:
             scene = replace(small_scene(tmp_path), **changes)
-            views = MovingViews(
-                ["near"], lambda k: render_ring_view(scene, ring_views(scene)[k], k), AdvancePolicy.NEVER, 0.0
-            )
+            near = ring_views(scene)[:1]
+            views = MovingViews(near, lambda k: render_ring_view(scene, near[k], k), AdvancePolicy.NEVER, 0.0)
             stack.callback(views.close)
             return SceneExposures(views, scene.sensor, contacts, warm_up_s)
 
@@ -105,7 +104,8 @@ class AtOnce(Executor):
 
 
 def shown(move, after_s: float, looks_s) -> list[str]:
-    views = MovingViews(["a", "b", "c"], stage, move, after_s)
+    named = [RingView(name=name, center_m=np.zeros(3), normal=np.array([0.0, 0.0, -1.0])) for name in "abc"]
+    views = MovingViews(named, stage, move, after_s)
     names = [views.at(at_s)[0] for at_s in looks_s]
     views.close()
     return names
