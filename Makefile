@@ -24,7 +24,7 @@ export PYTHONDONTWRITEBYTECODE =
 # As the commands do: the matrices are small, and threads that share them mostly wait for each other (tests 3:08 -> 2:48).
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden structure test test-slow test-lowest \
+.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden results structure test test-slow test-lowest \
   test-baseline-cpu test-other-cpu check lint types layers man clean
 
 help:
@@ -34,6 +34,7 @@ help:
 	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make golden       show which lines of the rendered shots have changed, and make today's the golden ones"
+	@echo "make results      the tables and charts of the page on results: studies and shared renders, about an hour"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
 	@echo "make test-baseline-cpu  the numeric fast tests as on a processor without AVX, also in the kernels (x86-64)"
@@ -60,6 +61,9 @@ bench-speed: $(STAMP)
 bench-targets: $(STAMP)
 	@missed=0; for each in drift_targets consistency_targets track_targets track_images; do \
 	  PYTHONPATH=tests $(BIN)/python -m benchmarks.$$each || missed=$$?; done; exit $$missed
+
+results: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.results
 
 structure: $(STAMP)
 	$(BIN)/python tests/benchmarks/structure.py
