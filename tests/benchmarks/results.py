@@ -58,10 +58,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(BLOCKS), default=list(BLOCKS), metavar="NAME")
     words = parser.parse_args()
     words.output.mkdir(parents=True, exist_ok=True)
-    text = PAGE.read_text()
     for name in words.only:
-        text = with_block(text, name, BLOCKS[name](words.output))
-    PAGE.write_text(text)
+        lines = BLOCKS[name](words.output)
+        PAGE.write_text(with_block(PAGE.read_text(), name, lines))
 
 
 def with_block(text: str, name: str, lines: Sequence[str]) -> str:
@@ -74,11 +73,12 @@ def with_block(text: str, name: str, lines: Sequence[str]) -> str:
     return changed
 
 
-def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """A table in tbl(1): the first row is the heading, the first column is text, the others are numbers."""
+def table(rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
+    """A table in tbl(1): the first row is the heading, the first columns (`left`) are text, the others are numbers."""
+    sides = ["l"] * left + ["r"] * (len(rows[0]) - left)
     yield ".TS"
-    yield " ".join(["lb", *["rb"] * (len(rows[0]) - 1)])
-    yield " ".join(["l", *["r"] * (len(rows[0]) - 1)]) + "."
+    yield " ".join(f"{side}b" for side in sides)
+    yield " ".join(sides) + "."
     yield from ("\t".join(row) for row in rows)
     yield ".TE"
 
@@ -98,18 +98,18 @@ def study_summary(preset: str, output: Path) -> StudySummary:
 
 def study_block(preset: str) -> Callable[[Path], list[str]]:
     """The table of a preset."""
-    return lambda output: list(table(study_rows(study_summary(preset, output), STUDIES[preset])))
+    return lambda output: study_table(study_summary(preset, output), STUDIES[preset])
 
 
-def study_rows(summary: StudySummary, methods: Sequence[str]) -> list[list[str]]:
+def study_table(summary: StudySummary, methods: Sequence[str]) -> list[str]:
     """A row for each method and cell of the grid: availability, errors (root mean square), bounds, wrong quantities."""
     headings = ["shots", "ok", "centre", "centre mm", "bound mm", "normal deg", "bound deg", "grasp mm", "wrong"]
-    rows = [["method", *summary.by, *headings]]
+    rows = [["method", *(name.split("_")[0] for name in summary.by), *headings]]
     for method in methods:
         for key in sorted_keys(key for name, key in summary.cells if name == method):
             values = [value_text(name, value) for name, value in zip(summary.by, key, strict=True)]
             rows.append([method, *values, *study_cells(summary.cells[method, key])])
-    return rows
+    return list(table(rows, left=1 + len(summary.by)))
 
 
 def study_cells(cell: Statistics) -> list[str]:
@@ -227,21 +227,21 @@ def assumptions_block(output: Path) -> list[str]:
     """What the assumptions of `ringpose pose` change, on targets at rest and in motion."""
     rows = [["shots", "assumed", "wrong", "ok", "normal deg", "grasp mm", "centre mm"]]
     cases = [
-        ("at rest", STILL, "perfect ring at rest, unchanged rig", ASSUMPTIONS),
-        ("at rest", STILL, "--still", ("--still",)),
-        ("at rest", STILL, "the defaults", ()),
-        ("moving", MOVING, "perfect ring at rest, unchanged rig", ASSUMPTIONS),
-        ("moving", MOVING, "the defaults", ()),
+        ("at rest", STILL, "rig", "perfect ring at rest, unchanged rig", ASSUMPTIONS),
+        ("at rest", STILL, "rig", "--still", ("--still",)),
+        ("at rest", STILL, "rig", "the defaults", ()),
+        ("moving", MOVING, "motion", "perfect ring at rest, unchanged rig", ASSUMPTIONS),
+        ("moving", MOVING, "motion", "the defaults", ()),
     ]
-    for number_of_case, (title, sets, assumed, words) in enumerate(cases):
-        group = bench_groups(output, f"assumed-{number_of_case}", sets, words, "scene")[-1]
+    for case, (title, sets, by, assumed, words) in enumerate(cases):
+        group = bench_groups(output, f"assumed-{case}", sets, words, by)[-1]  # of all shots
         wrong = f"{group['wrong']['count']} of {group['wrong']['judged']}"
         errors = [
             (group["errors"].get(name) or {}).get("median", nan) for name in ("normal_rad", "grasp_m", "center_m")
         ]
         cells = [number(factor * error) for factor, error in zip((degrees(1), 1e3, 1e3), errors, strict=True)]
         rows.append([f"{group['shots']} {title}", assumed, wrong, str(group["available"]), *cells])
-    return list(table(rows))
+    return list(table(rows, left=2))
 
 
 BLOCKS: dict[str, Callable[[Path], list[str]]] = {

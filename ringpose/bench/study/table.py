@@ -314,11 +314,13 @@ def sorted_keys(keys: Iterable[Key]) -> list[Key]:
 
 
 def value_text(name: str, value: Value) -> str:
-    """A factor's value for a heading: distances in millimetres, angles in degrees."""
+    """A factor's value for a heading: distances in millimetres, angles and rates in degrees."""
     if isinstance(value, str | bool):
         return str(value).lower() if isinstance(value, bool) else value
     if name.endswith("_m"):
         return f"{1e3 * value:g} mm"
+    if name.endswith("_rad_s"):
+        return f"{degrees(value):.4g} deg/s"
     return f"{degrees(value):.4g} deg" if name.endswith("_rad") else f"{value:g}"
 
 
