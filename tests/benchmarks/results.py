@@ -20,6 +20,7 @@ import matplotlib as mpl
 import numpy as np
 from benchmarks.compare_baseline import ASSUMPTIONS, RENDERED
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from ringpose.bench.study.table import Statistics, StudySummary, sorted_keys, summarized, value_text
 from ringpose.bench.table import number
@@ -159,7 +160,10 @@ def distance_chart(output: Path) -> list[str]:
         for light, color in (("dim", "#1f2d4d"), ("normal", "#2a8a4a"), ("strong", "#d9822b")):
             axis.plot(*medians(rows, name, light, factor), "o-", color=color, label=light, markersize=3)
         axis.set(title=title, xlabel="distance, m", yscale="log")
-        axis.grid(visible=True, which="both", alpha=0.25)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_locator(NullLocator())
+        axis.grid(visible=True, alpha=0.25)
     axes[0].legend(frameon=False, fontsize="small")
     figure.savefig(CHART, metadata={"Date": None})
     return []
