@@ -40,6 +40,7 @@ help:
 	@echo "make test-baseline-cpu  the numeric fast tests as on a processor without AVX, also in the kernels (x86-64)"
 	@echo "make test-other-cpu     the same as on one with another vector unit than this machine's"
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
+	@echo "make manual       the manual as HTML pages in build/manual, index.html first"
 	@echo "make check        lint, types, layers, man pages"
 
 $(STAMP): pyproject.toml $(KERNELS)
@@ -133,6 +134,9 @@ man:
 	@if command -v mandoc >/dev/null; then mandoc -T lint -W warning man/*.[1-9]; \
 	elif [ -n "$$CI" ]; then echo "make man: mandoc is missing" >&2; exit 1; \
 	else echo "make man: mandoc is missing (apt install mandoc): manual not linted" >&2; fi
+
+manual:
+	$(PYTHON) man/html/build.py build/manual
 
 clean:
 	rm -rf $(VENV) $(LOWEST) build dist demo calibrate real-shots *.egg-info ringpose/kernels/*.so
