@@ -71,7 +71,9 @@ def view(
         batch.finish()
     elif html is not None:
         with atomic.replacing(html, force) as stream:
-            stream.write(replay_page(shots, loaded_rig, f"{len(shots)} shots of {inputs[0]}").encode())
+            stream.write(
+                replay_page(shots, loaded_rig, f"{len(shots)} shots of {inputs[0]}").encode("utf-8", "replace")
+            )
         batch.finish()
     else:
         from ringpose.console.recorded import RecordedPage

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import shutil
 
 import cv2
 import numpy as np
@@ -128,3 +129,13 @@ def test_what_cannot_be_shown_is_reported(rig, picture, tmp_path, monkeypatch, c
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert key_word in error
+
+
+def test_a_folder_whose_name_is_not_utf8_has_a_replay(data_set, one_shot, tmp_path):
+    folder, page = tmp_path / "shots\udcff", tmp_path / "v.html"
+    folder.mkdir()
+    shutil.copy(one_shot, folder)
+
+    assert main(["view", str(folder), "--rig", str(data_set / "rig.yaml"), "--html", str(page), "--quiet"]) == 0
+
+    assert "shots?" in page.read_text(encoding="utf-8")
