@@ -1,8 +1,9 @@
 """Batches of inputs: an invalid input is reported on stderr and skipped, and the highest exit status is returned."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
@@ -48,6 +49,21 @@ _RECORD = re.compile(r"(?P<file>.+?):\d+(: (?P<key>.+))?")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
+MAX_REMEMBERED = 100_000
+"""Number of inputs, about 20 MB, from which further ones of an endless stream are not compared with those before."""
+
+
+def _identity(item: "Input") -> Hashable | None:
+    """What an input has in common with itself only: file and time of writing, or file and line; None if unknown."""
+    if not isinstance(item, Path):
+        return item.location
+    try:
+        found = item.stat()
+    except (OSError, ValueError):  # reported where it is read
+        return None
+    return found.st_dev, found.st_ino, found.st_mtime_ns
+
+
 class Batch:
     """The highest exit status of the inputs processed so far.
 
@@ -60,6 +76,8 @@ class Batch:
         self._in_a_row, self._unreported = 0, 0
         self._records: dict[tuple[str, str], tuple[str, int]] = {}
         """By file, and finding but for its numbers: what was found in the first such record, and their number."""
+        self._given: set[Hashable] = set()
+        self._repeated = 0
 
     def __enter__(self) -> None:
         pass
@@ -106,13 +124,35 @@ class Batch:
         except (DataError, NoInputError) as problem:
             self.report(problem)
 
-    def valid_inputs(self, items: "Iterable[Input | Problem]") -> "Iterator[Input]":
-        """Yield the inputs in order; report those that are errors on stderr."""
+    def valid_inputs(self, items: "Iterable[Input | Problem]", *, repeats_allowed: bool = True) -> "Iterator[Input]":
+        """Yield the inputs in order; report those that are errors on stderr.
+
+        One that was given before is named, too, unless `repeats_allowed` is false: the caller then rejects it.
+        """
         for item in items:
             if isinstance(item, DataError | NoInputError):
                 self.report(item)
             else:
+                if repeats_allowed:
+                    self._name_repeated(item)
                 yield item
+
+    def _name_repeated(self, item: "Input") -> None:
+        """Report the first input that was given before, and count the others: its results count twice.
+
+        A file of the same name that was written again meanwhile is another input.
+        """
+        identity = _identity(item)
+        if identity is None:
+            return
+        if identity not in self._given:
+            if len(self._given) < MAX_REMEMBERED:
+                self._given.add(identity)
+            return
+        if not self._repeated:
+            place = item if isinstance(item, Path) else item.location
+            messages.echo(f"{place}: is given twice, and so is its result; give each input once")
+        self._repeated += 1
 
     def results(
         self, work: "Callable[[Input], Result]", items: "Iterable[Input | Problem]", jobs: int = 1
@@ -149,7 +189,10 @@ class Batch:
             if count > 1:
                 records = "record" if count == 2 else "records"
                 messages.echo(f"{file}: the same in {count - 1} further {records}: {found}")
-        self._records = {}
+        if self._repeated > 1:
+            inputs = "input is" if self._repeated == 2 else "inputs are"
+            messages.echo(f"{self._repeated - 1} further {inputs} given twice; give each input once")
+        self._records, self._repeated = {}, 0
 
     def finish(self) -> None:
         """Exit the command with the highest status."""

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from study_work import reversed_name
 
 from ringpose.cli.batch import Batch
 from ringpose.cli.main import main
 from ringpose.errors import DataError
+from ringpose.files.inputs import Record
 from ringpose.files.records import line_of
 from ringpose.files.records.detections import detection_record
 from ringpose.files.rigs import write_rig
@@ -36,6 +38,38 @@ def test_results_are_in_order_and_bad_inputs_are_reported(jobs):
     assert found == [item.name[::-1] for item in items if isinstance(item, Path) and item.name != "bad"]
     assert batch.status == 65
     assert len(found) == 10
+
+
+def test_an_input_that_is_given_twice_is_named_and_processed_again(tmp_path, capsys):
+    first, second = tmp_path / "0001.npz", tmp_path / "0002.npz"
+    first.write_bytes(b"1")
+    second.write_bytes(b"2")
+    linked = tmp_path / "newest.npz"
+    linked.symlink_to(first)
+    batch = Batch()
+
+    given = list(batch.valid_inputs([first, second, first, linked, Record("a.jsonl:1", {}), Record("a.jsonl:1", {})]))
+    with pytest.raises(typer.Exit):
+        batch.finish()
+
+    assert len(given) == 6
+    assert batch.status == 0
+    named, counted = capsys.readouterr().err.splitlines()
+    assert f"{first}: is given twice" in named
+    assert "2 further inputs" in counted
+
+
+def test_a_file_that_is_written_again_is_another_input(tmp_path, capsys):
+    path = tmp_path / "newest.npz"
+
+    def written():
+        for number in range(3):
+            path.write_bytes(bytes([number]))
+            os.utime(path, ns=(number, number))
+            yield path
+
+    assert list(Batch().valid_inputs(written())) == [path] * 3
+    assert capsys.readouterr().err == ""
 
 
 def test_the_first_result_does_not_wait_for_the_last_input():

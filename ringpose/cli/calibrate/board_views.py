@@ -78,8 +78,9 @@ class BoardImages:
 
         If no input could be read, the command ends here; the errors have been reported.
         """
+        items = batch.valid_inputs(named(inputs, SHOT_SUFFIXES), repeats_allowed=False)
         with self.find_board:
-            for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "images", quiet):
+            for item in with_progress(items, "images", quiet):
                 with batch.guarded():
                     (read or self.read)(item)
                     if verbose:
