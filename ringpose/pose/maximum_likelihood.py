@@ -134,6 +134,7 @@ def most_likely_pose(
     result = _result(best, source)
     flags, remark = untimed or _displaced(rejected) or _ring_flags(best, break_points)
     result = replace(result, flags=result.flags | flags, remark="; ".join(filter(None, [result.remark, remark])))
+    result = result if untimed or break_points.labelled else _confirmed(result, best, flags)
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
     flags |= result.flags
@@ -269,6 +270,17 @@ def _ring_flags(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag,
     if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
         return unknown, "too few ends of stripes are clear to show that it is a ring"
     return PoseFlag.GRASP_WEAK if len(best.measured.stripes) == 1 else PoseFlag(0), ""
+
+
+def _confirmed(result: PoseResult, best: Explanation, ring_flags: PoseFlag) -> PoseResult:
+    """The result of unlabelled stripes, without a pose if fewer than three may not be on a ring.
+
+    Nothing shows then that they are light of these lasers at all, as any two lines in a photograph lie in a plane, and
+    no quantity of the pose could be used. The measurement may still continue the track of a ring.
+    """
+    if ALL_WEAK not in ring_flags or not best.estimate.converged or len(best.measured.stripes) >= REDUNDANT_STRIPES:
+        return result
+    return replace(result, pose=NoPose.UNCONFIRMED, velocity=None)
 
 
 def _plane_evidence(best: Explanation) -> PlaneEvidence | None:

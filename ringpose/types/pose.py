@@ -29,6 +29,10 @@ class NoPose(Enum):
     AMBIGUOUS = "what was seen has several explanations with neither the ring's plane nor a grasp point in common"
     UNDETERMINED = "neither the ring's plane nor a point to grasp is determined by what was seen"
     SINGULAR = "the equations for the ring are numerically singular: what was seen contradicts itself or is degenerate"
+    UNCONFIRMED = (
+        "nothing shows that one or two stripes, seen with all lasers on, are those of the lasers on a ring: neither "
+        "its curvature, nor visible edges where they end, nor enough clear ends"
+    )
     NO_ROBOT_POSES = (
         "the robot's poses do not cover the shot, or have gaps: give them from before its first to after its last frame"
     )

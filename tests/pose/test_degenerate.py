@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ring_scenes import break_points_of, make_scene, pixels_of, without
+from ring_scenes import break_points_of, face_points_of, make_scene, pixels_of, with_stripes, without
 
 from ringpose.errors import DataError
 from ringpose.pose import pipeline
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.options import Method
-from ringpose.types.pose import NoPose, PoseFlag, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, RingPose
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 WITH_AND_WITHOUT_COVARIANCE = pytest.mark.parametrize("sigma_px", [np.nan, 0.3])
@@ -189,3 +189,21 @@ def test_any_pixels_give_a_finite_pose_or_a_reason(method, sigma_px, pixels):
 def is_finite(pose: RingPose) -> bool:
     values = [*pose.center_m, *pose.normal, pose.condition_number, pose.residual_rms_px]
     return bool(np.isfinite(values).all())
+
+
+def test_two_unlabelled_stripes_that_may_be_on_a_straight_bar_have_no_pose_but_may_continue_a_track():
+    scene = make_scene("A", distance_m=0.5)
+    three = face_points_of(scene, 0.3, 0.05)
+    switched = with_stripes(three, 0, 2)
+    two = replace(switched, labelled=False)
+    radii = KnownRadii(radius_m=scene.ring.radius_m, sd_m=np.full(2, 0.0005))
+
+    alone, *others = (pipeline.pose_result(points, scene.rig) for points in (two, switched, three))
+    known = pipeline.pose_result(two, scene.rig, known=radii)
+
+    assert alone.pose is NoPose.UNCONFIRMED
+    assert alone.measurement is not None
+    for other in others:
+        assert isinstance(other.pose, RingPose)
+        assert {PoseFlag.NORMAL_WEAK, PoseFlag.GRASP_WEAK} <= set(other.flags)
+    assert isinstance(known.pose, RingPose)
