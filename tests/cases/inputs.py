@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import yaml
 
+from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
 from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
@@ -45,7 +46,8 @@ def _camera(path: Path) -> None:
 
 def _pose_lines(path: Path) -> None:
     """The pose line of one shot, computed with the rig of rig_b."""
-    line = pose_line(read_shot(SHOTS / "B_z0500_p01_dim.npz"), read_rig(RIG_FILE))
+    rig = read_rig(RIG_FILE)
+    line = pose_line(detect(read_shot(SHOTS / "B_z0500_p01_dim.npz"), rig), rig)
     path.write_text(line_of(pose_record(line)))
 
 
