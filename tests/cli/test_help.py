@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from needed import needed_program
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "man").glob("*.[1-9]"))
@@ -39,8 +40,8 @@ def test_without_a_topic_every_page_is_listed_with_its_description(run):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_without_man_a_page_is_the_text_that_mandoc_formats(run, needed_program, monkeypatch, page):
-    command = [needed_program("mandoc"), "-T", "utf8", page]
+def test_without_man_a_page_is_the_text_that_mandoc_formats(run, monkeypatch, page):
+    command = [needed_program("mandoc", "mandoc"), "-T", "utf8", page]
     formatted = re.sub(".\b", "", subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     monkeypatch.setenv("PATH", "")
 
@@ -98,7 +99,7 @@ def test_a_page_is_packaged_in_the_folder_of_its_section(page):
 
 
 @pytest.mark.slow
-def test_man_finds_the_pages_of_an_installed_wheel(tmp_path, needed_program):
+def test_man_finds_the_pages_of_an_installed_wheel(tmp_path):
     tracked = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True)
     for name in tracked.stdout.splitlines():
         if not name.startswith("tests/") and (ROOT / name).is_file():
@@ -109,5 +110,5 @@ def test_man_finds_the_pages_of_an_installed_wheel(tmp_path, needed_program):
     subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-deps", tmp_path / "source"], check=True)
 
     for page in PAGES:
-        command = [needed_program("man"), "-M", tmp_path / "venv" / "share" / "man", "-w", page.stem]
+        command = [needed_program("man", "man-db"), "-M", tmp_path / "venv" / "share" / "man", "-w", page.stem]
         assert Path(subprocess.run(command, capture_output=True, text=True).stdout.strip()).name == page.name
