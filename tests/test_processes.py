@@ -53,11 +53,11 @@ def test_an_exception_of_a_limited_call_is_raised_here():
 
 HELD = """
 import sys
-from ringpose.cli.main import ignore_signals, raise_signals
+from ringpose.cli.main import Interrupts, ignore_signals, raise_signals
 from ringpose.errors import SignalReceived
 from ringpose.processes import LimitedCalls
 
-raise_signals()
+raise_signals(Interrupts())
 try:
     with LimitedCalls(sum) as calls:
         calls(600, range(9))
