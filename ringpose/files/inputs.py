@@ -22,6 +22,9 @@ COMPRESSED_SUFFIX = ".jsonl.gz"
 _GZIP = b"\x1f\x8b"
 """Signature of gzip files (RFC 1952)."""
 
+MAX_BLANK_LINES = 100_000
+"""Maximum number of empty lines in a row: a small compressed file can hold any number of them."""
+
 MAX_NAME = 1024
 """Longer names are abbreviated in messages: they are usually records that were cut off."""
 
@@ -105,15 +108,17 @@ def holds_records(path: Path) -> bool:
 def _lines(path: Path) -> Iterator[bytes]:
     """Yield the lines of a file; a compressed file, recognised by its contents, is decompressed as it is read."""
     data = read_bytes(path)
-    if not path.name.lower().endswith(COMPRESSED_SUFFIX) and not data.startswith(_GZIP):
-        yield from data.splitlines()
-        return
+    compressed = path.name.lower().endswith(COMPRESSED_SUFFIX) or data.startswith(_GZIP)
+    blank = 0
     try:
-        with gzip.open(io.BytesIO(data)) as stream:
+        with gzip.open(io.BytesIO(data)) if compressed else io.BytesIO(data) as stream:
             while line := stream.readline(MAX_LINE_BYTES):
                 if len(line) == MAX_LINE_BYTES:
                     found = f"has a line of {MAX_LINE_BYTES >> 20} MiB or more"
                     raise DataError(str(path), found, "end each record")
+                blank = 0 if line.strip() else blank + 1
+                if blank > MAX_BLANK_LINES:
+                    raise DataError(str(path), f"has more than {MAX_BLANK_LINES} empty lines in a row", "remove them")
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None

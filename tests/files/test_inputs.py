@@ -84,3 +84,15 @@ def test_lines_longer_than_a_chunk_are_complete(tmp_path, monkeypatch):
     with (tmp_path / "names").open() as stream:
         monkeypatch.setattr("sys.stdin", stream)
         assert "".join(stdin.lines()) == "\n".join(names)
+
+
+@pytest.mark.parametrize("name", ["a.jsonl", "a.jsonl.gz"])
+@pytest.mark.parametrize(
+    ("content", "found"), [(b"\n" * 200_000, "100000 empty lines"), (b" " * 2**25 + b"\n", "32 MiB or more")]
+)
+def test_endless_blank_lines_and_endless_lines_are_refused(tmp_path, name, content, found):
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
+
+    (problem,) = inputs([tmp_path / name], [".jsonl"])
+
+    assert found in problem.found

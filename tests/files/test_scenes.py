@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError, NoInputError
+from ringpose.simulate.placement import ring_views
 from ringpose.types.pose import RingPose
 from ringpose.types.scene import Beacon
 from ringpose.types.target import MATERIALS
@@ -162,3 +163,28 @@ def test_invalid_targets_and_lights_are_rejected_with_their_place(scene_of, chan
 
     assert place in error.value.location + error.value.found
     assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "message"),
+    [
+        ("exposure_s", 0, "exposure_s: is 0: the images would be black"),
+        ("motion", {"velocity_m_s": [0, 0, 0.01], "shots": 10**9}, "motion.shots: is 1e+09, must be at least 1"),
+        ("trajectory", [{"generate": {"count": 0}}], "count: is 0, must be at least 1 and at most 10000"),
+        ("trajectory", [{"generate": {"count": 10**9}}], "count: is 1e+09, must be at least 1 and at most 10000"),
+    ],
+)
+def test_numbers_of_shots_and_exposures_that_cannot_be_are_rejected(scene_of, keys, value, message):
+    with pytest.raises(DataError) as problem:
+        scene_of((keys, value))
+
+    assert message in str(problem.value)
+
+
+def test_the_first_of_a_million_shots_does_not_wait_for_the_last(scene_of):
+    scene = scene_of(("motion", {"preset": "geo-bound", "shots": 1_000_000}))
+
+    views = ring_views(scene)
+
+    assert len(views) == 1_000_000 * views.runs
+    assert views[3].begin_s == pytest.approx(3 * scene.period_s)

@@ -18,7 +18,7 @@ from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.explanations import TrackOptions
+    from ringpose.track.explanations import Gripper, TrackOptions
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.track import TrackLine
 
@@ -29,6 +29,9 @@ class Format(StrEnum):
     RINGPOSE = "ringpose"
     ROS = "ros"
 
+
+MAX_GRIPPER_M = 0.5
+"""Largest tolerance of a gripper across the band of a ring, which is at most 0.3 m wide."""
 
 RobotPosesFile = Annotated[
     str | None,
@@ -70,14 +73,8 @@ class TrackSettings:
     def options(self, assumed: "AssumptionOptions") -> "TrackOptions":
         """What the track is followed with; it begins with the motion that is assumed within a shot."""
         from ringpose.measure.stream import track_options
-        from ringpose.track.explanations import Gripper
 
-        options, radial_m, tilt_deg = track_options(assumed), self.gripper_radial_m, self.gripper_tilt_deg
-        if radial_m is not None and tilt_deg is not None:
-            options = replace(options, gripper=Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg)))
-        elif radial_m is not None or tilt_deg is not None:
-            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
-            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
+        options = replace(track_options(assumed), gripper=self._gripper())
         if self.predict_for is not None:
             options = replace(options, predict_for_s=self.predict_for)
         if self.lost_after is not None:
@@ -89,6 +86,21 @@ class TrackSettings:
             if value == 0:
                 raise UsageError(option, "is 0, but a track is of a target that may move", "give more, or leave it out")
         return options
+
+    def _gripper(self) -> "Gripper | None":
+        """The limits of the gripper, if they are given."""
+        from ringpose.track.explanations import Gripper
+
+        radial_m, tilt_deg = self.gripper_radial_m, self.gripper_tilt_deg
+        if radial_m is not None and radial_m > MAX_GRIPPER_M:
+            found = f"is {radial_m:g} m, must be at most {MAX_GRIPPER_M:g}"
+            raise UsageError("--gripper-radial-m", found, f"give metres: {radial_m / 1000:g} if it is in millimetres")
+        if radial_m is None and tilt_deg is None:
+            return None
+        if radial_m is None or tilt_deg is None:
+            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
+            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
+        return Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg))
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":

@@ -62,6 +62,12 @@ _PARTS = (
 
 _KEYS = ("ringpose", "rig", "seed", *_NUMBERS, *_PARTS)
 
+MAX_SHOTS = 1_000_000
+"""Maximum number of shots of a view: a day of shots, one every 0.1 s."""
+
+MAX_COUNT = 10_000
+"""Maximum number of random poses of a set."""
+
 NO_RING = RingShape(profile_m=np.array([[0.575, 0.0], [0.597, 0.0]]))
 """Where the ring of a target without a ring would be: poses of views refer to it."""
 
@@ -78,6 +84,8 @@ def read_scene(path: Path) -> Scene:
         lights = {str(name): _light(named, str(name), space) for name in named.values}
     lasers = len(rig.lasers.names)
     values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
+    if values.get("exposure_s") == 0:
+        raise fields.problem("exposure_s", "is 0: the images would be black", "give seconds, such as 0.005")
     values |= fields.given(_RECORDS, lambda key: numbers_of(fields, key, _RECORDS[key]))
     values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
     values["views"], values["approaches"] = _views(fields, tuple(lights))
@@ -109,7 +117,7 @@ def _target_and_motion(fields: Fields, folder: Path) -> dict[str, Any]:
     if fields.has("motion"):
         motion = fields.fields("motion", MOTION_KEYS)
         values["motion"] = read_motion(motion, *_inertia_and_center(fields, target, body), folder)
-        values["shots"] = motion.integer("shots", least=1) if motion.has("shots") else 1
+        values["shots"] = motion.integer("shots", least=1, most=MAX_SHOTS) if motion.has("shots") else 1
     return values
 
 
@@ -378,7 +386,8 @@ def _approach(entry: Fields, lights: tuple[str, ...]) -> Approach:
 
 def _random_set(entry: Fields) -> dict[str, Any]:
     """The values that random sets of ring views and of board views have in common."""
-    values: dict[str, Any] = entry.given(("count", "seed"), lambda key: entry.integer(key, least=0))
+    values: dict[str, Any] = entry.given(("count",), lambda key: entry.integer(key, least=1, most=MAX_COUNT))
+    values |= entry.given(("seed",), lambda key: entry.integer(key, least=0))
     values |= entry.given(_ANGLES, lambda key: _angle(entry, key, 1.2))
     values |= entry.given(("offset",), lambda key: entry.number(key, least=0, most=0.5))
     if entry.has("distances_m"):
