@@ -1,4 +1,4 @@
-"""Plain text of a manual page, from the macros of mdoc(7) that ringpose's pages use."""
+"""Plain text of a manual page, from the macros of mdoc(7) that ringpose's pages use, and plain tables of tbl(7)."""
 
 import re
 import shlex
@@ -19,7 +19,7 @@ ENCLOSURES = {
     "Ql": ("\N{LEFT SINGLE QUOTATION MARK}", "\N{RIGHT SINGLE QUOTATION MARK}"),
 }
 BRACKETS = {"Oo": ("[", GLUE), "Oc": (GLUE, "]"), "Po": ("(", GLUE), "Pc": (GLUE, ")")}
-PLAIN = frozenset({"Ar", "Cm", "Em", "Ic", "Li", "No", "Pa", "Sx", "Va"})
+PLAIN = frozenset({"Ar", "Cm", "Em", "Ic", "Li", "No", "Pa", "Sx", "Sy", "Va"})
 """Macros that only change the typeface."""
 
 CALLABLE = PLAIN | ENCLOSURES.keys() | BRACKETS.keys() | {"Fl", "Fn", "Nm", "Ns", "Ta", "Xr"}
@@ -53,6 +53,8 @@ def plain_text(source: str, width: int = 78) -> str:
     page = _Page(width)
     for line in source.splitlines():
         if line.startswith(('.\\"', "'\\\"")):
+            continue
+        if page.table_line(line):
             continue
         if line.startswith(".") and not page.literal_line(line):
             page.macro(*_split(line[1:]))
@@ -161,11 +163,39 @@ class _Page:
         """Indents of the lists and displays around the current one."""
         self._lists: list[_List] = []
         self._rows: list[list[str]] = []
+        self._table: list[str] | None = None
+        """The lines since `.TS`: formats, the last of them with a point at its end, and rows of cells between tabs."""
         self._is_literal = False
 
     def literal_line(self, line: str) -> bool:
         """Whether the line is an example's although it begins with a point; `.Ed` ends the example."""
         return self._is_literal and line.split()[0] != ".Ed"
+
+    def table_line(self, line: str) -> bool:
+        """Whether the line belongs to a table, which is written at its `.TE`."""
+        if line == ".TS":
+            self.flush()
+            self._gap()
+            self._table = []
+        elif self._table is None:
+            return False
+        elif line == ".TE":
+            self._write_table(self._table)
+            self._table = None
+        else:
+            self._table.append(line)
+        return True
+
+    def _write_table(self, lines: list[str]) -> None:
+        """Rows of cells, each column as wide as its longest cell, aligned as its last format states: l or r."""
+        first_row = next(number for number, line in enumerate(lines, 1) if line.endswith("."))
+        aligned = [str.rjust if key.startswith("r") else str.ljust for key in lines[first_row - 1].split()]
+        rows = [[unescaped(cell) for cell in line.split("\t")] for line in lines[first_row:]]
+        widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+        for row in rows:
+            cells = [align(cell, width) for align, cell, width in zip(aligned, row, widths, strict=True)]
+            self.lines.append((" " * self._indent + "  ".join(cells)).rstrip())
+        self.lines.append("")
 
     def text(self, line: str) -> None:
         """A line without a macro."""
@@ -285,10 +315,10 @@ class _Page:
     def _on_el(self) -> None:
         self.flush()
         if self._lists.pop().kind == "column":
-            self._table()
+            self._columns()
         self._indent = self._outer.pop()
 
-    def _table(self) -> None:
+    def _columns(self) -> None:
         """The rows of a list of columns, each column as wide as its longest cell but the last, which is filled."""
         self._gap()
         widths = [max(map(len, cells)) + 2 for cells in zip(*self._rows, strict=True)]
