@@ -24,7 +24,7 @@ export PYTHONDONTWRITEBYTECODE =
 # As the commands do: the matrices are small, and threads that share them mostly wait for each other (tests 3:08 -> 2:48).
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden results structure test test-slow test-lowest \
+.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden man-tables results structure test test-slow test-lowest \
   test-baseline-cpu test-other-cpu check lint types layers man clean
 
 help:
@@ -35,6 +35,7 @@ help:
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make golden       show which lines of the rendered shots have changed, and make today's the golden ones"
 	@echo "make results      the tables and charts of the page on results: studies and shared renders, about an hour"
+	@echo "make man-tables   write the manual's tables of flags from the code"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
 	@echo "make test-baseline-cpu  the numeric fast tests as on a processor without AVX, also in the kernels (x86-64)"
@@ -74,6 +75,9 @@ compare-baseline: $(STAMP)
 
 baseline: $(STAMP)
 	$(BIN)/python tests/benchmarks/compare_baseline.py --renew
+
+man-tables: $(STAMP)
+	$(BIN)/python tests/manual_tables.py
 
 golden: $(STAMP)
 	$(BIN)/python tests/golden_lines.py --renew

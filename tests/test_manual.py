@@ -12,7 +12,6 @@ import typer
 from needed import needed_program
 
 from ringpose import errors
-from ringpose.bench.score import FLAGS_OF_QUANTITY
 from ringpose.cli.app import app
 from ringpose.cli.main import COMMANDS
 from ringpose.types.detection import NoBreakPoints
@@ -164,17 +163,6 @@ def test_paths_that_the_page_on_extending_names_exist():
     assert len(paths) > 15
     missing = [path for path in paths if "/" in path and not (root / path.rstrip(":,;")).exists()]
     assert missing == []
-
-
-def test_the_table_of_flags_forbids_the_quantities_that_a_flag_excuses():
-    rows = re.findall(
-        r"^\.It Cm (\w+) Ta (.*) Ta (.*) Ta (.*)$", (MANUAL / "ringpose-records.5").read_text(), re.MULTILINE
-    )
-
-    assert [name for name, *_ in rows] == [str(flag.name).lower() for flag in PoseFlag]
-    for name, *cells in rows:
-        may_be_used = [not PoseFlag[name.upper()] & FLAGS_OF_QUANTITY[each] for each in ("grasp", "normal", "center")]
-        assert [cell == "yes" for cell in cells] == may_be_used, name
 
 
 TROUBLESHOOTING = MANUAL / "ringpose-troubleshooting.7"

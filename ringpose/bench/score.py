@@ -23,6 +23,7 @@ from ringpose.estimate.pose_errors import (
     truth_at,
 )
 from ringpose.geometry.rotations import angle_between, tilt_basis
+from ringpose.measure.status import flags_forbidding
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, Status
@@ -43,16 +44,10 @@ Those of the grasp point are along the normal and radial, those of the velocity 
 
 WITH_NEES = ("center", "normal", "velocity")
 
-_ALL = PoseFlag.INCONSISTENT | PoseFlag.ASSIGNMENT_AMBIGUOUS
-_RADII = PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED
 FLAGS_OF_QUANTITY: Mapping[str, PoseFlag] = MappingProxyType(
     {
-        "center": _ALL | _RADII | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN,
-        "normal": _ALL | PoseFlag.NORMAL_WEAK,
-        "grasp": _ALL | PoseFlag.GRASP_WEAK,
-        "radius_inner": _ALL | _RADII | PoseFlag.RADIUS_WEAK,
-        "radius_outer": _ALL | _RADII | PoseFlag.RADIUS_WEAK,
-        "velocity": _ALL | PoseFlag.VELOCITY_WEAK,
+        name: flags_forbidding(name.removesuffix("_inner").removesuffix("_outer"))
+        for name in ("center", "normal", "grasp", "radius_inner", "radius_outer", "velocity")
     }
 )
 """The flags that name each quantity."""

@@ -114,7 +114,7 @@ class PosePictures:
     def _keep_worst(self, line: "PoseLine", picture: "UInt8[Array, 'row column 3']") -> None:
         import cv2
 
-        from ringpose.pose.pipeline import remarks_on
+        from ringpose.pose.advice import remarks_on
         from ringpose.report.page import Picture
         from ringpose.report.poses import badness
 

@@ -238,7 +238,7 @@ def _write(
     verbose: bool,
 ) -> None:
     """Write each line as it comes, with what the stream has shown about the rig, then draw the line's picture."""
-    from ringpose.pose.pipeline import remarks_on
+    from ringpose.pose.advice import remarks_on
 
     for measured in found:
         for warning in measured.warnings:

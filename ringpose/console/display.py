@@ -14,7 +14,7 @@ from viser import uplot
 
 from ringpose.console.controls import Choice, Control, Number, Switch, Value
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.pipeline import remarks_on
+from ringpose.pose.advice import remarks_on
 from ringpose.report.overlay import color_of, pose_texts
 from ringpose.simulate.target.parts import body_part, ring_part
 from ringpose.types.arrays import Array, Float64

@@ -50,7 +50,7 @@ from ringpose.types.detection import (
     Rejection,
     outside_image,
 )
-from ringpose.types.pose import PoseFlag
+from ringpose.types.finding import Finding
 from ringpose.types.rig import Camera, Rig
 
 KINK_LEVEL = 0.25
@@ -135,7 +135,7 @@ def without_outliers(
     if best is None or not best.side_known:
         flags[points.seen.any(axis=1)] |= int(BreakPointFlag.EDGE_UNKNOWN)
     left_out = np.zeros(points.flags.shape, dtype=bool)
-    clear = best is not None and not best.competing and PoseFlag.INCONSISTENT not in best.flag
+    clear = best is not None and not best.competing and Finding.UNEXPLAINED not in best.findings
     rejected = tuple(each for each in best.rejected if each.what in ("point", "stripe")) if best and clear else ()
     for each in rejected:
         laser = rig.lasers.names.index(each.laser or "")

@@ -46,8 +46,8 @@ from ringpose.types.detection import (
     Stripes,
     joined_edge_points,
 )
+from ringpose.types.finding import Finding
 from ringpose.types.image import Shot
-from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
 
 PREDICTED_SIGMA_PX = 1.3
@@ -240,7 +240,7 @@ def _contradict(
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, edges, camera=camera)
         best = decision(measured, prior, labelled=points.labelled, edges_named=named)
-    return best is None or bool(best.rejected) or PoseFlag.INCONSISTENT in best.flag
+    return best is None or bool(best.rejected) or Finding.UNEXPLAINED in best.findings
 
 
 def _edges_in_frame(

@@ -42,7 +42,8 @@ from ringpose.estimate.solver import (
 )
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, MovingRing, Rates, RingArcs, motion_derivatives
 from ringpose.types.detection import JudgedRing, Rejection
-from ringpose.types.pose import KnownRadii, PoseFlag
+from ringpose.types.finding import Finding
+from ringpose.types.pose import KnownRadii
 
 ALARM_SIGMAS = 3.0
 """Limit of the chi-squared test as a normal quantile: one right shot in seven hundred exceeds it by chance."""
@@ -71,8 +72,8 @@ STRAIGHT_SIGMAS = 3.0
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
 
-WIDER = PoseFlag.MOTION | PoseFlag.RING_FORM
-"""Flags of explanations that reject nothing but need a wider prior."""
+WIDER = Finding.FASTER | Finding.NOT_ROUND
+"""Findings of explanations that reject nothing but need a wider prior."""
 
 EDGE_NUMBERS = 8.0
 """Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
@@ -125,7 +126,7 @@ class Explanation:
     """The measurements that it uses."""
     prior: Prior
     estimate: Estimate
-    flag: PoseFlag
+    findings: Finding
     remark: str
     penalty: float
     """Penalty in chi-squared for what was rejected."""
@@ -225,7 +226,7 @@ def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measuremen
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:
     """The best explanation with the radii of the prior or, if the shot contradicts them, without."""
     best = _better_side(measured, prior, guess, search)
-    if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
+    if prior.radii is None or best is None or Finding.WRONG_RADIUS in best.findings:
         return best
     # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
     alone = _better_side(measured, prior._replace(radii=None), None, search)
@@ -233,7 +234,7 @@ def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, searc
         return best
     return replace(
         alone,
-        flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
+        findings=alone.findings | Finding.WRONG_RADIUS,
         remark=RADIUS_REMARK,
         rejected=(*alone.rejected, Rejection(what="radius")),
     )
@@ -297,7 +298,7 @@ def _left_out(explanation: Explanation) -> frozenset[tuple[str, str | None, bool
 def _is_unique(best: Explanation) -> bool:
     """Whether an explanation rejects nothing, and no prior prefers one side of the ring: it has a single optimum."""
     prior = best.estimate.prior
-    plain = best.everything is not None and best.everything[1] is best.estimate and not best.flag
+    plain = best.everything is not None and best.everything[1] is best.estimate and not best.findings
     return plain and prior.regularize_about is None and not prior.single_edge and prior.radii is None
 
 
@@ -353,7 +354,7 @@ def _explained(
 def _with_form(best: Solved, search: Search) -> Solved:
     """The explanation, with the smallest deviation of the ring's form that its edges and stripes do not contradict."""
     hypothesis, estimate = best.hypothesis, best.estimate
-    if not search.for_pose or hypothesis.flag & (WIDER | PoseFlag.INCONSISTENT):
+    if not search.for_pose or hypothesis.findings & (WIDER | Finding.UNEXPLAINED):
         return best
     deviation_m = max(WIDER_BY * hypothesis.prior.assumptions.ring_tolerance_m, MIN_DEVIATION_M)
     found = best
@@ -405,7 +406,7 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas:
     if not is_ring and not hypothesis.both:
         return None
     wider = 0.0
-    if everything is not None and hypothesis.flag & WIDER:
+    if everything is not None and hypothesis.findings & WIDER:
         # the likelihood of a wider prior: what it explains, less all that it could have explained
         assumed: Estimate | None = everything.estimate
         if hypothesis.measured is not everything.hypothesis.measured:  # a frame was left out as well
@@ -429,7 +430,7 @@ def _select(
         remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
         if best.hypothesis.remark:
             remark = f"{best.hypothesis.remark}, but the rest disagrees, too"
-        inconsistent = best.hypothesis._replace(flag=best.hypothesis.flag | PoseFlag.INCONSISTENT, remark=remark)
+        inconsistent = best.hypothesis._replace(findings=best.hypothesis.findings | Finding.UNEXPLAINED, remark=remark)
         competing = [each for each in near if each is not best and each.score < best.score]
         return Solved(inconsistent, best.estimate), competing
     return best, competing
@@ -442,23 +443,23 @@ def _margin(best: Solved, other: Solved) -> float:
     degree of freedom, and a priori each of the three is as likely to be wrong. The same holds for visible edges: one
     stripe that was found elsewhere contradicts them, while three stripes alone still agree with some ring.
     """
-    both_reject = PoseFlag.STRIPE_REJECTED in best.hypothesis.flag & other.hypothesis.flag
+    both_reject = Finding.WRONG_STRIPE in best.hypothesis.findings & other.hypothesis.findings
     two_left = len(best.hypothesis.measured.stripes) <= STRIPES_OF_A_PLANE
-    without_edges = PoseFlag.EDGE_REJECTED in best.hypothesis.flag
+    without_edges = Finding.WRONG_EDGES in best.hypothesis.findings
     return MORE_CLEARLY if (both_reject and two_left) or without_edges else CLEARLY
 
 
 def _explanation(best: Solved, everything: Solved | None, competing: Sequence[Solved]) -> Explanation:
     hypothesis = best.hypothesis
     reduction = nan if everything is None else everything.estimate.chi2 - best.estimate.chi2
-    flag = hypothesis.flag
+    findings = hypothesis.findings
     for each in competing:  # another assignment of the lasers is possible
-        flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
+        findings |= each.hypothesis.findings & Finding.WRONG_LASERS
     return Explanation(
         measured=hypothesis.measured,
         prior=hypothesis.prior,
         estimate=best.estimate,
-        flag=flag,
+        findings=findings,
         remark=hypothesis.remark,
         penalty=hypothesis.penalty,
         rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
@@ -476,7 +477,7 @@ def _single_stripes(solved: Solved) -> list[Solved]:
     Visible edges are further evidence: for a common ring, or, if they were rejected, against it.
     """
     measured = solved.hypothesis.measured
-    edges_contradict = PoseFlag.EDGE_REJECTED in solved.hypothesis.flag
+    edges_contradict = Finding.WRONG_EDGES in solved.hypothesis.findings
     if len(measured.edges.edge) or len(measured.stripes) != STRIPES_OF_A_PLANE:
         return []
     measured = measured.once()
@@ -486,7 +487,7 @@ def _single_stripes(solved: Solved) -> list[Solved]:
         if edges_contradict or ring_evidence(estimate, measured, laser) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
-            hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
+            hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, rejected=rejected, laser=laser)
             found.append(Solved(hypothesis, estimate))
     return found
 
@@ -496,7 +497,7 @@ def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int
 
     Which of the two ends is off then depends on the ring's curvature.
     """
-    points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
+    points = [each for each in near if each.hypothesis.findings == Finding.WRONG_POINT and not each.hypothesis.both]
     lasers = {each.hypothesis.laser for each in points}
     if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
         return both_ends(lasers.pop())
@@ -509,7 +510,7 @@ def _nested(best: Solved, other: Solved) -> bool:
     Such explanations do not contradict each other.
     """
     first, second = best.hypothesis, other.hypothesis
-    whole = first.both or second.both or PoseFlag.STRIPE_REJECTED in first.flag | second.flag
+    whole = first.both or second.both or Finding.WRONG_STRIPE in first.findings | second.findings
     return whole and first.laser == second.laser >= 0
 
 
@@ -519,7 +520,7 @@ def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | N
     What occluded one end may have occluded both; the other end is used only if the rest confirms the curvature.
     """
     hypothesis = best.hypothesis
-    if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both or hypothesis.cause_seen:
+    if hypothesis.findings != Finding.WRONG_POINT or hypothesis.both or hypothesis.cause_seen:
         return best
     without = both_ends(hypothesis.laser)
     if without is None:

@@ -17,7 +17,7 @@ from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, fixed_co
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
-from ringpose.types.pose import PoseFlag
+from ringpose.types.finding import NOTHING, Finding
 
 PARAMETER_PENALTY = 4.0
 """Penalty in chi-squared for each rejected number; by chance, rejecting one lowers chi-squared by 1."""
@@ -62,7 +62,7 @@ class Hypothesis(NamedTuple):
 
     measured: Measurements
     prior: Prior
-    flag: PoseFlag = PoseFlag(0)
+    findings: Finding = NOTHING
     remark: str = ""
     penalty: float = 0.0
     """Penalty in chi-squared."""
@@ -87,12 +87,12 @@ def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> 
     if len(measured.edges.edge):
         remark = "the visible edges contradict the stripes and were left out"
         penalty = OUTLIER_PENALTY + 2 * PARAMETER_PENALTY
-        flag, rejected = PoseFlag.EDGE_REJECTED, (Rejection(what="edge"),)
-        yield Hypothesis(measured.without_edges(), prior, flag, remark, penalty, rejected)
+        finding, rejected = Finding.WRONG_EDGES, (Rejection(what="edge"),)
+        yield Hypothesis(measured.without_edges(), prior, finding, remark, penalty, rejected)
     if prior.radii is not None:
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY  # one cause: the wrong ring was named
-        flag, rejected = PoseFlag.RADIUS_INCONSISTENT, (Rejection(what="radius"),)
-        yield Hypothesis(measured, prior._replace(radii=None), flag, RADIUS_REMARK, penalty, rejected)
+        finding, rejected = Finding.WRONG_RADIUS, (Rejection(what="radius"),)
+        yield Hypothesis(measured, prior._replace(radii=None), finding, RADIUS_REMARK, penalty, rejected)
     yield from _wider_priors(measured, prior)
 
 
@@ -108,13 +108,13 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
         )
         remark = "the target moved within the shot" if motion is None else "the target moves faster than assumed"
         assumptions = replace(prior.assumptions, motion=faster)
-        yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, OUTLIER_PENALTY)
+        yield Hypothesis(measured, prior._replace(assumptions=assumptions), Finding.FASTER, remark, OUTLIER_PENALTY)
         once = measured.once()
         left_out = len(measured.points.x) - len(once.points.x) + 2 * (len(measured.lines.laser) - len(once.lines.laser))
         if left_out:
             remark = "the frame with all lasers contradicts those with one; it was left out"
             penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * left_out
-            yield Hypothesis(once, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, penalty)
+            yield Hypothesis(once, prior._replace(assumptions=assumptions), Finding.FASTER, remark, penalty)
     yield with_deviation(Hypothesis(measured, prior), max(WIDER_BY * tolerance_m, MIN_DEVIATION_M))
 
 
@@ -123,14 +123,14 @@ def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:
     assumptions = replace(hypothesis.prior.assumptions, ring_tolerance_m=deviation_m)
     return hypothesis._replace(
         prior=hypothesis.prior._replace(assumptions=assumptions),
-        flag=hypothesis.flag | PoseFlag.RING_FORM,
+        findings=hypothesis.findings | Finding.NOT_ROUND,
         remark="; ".join(filter(None, [hypothesis.remark, RING_FORM_REMARK])),
         penalty=hypothesis.penalty + OUTLIER_PENALTY,
     )
 
 
 def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
-    points, flag = measured.points, PoseFlag.POINT_REJECTED
+    points, finding = measured.points, Finding.WRONG_POINT
     for laser in sorted(set(points.laser.tolist())):
         of_laser, name = np.flatnonzero(points.laser == laser), measured.rig.lasers.names[laser]
         rejected = tuple(
@@ -143,12 +143,12 @@ def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
             occluded = bool(points.beside_occluder[number])
             penalty = PARAMETER_PENALTY + (OCCLUDED_PENALTY if occluded else OUTLIER_PENALTY)
             alone = occluded and int(points.beside_occluder[of_laser].sum()) == 1
-            yield Hypothesis(rest, prior, flag, remark, penalty, (rejection,), laser, cause_seen=alone)
+            yield Hypothesis(rest, prior, finding, remark, penalty, (rejection,), laser, cause_seen=alone)
         if len(of_laser) > 1:
             rest = measured.with_points(points.laser != laser)
             remark = f"a break point of laser {name} contradicts the others; both were left out"
             penalty = BOTH_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
-            yield Hypothesis(rest, prior, flag, remark, penalty, tuple(dict.fromkeys(rejected)), laser, both=True)
+            yield Hypothesis(rest, prior, finding, remark, penalty, tuple(dict.fromkeys(rejected)), laser, both=True)
 
 
 def _wrong_stripes(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
@@ -158,7 +158,7 @@ def _wrong_stripes(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
         remark = f"the stripe of laser {name} contradicts the others and was left out"
         rejected = (Rejection(what="stripe", laser=name),)
-        yield Hypothesis(rest, prior, PoseFlag.STRIPE_REJECTED, remark, penalty, rejected, laser)
+        yield Hypothesis(rest, prior, Finding.WRONG_STRIPE, remark, penalty, rejected, laser)
 
 
 def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
@@ -170,7 +170,7 @@ def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> 
             remark = f"the stripes fit one ring only as those of lasers {fitting}, not {given}"
             penalty = RELABEL_PENALTY if labelled else OUTLIER_PENALTY
             rejected = (Rejection(what="assignment"),)
-            yield Hypothesis(changed, prior, PoseFlag.ASSIGNMENT_AMBIGUOUS, remark, penalty, rejected)
+            yield Hypothesis(changed, prior, Finding.WRONG_LASERS, remark, penalty, rejected)
 
 
 def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:

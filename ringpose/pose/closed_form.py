@@ -21,11 +21,13 @@ from ringpose.geometry.circles import arc_crossings, arc_equations, nearest_cros
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
 from ringpose.geometry.rays import GRAZING, nearest_plane, project
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.measure.status import flags_of
 from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPoints
+from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.options import Method
-from ringpose.types.pose import NoPose, PoseFlag, RingPoints, RingPose
+from ringpose.types.pose import NoPose, RingPoints, RingPose
 from ringpose.types.rig import Rig
 
 MILLIMETRES = 1000.0
@@ -119,7 +121,7 @@ def closed_form_pose(
         covariance=None if covariance is None else covariance.parameters,
         covariance_center_m2=None if covariance is None else covariance.center_m2,
         covariance_grasp_m2=None if covariance is None else covariance.grasp_m2,
-        flags=pose_flags(form, covariance),
+        flags=flags_of(what_is_open(form, covariance)),
     )
 
 
@@ -201,22 +203,22 @@ def _nan_if_grazing(length: Float64[Array, "n"]) -> Float64[Array, "n"]:
     return np.where(length > GRAZING, length, np.nan)
 
 
-def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
-    """Flags of a pose (a batch of one); the centre of damped equations is weak, independently of its covariance."""
+def what_is_open(form: ClosedForm, covariance: PoseCovariance | None) -> Finding:
+    """What a pose (a batch of one) leaves open: of damped equations the centre, whatever its covariance is."""
     radii_m = form.radius_m[0]
     smallest_m = float(np.nanmin(radii_m))
-    flags = PoseFlag(0)
+    findings = NOTHING
     if form.damped[0]:
-        flags |= PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
+        findings |= Finding.CENTER_OPEN | Finding.RADIUS_OPEN
     if np.isnan(radii_m).any():
-        flags |= PoseFlag.RADIUS_WEAK
+        findings |= Finding.RADIUS_OPEN
     if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:
-        flags |= PoseFlag.CENTER_WEAK
+        findings |= Finding.CENTER_OPEN
     if covariance is not None and exceeds_sd(covariance.center_m2, WEAK_SD * smallest_m):
-        flags |= PoseFlag.CENTER_WEAK
+        findings |= Finding.CENTER_OPEN
     if covariance is not None and bool((np.diag(covariance.parameters)[5:] > (WEAK_SD * smallest_m) ** 2).any()):
-        flags |= PoseFlag.RADIUS_WEAK
-    return flags
+        findings |= Finding.RADIUS_OPEN
+    return findings
 
 
 def paper_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:

@@ -19,8 +19,10 @@ from ringpose.estimate.nuisance import (
     total_covariance,
 )
 from ringpose.geometry.rotations import tilt_basis, tilted
+from ringpose.measure.status import with_findings
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
+from ringpose.types.finding import Finding
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import PLANE_PARAMETERS, PlaneCorrection, Rig, laser_parameters
 
@@ -87,12 +89,9 @@ class DriftMonitor:
         """The line with the flags of a drift that earlier shots have shown."""
         if not self._reason:
             return line
-        flags = line.flags | PoseFlag.RIG_DRIFT
-        if not self._corrected or PoseFlag.RIG_UNCHECKED in line.flags:
-            flags |= PoseFlag.INCONSISTENT
-        reason = "; ".join(filter(None, [line.reason, self._reason]))
-        pose = None if line.pose is None else replace(line.pose, flags=line.pose.flags | flags)
-        return replace(line, flags=flags, pose=pose, reason=reason)
+        is_checked = self._corrected and PoseFlag.RIG_UNCHECKED not in line.flags
+        findings = Finding.PLANE_MOVED if is_checked else Finding.PLANE_MOVED | Finding.RIG_DOUBTED
+        return with_findings(line, findings, self._reason)
 
     def _judge(self, chi2: Float64[Array, "laser"], line: PoseLine) -> None:
         """Name and correct a plane that has moved, or report that the rig has changed."""

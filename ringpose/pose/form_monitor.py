@@ -6,15 +6,16 @@ changes the radius that a short arc shows by up to (k^2 - 1) a: 8 a for order 3.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import log, sqrt
 
 import numpy as np
 
 from ringpose.estimate.explanation import chi2_quantile
+from ringpose.measure.status import with_findings
 from ringpose.pose.drift import FALSE_ALARM_SIGMAS, SHOTS_KEPT, STREAM_SHOTS
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import PoseFlag, PoseLine
+from ringpose.types.finding import Finding
+from ringpose.types.pose import PoseLine
 
 SAME_RING = 0.1
 """Relative difference of the mean radii up to which shots show the same ring: rings of other types differ by more."""
@@ -63,9 +64,7 @@ class FormMonitor:
     def _flagged(self, line: PoseLine) -> PoseLine:
         if not self._reason or line.pose is None:
             return line
-        flags = line.flags | PoseFlag.RING_FORM | PoseFlag.INCONSISTENT
-        reason = "; ".join(filter(None, [line.reason, self._reason]))
-        return replace(line, flags=flags, pose=replace(line.pose, flags=line.pose.flags | flags), reason=reason)
+        return with_findings(line, Finding.RADII_DIFFER, self._reason)
 
     def _finding(self) -> str:
         """The reason why the ring is not round; empty if the radii agree."""

@@ -47,17 +47,18 @@ from ringpose.estimate.residuals import Estimate, Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
+from ringpose.measure import status
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, JudgedRing, Rejection, RingEdgePoints
+from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.options import Method
 from ringpose.types.pose import (
     KnownRadii,
     NoPose,
     PlaneEvidence,
-    PoseFlag,
     PoseResult,
     Priors,
     RadiusPrior,
@@ -67,17 +68,12 @@ from ringpose.types.pose import (
 )
 from ringpose.types.rig import Rig
 
-RIG_SUSPECT = PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT | PoseFlag.RING_FORM | PoseFlag.MOTION
-"""Flags of an explanation for which an error of the rig is an alternative."""
+RIG_SUSPECT = Finding.WRONG_STRIPE | Finding.UNEXPLAINED | Finding.NOT_ROUND | Finding.FASTER
+"""Findings of an explanation for which an error of the rig is an alternative."""
 
 VERIFIED_BELOW = 0.01 / RADIUS_SIGMAS
 """Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified: an
 error of 1 % then contradicts the shot. With 1 % here, radii up to 4 % off were neither contradicted nor flagged."""
-
-ALL_WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
-"""Flags of all quantities but the velocity: of a pose whose ring may not be one, or whose errors are not known."""
-NOT_TIMED = "the frames have no time stamps of their own: give --still if the target was still"
-"""Reason of the flags of a switched shot without stamps whose target may have moved."""
 
 CURVED_SIGMAS = 3.0
 """Curvature in standard deviations from which a shot shows a ring, not a straight bar."""
@@ -113,7 +109,8 @@ def most_likely_pose(
     unusable = _unusable(measured, camera)
     if unusable is not None:
         return without(unusable)
-    assumptions, untimed = _timed(break_points, assumptions, moving=camera is not None)
+    untimed = _untimed(break_points, assumptions, moving=camera is not None)
+    assumptions = replace(assumptions, motion=None) if untimed else assumptions
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     flags_seen = break_points.flags[measured.points.laser, measured.points.edge]
     named = not bool((flags_seen & int(BreakPointFlag.EDGE_UNKNOWN)).any())
@@ -131,17 +128,18 @@ def most_likely_pose(
                 assumptions = replace(assumptions, ring_tolerance_m=ring.tolerance_m)
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
-    result = _result(best, source)
-    flags, remark = untimed or _displaced(rejected) or _ring_flags(best, break_points)
-    result = replace(result, flags=result.flags | flags, remark="; ".join(filter(None, [result.remark, remark])))
-    result = result if untimed or break_points.labelled else _confirmed(result, best, flags)
+    result, findings = _result(best, source)
+    displaced = _displaced(rejected)
+    doubts = untimed or (Finding.DISPLACED_STRIPE if displaced else _doubts(best, break_points))
+    remark = "; ".join(filter(None, [result.remark, status.doubted(doubts, displaced)]))
+    result = result if untimed or break_points.labelled else _confirmed(result, best, doubts)
     rejected = (*rejected, *result.rejected)
-    states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
-    flags |= result.flags
-    if isinstance(result.pose, NoPose):
-        return replace(result, flags=flags, lasers=states, rejected=rejected)
-    pose = replace(result.pose, flags=flags, ring_posterior=posterior)
-    return replace(result, pose=pose, flags=flags, lasers=states, rejected=rejected)
+    states, in_view = seen_lasers(best, break_points, rig, lasers_on, rejected)
+    flags = status.flags_of(findings | doubts | in_view)
+    pose = result.pose
+    if not isinstance(pose, NoPose):
+        pose = replace(pose, flags=flags, ring_posterior=posterior)
+    return replace(result, pose=pose, flags=flags, remark=remark, lasers=states, rejected=rejected)
 
 
 def _unusable(measured: Measurements, camera: CameraMotion | None) -> NoPose | None:
@@ -165,14 +163,13 @@ def _why_no_estimate(measured: Measurements) -> NoPose:
     return NoPose.UNTRIANGULATED if bool((grazing | behind).any()) else NoPose.NOT_FINITE
 
 
-def _result(best: Explanation, source: str) -> PoseResult:
-    """The pose of the best explanation, with everything that is not determined set to NaN and flagged."""
+def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
+    """The pose of the best explanation, with NaN for what is not determined, and the findings about it."""
     estimate, measured = best.estimate, best.measured
     found = quantities(estimate)
     covariance = _covariance(best, found)
     result = PoseResult(
         pose=NoPose.NOT_FINITE,
-        flags=best.flag,
         remark=best.remark,
         stamp_s=measured.reference_s,
         priors=_priors(best, found, source),
@@ -180,129 +177,132 @@ def _result(best: Explanation, source: str) -> PoseResult:
         plane_evidence=_plane_evidence(best),
     )
     if not bool(np.isfinite(covariance).all()):
-        return result
+        return result, best.findings
     bias_m = second_order_bias_m(covariance, estimate, found)
     covariance = with_second_order(covariance, bias_m, estimate, found)
     origin = estimate.arcs.origin
     if abs(float(origin @ found.normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
-        return replace(result, pose=NoPose.EDGE_ON)
+        return replace(result, pose=NoPose.EDGE_ON), best.findings
     reported = _determined(best, found, covariance)
     if not reported.grasp and not reported.normal:
-        if best.differing:
-            return replace(result, pose=NoPose.AMBIGUOUS)
-        collinear = len(set(measured.points.laser.tolist())) > 1
-        return replace(result, pose=NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED)
-    flags = best.flag | _weak_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
+        return replace(result, pose=_why_nothing(best)), best.findings
+    findings = best.findings | _open(estimate, found, covariance, reported, bias_m) | _unverified(best)
     pose = replace(
         _reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured),
         remark=best.remark,
     )
     if not measured.has_covariances:
-        unknown = PoseFlag(0) if best.prior.assumptions.motion is None else PoseFlag.VELOCITY_WEAK
-        return replace(result, pose=pose, flags=flags | ALL_WEAK | unknown)
-    velocity, of_velocity = _velocity(best, found, flags)
+        return replace(result, pose=pose), findings | Finding.NO_ERRORS | _open_velocity(best)
+    velocity, of_velocity = _velocity(best, found, findings)
     measurement = ring_measurement(estimate, measured, found)
-    return replace(result, pose=pose, flags=flags | of_velocity, velocity=velocity, measurement=measurement)
+    return replace(result, pose=pose, velocity=velocity, measurement=measurement), findings | of_velocity
 
 
-def _velocity(best: Explanation, found: Quantities, flags: PoseFlag) -> tuple[RingVelocity | None, PoseFlag]:
-    """The velocity, with the mean and variance of the prior where the shot does not determine it, and its flags.
+def _why_nothing(best: Explanation) -> NoPose:
+    """Why neither the plane nor a grasp point is determined."""
+    if best.differing:
+        return NoPose.AMBIGUOUS
+    collinear = len(set(best.measured.points.laser.tolist())) > 1
+    return NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED
+
+
+def _open_velocity(best: Explanation) -> Finding:
+    """That the velocity cannot be relied on, if there is one: a target that is assumed to be still has none."""
+    return NOTHING if best.prior.assumptions.motion is None else Finding.VELOCITY_OPEN
+
+
+def _velocity(best: Explanation, found: Quantities, findings: Finding) -> tuple[RingVelocity | None, Finding]:
+    """The velocity, with the mean and variance of the prior where the shot does not determine it, and its findings.
 
     The velocity of the centre depends on the side of the centre, and on the radius: within the errors of an unknown
     radius not linearly.
     """
     velocity = ring_velocity(best.estimate, found)
     if velocity is None:
-        return None, PoseFlag(0)
+        return None, NOTHING
     if "velocity" in best.differing or not best.side_known:
-        return None, PoseFlag.VELOCITY_WEAK
-    return velocity, PoseFlag.VELOCITY_WEAK if PoseFlag.CENTER_WEAK in flags else PoseFlag(0)
+        return None, Finding.VELOCITY_OPEN
+    return velocity, Finding.VELOCITY_OPEN if Finding.CENTER_OPEN in findings else NOTHING
 
 
-def _timed(
-    break_points: BreakPoints, assumptions: Assumptions, *, moving: bool
-) -> tuple[Assumptions, tuple[PoseFlag, str] | None]:
-    """The assumptions, and flags with their reason where a motion cannot be estimated although it is assumed.
+def _untimed(break_points: BreakPoints, assumptions: Assumptions, *, moving: bool) -> Finding:
+    """Whether a motion cannot be estimated although it is assumed.
 
     Stripes that were taken one after the other need stamps of their own.
     """
     if not (moving or assumptions.motion is not None) or not break_points.labelled:  # the camera or the target
-        return assumptions, None
+        return NOTHING
     seen = break_points.of_lasers
     stamps = [] if break_points.stamp_s is None else break_points.stamp_s[seen].tolist()
     if int(seen.sum()) == 1 or (len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))):
-        return assumptions, None
-    return replace(assumptions, motion=None), (ALL_WEAK | PoseFlag.VELOCITY_WEAK, NOT_TIMED)
+        return NOTHING
+    return Finding.NOT_TIMED
 
 
-def _displaced(rejected: Sequence[Rejection]) -> tuple[PoseFlag, str] | None:
-    """The flag of a shot whose third stripe the detector found beside the plane of two others, and why; else None.
+def _displaced(rejected: Sequence[Rejection]) -> str:
+    """The laser whose stripe, a third one, the detector found beside the plane of two others; empty if there is none.
 
     Two stripes always agree with some ring, so that each of the three may be the wrong one.
     """
-    lasers = [each.laser for each in rejected if each.what == "stripe" and isnan(each.chi2)]
-    if not lasers:
-        return None
-    return PoseFlag.INCONSISTENT, f"the stripe of laser {lasers[0]} is near the ring of the others, but not on it"
+    return next((each.laser or "" for each in rejected if each.what == "stripe" and isnan(each.chi2)), "")
 
 
-def _ring_flags(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
-    """Flags of a shot that something else than a ring may have left, such as the side of a board, and why.
+def _doubts(best: Explanation, break_points: BreakPoints) -> Finding:
+    """What shows that something else than a ring may have left the shot, such as the side of a board.
 
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
     ends of a single stripe alone may be those of any surface: visible edges must predict it.
     """
-    unknown = ALL_WEAK if best.prior.assumptions.motion is None else ALL_WEAK | PoseFlag.VELOCITY_WEAK
     if not best.estimate.converged:
-        return unknown, "the estimate did not converge"
+        return Finding.NOT_CONVERGED | _open_velocity(best)
     curvature, sd = best.estimate.curvature_alone
     if best.prior.radii is None and not curvature > CURVED_SIGMAS * sd:
-        return unknown, "the edges may be straight: the shot does not show that it is a ring"
+        return Finding.STRAIGHT | _open_velocity(best)
     if len(best.measured.edges.edge):
         single = len(set(best.measured.observations.laser.tolist())) == 1
         if single and not edge_evidence(best.estimate, best.measured) >= COINCIDENCE:  # also if it is NaN
-            return unknown, "the single stripe may lie on another surface than the visible edges"
-        return PoseFlag(0), ""
+            return Finding.OTHER_SURFACE | _open_velocity(best)
+        return NOTHING
     seen = break_points.seen
     clear = int((seen & (break_points.flags & int(BreakPointFlag.UNCLEAR) == 0)).sum())
     one_missing = bool((seen.sum(axis=1)[break_points.of_lasers] < len(EDGE_SIGN)).any())
     if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
-        return unknown, "too few ends of stripes are clear to show that it is a ring"
-    return PoseFlag.GRASP_WEAK if len(best.measured.stripes) == 1 else PoseFlag(0), ""
+        return Finding.FEW_ENDS | _open_velocity(best)
+    return Finding.ONE_STRIPE_ALONE if len(best.measured.stripes) == 1 else NOTHING
 
 
-def _confirmed(result: PoseResult, best: Explanation, ring_flags: PoseFlag) -> PoseResult:
+def _confirmed(result: PoseResult, best: Explanation, doubts: Finding) -> PoseResult:
     """The result of unlabelled stripes, without a pose if fewer than three may not be on a ring.
 
     Nothing shows then that they are light of these lasers at all, as any two lines in a photograph lie in a plane, and
     no quantity of the pose could be used. The measurement may still continue the track of a ring.
     """
-    if ALL_WEAK not in ring_flags or not best.estimate.converged or len(best.measured.stripes) >= REDUNDANT_STRIPES:
+    if not doubts & status.NOT_A_RING or len(best.measured.stripes) >= REDUNDANT_STRIPES:
         return result
     return replace(result, pose=NoPose.UNCONFIRMED, velocity=None)
 
 
 def _plane_evidence(best: Explanation) -> PlaneEvidence | None:
     """Evidence for errors of the rig; of all measurements where what contradicts one ring may be due to the rig."""
-    if best.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS:
+    if best.findings & Finding.WRONG_LASERS:
         return None
-    if best.flag & RIG_SUSPECT and len(best.measured.lines.laser) > len(best.measured.stripes):
+    if best.findings & RIG_SUSPECT and len(best.measured.lines.laser) > len(best.measured.stripes):
         return None  # a stripe that was measured twice may have moved in between
-    if best.competing or best.flag & RIG_SUSPECT:
+    if best.competing or best.findings & RIG_SUSPECT:
         return None if best.everything is None else plane_evidence(best.everything[1], best.everything[0])
     return plane_evidence(best.estimate, best.measured)
 
 
-def _unverified(best: Explanation) -> PoseFlag:
-    """Flags of what the pose assumes without a check by the shot itself: its side, the radius, the rig."""
-    flags = PoseFlag(0) if best.side_known else PoseFlag.SIDE_UNKNOWN
+def _unverified(best: Explanation) -> Finding:
+    """What the pose assumes without a check by the shot itself: its side, the radius, the rig."""
+    findings = NOTHING if best.side_known else Finding.SIDE_OPEN
     if best.prior.radii is not None:
         curvature, sd = best.estimate.curvature_alone
-        flags |= PoseFlag.RADIUS_UNVERIFIED if not sd < VERIFIED_BELOW * curvature else PoseFlag(0)
+        findings |= Finding.RADIUS_ASSUMED if not sd < VERIFIED_BELOW * curvature else NOTHING
     if len(best.measured.stripes) < REDUNDANT_STRIPES:
-        flags |= PoseFlag.RIG_UNCHECKED
-    return flags
+        findings |= Finding.FEW_STRIPES
+    return findings
 
 
 def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
@@ -330,7 +330,7 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
     """
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
-    if best.flag & PoseFlag.INCONSISTENT:
+    if best.findings & Finding.UNEXPLAINED:
         freedom = estimate.expected_chi2
         ratio = estimate.chi2 / freedom if freedom > MIN_FREEDOM else edge_mean_square(estimate)
         covariance = covariance * max(ratio, 1.0)
@@ -420,18 +420,18 @@ def _reported_pose(
     )
 
 
-def _weak_flags(
+def _open(
     estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"], reported: _Determined, bias_m: float
-) -> PoseFlag:
-    """Flags of what is not determined, has a sigma over `WEAK_SD`, or is not described by a Gaussian."""
+) -> Finding:
+    """What is not determined, has a sigma over `WEAK_SD`, or is not described by a Gaussian."""
     limit_m = WEAK_SD * min(map(abs, found.radius_m.tolist()))
     inward = estimate.arcs.axes[0]
     biased = bias_m > MAX_BIAS_SHARE * sqrt(float(inward @ covariance[CENTER, CENTER] @ inward))
-    flags = PoseFlag(0) if reported.normal else PoseFlag.NORMAL_WEAK
+    findings = NOTHING if reported.normal else Finding.NORMAL_OPEN
     if not reported.grasp:
-        flags |= PoseFlag.GRASP_WEAK
+        findings |= Finding.GRASP_OPEN
     if not reported.center or exceeds_sd(covariance[CENTER, CENTER], limit_m) or biased:
-        flags |= PoseFlag.CENTER_WEAK
+        findings |= Finding.CENTER_OPEN
     if not reported.radius.all() or max(covariance[5, 5], covariance[6, 6]) > limit_m**2:
-        flags |= PoseFlag.RADIUS_WEAK
-    return flags
+        findings |= Finding.RADIUS_OPEN
+    return findings

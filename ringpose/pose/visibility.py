@@ -10,7 +10,8 @@ from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection
-from ringpose.types.pose import LaserState, PoseFlag
+from ringpose.types.finding import NOTHING, Finding
+from ringpose.types.pose import LaserState
 from ringpose.types.rig import Rig
 
 BORDER_PX = 16.0
@@ -29,8 +30,8 @@ def seen_lasers(
     rig: Rig,
     lasers_on: Bool[Array, "laser"] | None,
     rejected: Sequence[Rejection],
-) -> tuple[Mapping[str, LaserState], PoseFlag]:
-    """What each laser that was on contributed, and the flags of what should be in view but was not used.
+) -> tuple[Mapping[str, LaserState], Finding]:
+    """What each laser that was on contributed, and what should be in view but was not used.
 
     `rejected`: what the detector and the explanation have rejected.
     """
@@ -43,7 +44,7 @@ def seen_lasers(
         inside, share = used, used.mean(axis=1)
     else:
         inside, share = expected_in_view(best, rig)
-    states, flags = {}, PoseFlag(0)
+    states, findings = {}, NOTHING
     for laser in np.flatnonzero(on).tolist():
         contributed = bool(used[laser].any() or has_line[laser])
         mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
@@ -51,32 +52,32 @@ def seen_lasers(
             clipped = break_points.flags[laser] & int(BreakPointFlag.CLIPPED) != 0
             expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image
             missing = expected & ~used[laser]
-            flags |= _why_missing(break_points.flags[laser, missing].tolist())
+            findings |= _why_missing(break_points.flags[laser, missing].tolist())
             state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
         elif mine or break_points.of_lasers[laser]:
-            state, flags = LaserState.REJECTED, flags | PoseFlag.STRIPE_REJECTED
+            state, findings = LaserState.REJECTED, findings | Finding.STRIPE_UNUSED
         elif share[laser] >= SEEN_SHARE:
-            state, flags = LaserState.NOT_SEEN, flags | PoseFlag.LASER_MISSING
+            state, findings = LaserState.NOT_SEEN, findings | Finding.STRIPE_NOT_FOUND
         else:
             state = LaserState.OUT_OF_VIEW
         states[rig.lasers.names[laser]] = state
     blunt = break_points.flags[used] & int(BreakPointFlag.BLUNT) != 0
-    return states, flags | (PoseFlag.BLUNT_EDGE if blunt.any() else PoseFlag(0))
+    return states, findings | (Finding.BLUNT if blunt.any() else NOTHING)
 
 
-def _why_missing(point_flags: list[int]) -> PoseFlag:
-    """The flags for break points that should be in view but were not used, from the detector's flags."""
-    flags = PoseFlag(0)
+def _why_missing(point_flags: list[int]) -> Finding:
+    """Why break points that should be in view were not used, from the detector's flags."""
+    findings = NOTHING
     for each in point_flags:
         if each & BreakPointFlag.OCCLUDED:
-            flags |= PoseFlag.POINT_REJECTED
+            findings |= Finding.POINT_UNUSED
         elif each & BreakPointFlag.CLIPPED:
-            flags |= PoseFlag.TRUNCATED
+            findings |= Finding.POINT_CUT_OFF
         elif each & BreakPointFlag.SATURATED:
-            flags |= PoseFlag.SATURATED
+            findings |= Finding.POINT_SATURATED
         else:
-            flags |= PoseFlag.POINT_REJECTED
-    return flags
+            findings |= Finding.POINT_UNUSED
+    return findings
 
 
 def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser edge=2"], Float64[Array, "laser"]]:

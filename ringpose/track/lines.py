@@ -15,10 +15,12 @@ from ringpose.estimate.covariance import (
 )
 from ringpose.geometry.ring import CURVATURE, plane_and_center
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.measure.status import flags_of
 from ringpose.track.explanations import Track, TrackOptions
 from ringpose.track.filters import Bank, mixed, predicted
 from ringpose.track.states import RingStates, center_velocity, jacobians, moved, perturbed
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, RingPose, RingVelocity
 from ringpose.types.track import (
@@ -60,6 +62,7 @@ def track_line(
     stamp_s: float,
     next_stamp_s: float | None,
     attempts: tuple[Attempt, ...],
+    findings: Finding,
     flags: PoseFlag,
     rig: str,
     options: TrackOptions,
@@ -67,7 +70,9 @@ def track_line(
 ) -> TrackLine:
     """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later).
 
-    `in_base`: whether the track is in the robot's base frame, since the motion of the camera is known.
+    `findings`: what the newest measurement shows about the track. `flags`: those of the newest measurement that was
+    used, as far as they concern the track. `in_base`: whether the track is in the robot's base frame, since the motion
+    of the camera is known.
     """
     stamp_s = max(track.stamp_s, stamp_s) if track.banks else stamp_s  # that of the track if the instant is unknown
     lost = TrackLine(
@@ -88,11 +93,12 @@ def track_line(
     found = _Reported(bank, stamp_s)
     next_s = next_stamp_s or stamp_s + (track.interval_s or MIN_VALID_S)
     following = _Reported(bank, next_s)
-    flags |= _weak_flags(found, options)
+    findings |= _open(found, options)
     if weights.max() < RESOLVED_FROM:
-        flags |= PoseFlag.SIDE_UNKNOWN
+        findings |= Finding.SIDE_OPEN
     if track.rejections:
-        flags |= PoseFlag.INCONSISTENT
+        findings |= Finding.TRACK_CONTRADICTED
+    flags |= flags_of(findings)
     models, chosen, gripper = bank.models, bank.best, options.gripper
     return replace(
         lost,
@@ -200,21 +206,21 @@ def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
     return np.concatenate([states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1)
 
 
-def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
-    """Flags of the quantities whose standard deviations exceed the limits of single shots."""
-    flags = PoseFlag(0)
+def _open(found: _Reported, options: TrackOptions) -> Finding:
+    """The quantities whose standard deviations exceed the limits of single shots."""
+    findings = NOTHING
     limit_m = WEAK_SD * float(np.abs(found.value[_RADII]).min())
     if standard_deviation(found.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
-        flags |= PoseFlag.NORMAL_WEAK
+        findings |= Finding.NORMAL_OPEN
     if not found.is_curved or standard_deviation(found.covariance(_CENTER)) > limit_m:
-        flags |= PoseFlag.CENTER_WEAK
+        findings |= Finding.CENTER_OPEN
     if not found.is_curved or sqrt(float(found.covariance(_RADII).diagonal().max())) > limit_m:
-        flags |= PoseFlag.RADIUS_WEAK
+        findings |= Finding.RADIUS_OPEN
     if standard_deviation(found.covariance(_GRASP)) > GRASP_UNKNOWN_FROM_M:
-        flags |= PoseFlag.GRASP_WEAK
+        findings |= Finding.GRASP_OPEN
     if standard_deviation(found.covariance(_VELOCITY)) > VELOCITY_WEAK_SHARE * options.motion.speed_sd_m_s:
-        flags |= PoseFlag.VELOCITY_WEAK
-    return flags
+        findings |= Finding.VELOCITY_OPEN
+    return findings
 
 
 def _pose(found: _Reported, flags: PoseFlag) -> RingPose:

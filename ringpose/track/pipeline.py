@@ -14,11 +14,13 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_PARAMETERS
 from ringpose.geometry.camera_motion import MAX_RATE_RAD_S, MAX_SPEED_M_S, CameraMotion
+from ringpose.measure.status import LASTING_FLAGS
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import track_line
 from ringpose.track.observation import Observation, observation
 from ringpose.track.stream_clock import Arrival, StreamClock
+from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
 from ringpose.types.rig import Rig, reject_other_rig
 from ringpose.types.track import Attempt, FusionStatus, TrackLine
@@ -37,10 +39,6 @@ MAX_INFORMATION_ROOT = 1e10
 
 SAME_PRIOR_WITHIN = 0.5
 """Difference of covariances of common errors, by their standard deviations, up to which they count as the same."""
-
-REPORTED_FLAGS = PoseFlag.RIG_DRIFT | PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
-"""Flags of the newest used record that also concern the track."""
-
 
 REASONS = {
     FusionStatus.PENDING: "it does not continue the track; a second one that agrees with it starts the track anew",
@@ -125,12 +123,13 @@ class Tracker:
         """The record of the track at an instant, and the attempts since the last one."""
         attempts, self._attempts = tuple(self._attempts), []
         used = [entry.flags for entry in self._entries if entry.fusion.status is FusionStatus.FUSED]
-        flags = (used[-1] if used else self._base_flags) & REPORTED_FLAGS
+        flags = (used[-1] if used else self._base_flags) & LASTING_FLAGS
         is_contradicted = bool(attempts) and attempts[-1].fusion_status is FusionStatus.REJECTED_GATE
-        if is_contradicted or self._clock.is_in_doubt:
-            flags |= PoseFlag.INCONSISTENT
+        findings = Finding.TRACK_CONTRADICTED if is_contradicted or self._clock.is_in_doubt else NOTHING
         in_base = self.camera is not None
-        return track_line(self.track, stamp_s, next_stamp_s, attempts, flags, self._hash, self.options, in_base)
+        return track_line(
+            self.track, stamp_s, next_stamp_s, attempts, findings, flags, self._hash, self.options, in_base
+        )
 
     def line_of(self, attempt: Attempt) -> TrackLine:
         """The track record after the newest attempt: at its stamp, but never before that of the record before.

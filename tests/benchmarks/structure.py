@@ -6,10 +6,11 @@ small data sets in tests/data.
 
 import ast
 import io
+import json
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +33,8 @@ def main() -> None:
     print_sizes()
     print_small_modules(sources, trees)
     print_private_functions(trees)
+    print_flags(trees)
+    print_record_keys()
     print_path("the second of two shots through `ringpose pose`", trace_of_shot())
     print_path("`ringpose calibrate-planes` on board shots", trace_of_planes())
 
@@ -88,6 +91,57 @@ def print_private_functions(trees: dict[str, ast.Module]) -> None:
         private += len(names)
         once += sum(uses[name] == 1 for name in names)
     print(f"\nprivate functions: {private}, referenced once: {once}")
+
+
+def print_flags(trees: dict[str, ast.Module]) -> None:
+    """Modules that decide which flags a line has."""
+    deciding = [name for name, tree in trees.items() if decides_flags(tree)]
+    print(f"\nmodules that decide flags: {len(deciding)} ({', '.join(deciding)})")
+
+
+def decides_flags(tree: ast.Module) -> bool:
+    """Whether a module sets flags: it names one elsewhere than in a question, a mask or a constant of its own."""
+    parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
+
+    def is_read(node: ast.AST) -> bool:
+        while not isinstance(node, ast.stmt):
+            node = parents[node]
+            if isinstance(node, ast.Compare) or (isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd)):
+                return True
+            if isinstance(node, ast.keyword) and node.arg in ("flag", "flags"):
+                return False
+        return isinstance(node, ast.Assign | ast.AnnAssign) and node in tree.body
+
+    named = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name))
+    return any(node.value.id == "PoseFlag" and node.attr.isupper() and not is_read(node) for node in named)
+
+
+def print_record_keys() -> None:
+    """In how many places a key of the pose record is written: type, writer and reader, schema, manual."""
+    keys = set(_schema_keys(json.loads((PACKAGE / "files" / "pose.schema.json").read_text())))
+    sources = [*(PACKAGE / "types").glob("*.py"), PACKAGE / "files" / "records" / "poses.py"]
+    nodes = [node for path in sources for node in ast.walk(ast.parse(path.read_text()))]
+    fields = Counter(
+        node.target.id for node in nodes if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    )
+    texts = Counter(node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    manual = (ROOT / "man" / "ringpose-records.5").read_text()
+    places = sorted((fields[key] > 0) + texts[key] + 1 + (key in manual) for key in keys)
+    print(
+        f"\nplaces of a key of the pose record: median {places[len(places) // 2]}, most {places[-1]} ({len(keys)} keys)"
+    )
+
+
+def _schema_keys(schema: object) -> Iterator[str]:
+    """The names of all properties of a JSON Schema."""
+    if isinstance(schema, dict):
+        if isinstance(schema.get("properties"), dict):
+            yield from schema["properties"]
+        for part in schema.values():
+            yield from _schema_keys(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            yield from _schema_keys(part)
 
 
 def trace_of_shot() -> list[str]:

@@ -10,8 +10,9 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.records import plain
 from ringpose.files.records.detections import detection_of, detection_record
 from ringpose.measure.stream import Setup
+from ringpose.pose.advice import remarks_on
 from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
-from ringpose.pose.pipeline import pose_line, remarks_on
+from ringpose.pose.pipeline import pose_line
 from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.detection import NoBreakPoints, Rejection
 from ringpose.types.pose import LaserState, PoseFlag
