@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, WireError, row_of
+from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, TooFewRelays, WireError, row_of
 
 START = 0xA0
 
@@ -11,7 +11,9 @@ READ = 0xFF
 
 _LINE = re.compile(rb"CH(\d+) ?: ?(ON|OFF) ?\r\n")
 
-_LINES = re.compile(rb"(?:CH\d+ ?: ?(?:ON|OFF) ?\r\n)+(?:C(?:H\d* ?:? ?[OFN]* ?\r?)?)?")
+_WHOLE_LINES = re.compile(rb"(?:CH\d+ ?: ?(?:ON|OFF) ?\r\n)+")
+
+_LINES = re.compile(_WHOLE_LINES.pattern + rb"(?:C(?:H\d* ?:? ?[OFN]* ?\r?)?)?")
 """Whole lines; the line of a relay that is not used may have come in part."""
 
 _MAX_RAW = 32
@@ -51,6 +53,9 @@ class LcusCodec:
         if self._raw(command, received):
             return sum(1 << relay for relay in range(command.count) if received[relay])
         states = self._states(received)
+        reported = len(received) if _is_raw(received) else len(states) if _WHOLE_LINES.fullmatch(received) else 0
+        if 0 < reported < command.count:
+            raise TooFewRelays(f"the board has relays 1 to {reported}, and ch= names {command.count - 1 + self.first}")
         if not set(range(command.count)) <= set(states) or not _LINES.fullmatch(received):
             raise WireError(f"answered {received!r} when the relays were read")
         return sum(1 << relay for relay in range(command.count) if states[relay])
@@ -88,7 +93,11 @@ class LcusCodec:
         return {int(number) - self.first: state == b"ON" for number, state in _LINE.findall(received)}
 
     def _raw(self, command: Read, received: bytes) -> bool:
-        return command.count <= len(received) <= _MAX_RAW and all(byte in (0, 1) for byte in received)
+        return command.count <= len(received) <= _MAX_RAW and _is_raw(received)
+
+
+def _is_raw(received: bytes) -> bool:
+    return all(byte in (0, 1) for byte in received)
 
 
 def _frame(number: int, state: int) -> bytes:

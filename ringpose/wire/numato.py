@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from ringpose.wire.relay_codec import Command, Read, Switch, WireError
+from ringpose.wire.relay_codec import Command, Read, Switch, TooFewRelays, WireError
 
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUV"
 """Names of the relays."""
@@ -44,7 +44,7 @@ class NumatoCodec:
             return 0
         relays = 4 * len(answer["states"])
         if relays < command.count:
-            raise WireError(f"reports {relays} relays; ch= names relay {_DIGITS[command.count - 1]}")
+            raise TooFewRelays(f"the board has relays 0 to {relays - 1}, and ch= names {command.count - 1}")
         return int(answer["states"], 16) & ((1 << command.count) - 1)
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:

@@ -17,6 +17,10 @@ class Refused(WireError):
     """The board has answered that it rejects the command."""
 
 
+class TooFewRelays(WireError):
+    """The board reports fewer relays than the command reads."""
+
+
 @dataclass(frozen=True, slots=True)
 class Switch:
     """One relay on or off."""
@@ -77,8 +81,9 @@ class RelayCodec(Protocol):
     def on_mask(self, command: Command, received: bytes) -> int:
         """The mask of the relays that are on according to the answer to `Read`; 0 for other commands.
 
-        Raises `Refused` if the board rejects the command, and `WireError` if the bytes are not its answer and nothing
-        else: the request itself, which some adapters echo, is not an answer unless the protocol repeats it.
+        Raises `Refused` if the board rejects the command, `TooFewRelays` if it has fewer than are read, and
+        `WireError` if the bytes are not its answer and nothing else: the request itself, which some adapters echo, is
+        not an answer unless the protocol repeats it.
         """
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:

@@ -101,7 +101,9 @@ def test_answers_are_decoded(codec, command, answer, on_mask):
         (MODBUS, SwitchRow(0, 3, 0), framed("01 0F 00 00 00 02"), "answered"),  # another quantity
         (MODBUS, SwitchRow(0, 3, 0), framed("01 0F 00 01 00 03"), "answered"),  # another address
         (MODBUS, Switch(0, False), framed("01 05 00 00 FF 00"), "answered"),  # another value
-        (NUMATO, Read(9), b"relay readall\n\r05\n\r>", "reports 8 relays; ch= names relay 8"),
+        (NUMATO, Read(9), b"relay readall\n\r05\n\r>", "relays 0 to 7, and ch= names 8"),
+        (LCUS, Read(9), LCUS.answer(Read(9), 0, 8), "relays 1 to 8, and ch= names 9"),
+        (LCUS, Read(3), b"\x00\x01", "relays 1 to 2, and ch= names 3"),
         (NUMATO, Read(3), b"relay readall\n\r00\n\r>relay off 0\n\r>", "answered"),
         (NUMATO, Read(3), b"relay off 0\n\r>", "answered"),
         (NUMATO, Switch(0, False), b"relay off 0\n\r00\n\r>", "answered"),
@@ -116,7 +118,7 @@ def test_answers_are_decoded(codec, command, answer, on_mask):
         (AsciiCodec(on="R{n}", off="r{n}", acknowledged_by="r1"), Switch(0, False), b"r1\n", "answered"),
         (NUMATO, Switch(0, True), b"relay on 1\n\r>", "answered"),
         (NUMATO, Read(3), b"relay readall\n\r>", "answered"),
-        (LCUS, Read(3), b"CH1: ON \r\n", "answered"),
+        (LCUS, Read(3), b"CH1: ON \r\nCH3", "answered"),
         (ARDUINO, Switch(0, True), b"ERR\n", 'answered "ERR", not "OK"'),
         (ARDUINO, Read(3), b"what\n", 'answered "what"'),
     ],

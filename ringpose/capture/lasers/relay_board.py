@@ -17,7 +17,17 @@ from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec
 from ringpose.wire.numato import NumatoCodec
-from ringpose.wire.relay_codec import Command, Pulse, Read, Refused, RelayCodec, Switch, SwitchRow, WireError
+from ringpose.wire.relay_codec import (
+    Command,
+    Pulse,
+    Read,
+    Refused,
+    RelayCodec,
+    Switch,
+    SwitchRow,
+    TooFewRelays,
+    WireError,
+)
 
 Answer = TypeVar("Answer")
 
@@ -38,6 +48,8 @@ NO_ANSWER = "does not answer"
 REMEDY = "check the board, its scheme in --lasers, its power"
 
 WRONG_BOARD = "check that --lasers names the right board"
+
+OTHER_CHANNELS = "give channels that the board has"
 
 
 class _NoAnswer(DeviceError):
@@ -256,15 +268,18 @@ class RelayBoard:
 
     def _mask(self, command: Command, answer: bytes) -> int:
         """The mask in a checked answer."""
-        if not self._codec.is_whole(command, answer):
-            if not answer:
-                raise _NoAnswer(self._port.name, NO_ANSWER, REMEDY)
-            raise DeviceError(self._port.name, f"sends an incomplete answer ({answer!r})", REMEDY)
+        is_whole = self._codec.is_whole(command, answer)
+        if not answer and not is_whole:
+            raise _NoAnswer(self._port.name, NO_ANSWER, REMEDY)
         try:
             return self._codec.on_mask(command, answer)
         except Refused as error:
             raise _Refusal(self._port.name, str(error), WRONG_BOARD) from error
+        except TooFewRelays as error:
+            raise DeviceError(self._port.name, str(error), OTHER_CHANNELS) from error
         except WireError as error:
+            if not is_whole:
+                raise DeviceError(self._port.name, f"sends an incomplete answer ({answer!r})", REMEDY) from error
             raise DeviceError(self._port.name, str(error), WRONG_BOARD) from error
 
 
