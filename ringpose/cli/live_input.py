@@ -9,6 +9,8 @@ from pathlib import Path
 from time import monotonic, perf_counter, sleep
 from typing import TYPE_CHECKING, TypeVar
 
+from ringpose.types.options import STDIN
+
 if TYPE_CHECKING:
     from ringpose.capture.latest_frame import LiveShot
     from ringpose.capture.source import CaptureRequest, TrackedSequence
@@ -54,18 +56,24 @@ def live_lines(
         yield map(measured, newest)
 
 
-def live_camera_motion(rig: Path, batch: "Batch") -> "Callable[[float], CameraMotion]":
+@contextmanager
+def live_camera_motion(rig: Path, batch: "Batch") -> "Iterator[Callable[[float], CameraMotion]]":
     """A function of a stamp that returns the motion of the camera up to it.
 
-    It waits for the robot's poses, which arrive on standard input; the batch reports bad ones.
+    It waits for the robot's poses, which arrive on standard input. The batch reports bad ones; those that repeat the
+    one before are counted, and reported at the end of the block.
     """
+    from ringpose.cli.options.track import report_repeats
     from ringpose.files.records.robot_poses import RobotPoseStream
     from ringpose.files.rigs import read_mount
     from ringpose.geometry.camera_motion import CameraMotion
 
     mount, stream = read_mount(rig), RobotPoseStream(batch.report)
     later_s = mount.delay_s + mount.delay_sd_s  # errors of the delay are taken by differences of one standard deviation
-    return lambda stamp_s: CameraMotion(poses=stream.until(stamp_s + later_s, PATIENCE_S), mount=mount)
+    try:
+        yield lambda stamp_s: CameraMotion(poses=stream.until(stamp_s + later_s, PATIENCE_S), mount=mount)
+    finally:
+        report_repeats(STDIN, stream.repeats, stream.received)
 
 
 def at_ticks(items: Iterable[Item], period_s: float) -> Iterator[list[Item]]:

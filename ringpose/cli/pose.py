@@ -113,16 +113,16 @@ def pose(
         camera=None if is_live_robot else camera_motion(robot_poses, rig, inputs),
     )
     in_stream = partial(Stream, setup, settings.options(assumed.options) if track else None, clock=time)
-    if is_live_robot:
-        in_stream = partial(in_stream, motion_until=live_camera_motion(rig, batch))
     found: AbstractContextManager[Iterator[Measured]]
-    if camera is None:
-        found = nullcontext(
-            batch.reported(_recorded(inputs or [], in_stream(), SourceReader(loaded_rig, channel), jobs, batch))
-        )
-    else:
-        found = _live(camera, shots, in_stream, batch)
     with batch, ExitStack() as stack:
+        if is_live_robot:
+            in_stream = partial(in_stream, motion_until=stack.enter_context(live_camera_motion(rig, batch)))
+        if camera is None:
+            found = nullcontext(
+                batch.reported(_recorded(inputs or [], in_stream(), SourceReader(loaded_rig, channel), jobs, batch))
+            )
+        else:
+            found = _live(camera, shots, in_stream, batch)
         pictures = None
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures

@@ -32,6 +32,16 @@ def test_poses_that_arrived_are_given_and_bad_ones_reported(monkeypatch):
     assert ["-:3" in str(problem) for problem in reported] == [True]
 
 
+def test_repeats_that_arrive_are_left_out_and_counted(monkeypatch):
+    arriving(monkeypatch, [1.0, 1.0, 1.0, 2.0])
+
+    stream = RobotPoseStream(pytest.fail)
+    poses = stream.until(10.0, 60.0)
+
+    np.testing.assert_array_equal(poses.stamp_s, [1.0, 2.0])
+    assert (stream.repeats, stream.received) == (2, 4)
+
+
 def test_poses_stamped_in_milliseconds_are_reported_with_the_unit(monkeypatch):
     reported = []
     arriving(monkeypatch, [1.0, 2.0, 1.7e12])

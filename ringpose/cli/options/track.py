@@ -120,10 +120,15 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
         raise UsageError("--robot-poses", "and the input are both standard input", "give one of them as a file")
     mount = read_mount(rig)
     poses = read_robot_poses(robot_poses)
-    if poses.repeats:
-        number = f"{poses.repeats} of {poses.repeats + len(poses.stamp_s)} poses"
-        messages.echo(f"{robot_poses}: {number} repeat the one before exactly and are left out")
+    report_repeats(robot_poses, poses.repeats, poses.repeats + len(poses.stamp_s))
     return CameraMotion(poses=poses, mount=mount)
+
+
+def report_repeats(robot_poses: str, repeats: int, received: int) -> None:
+    """Report how many of the poses of a file, or of standard input (`-`), repeat the one before, if any does."""
+    if repeats:
+        place = "standard input" if robot_poses == STDIN else robot_poses
+        messages.echo(f"{place}: {repeats} of {received} poses repeat the one before exactly and are left out")
 
 
 def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:

@@ -62,6 +62,8 @@ class RobotPoseStream:
 
     def __init__(self, report: Callable[[DataError | NoInputError], None]) -> None:
         """`report` receives the errors of invalid poses, which are left out, as identical repeats are."""
+        self.received, self.repeats = 0, 0
+        """Number of valid poses that have arrived, and of those among them that repeat the one before exactly."""
         self._report, self._poses, self._ended = report, deque[RobotPose](), False
         self._failure: RingposeError | None = None
         self._changed = threading.Condition()
@@ -96,7 +98,9 @@ class RobotPoseStream:
 
     def _add(self, pose: RobotPose, location: str) -> None:
         with self._changed:
+            self.received += 1
             if self._poses and pose.repeats(self._poses[-1]):
+                self.repeats += 1
                 return
             if self._poses and pose.stamp_s <= self._poses[-1].stamp_s:
                 found = f"has the stamp {pose.stamp_s:.6f}, which is not later than the one before"
