@@ -137,6 +137,8 @@ def bench(
     if not scores:
         report_missed([] if since is None else [f"{', '.join(inputs)}: no shot since {since}"], batch)
         batch.finish()
+    if matched is not None and not matched.matched and batch.status:
+        batch.finish()  # nothing was compared; why not has been reported
     names = group_names(scores, by)
     lines = summaries(scores, names)
     missed = limits.missed(lines)
