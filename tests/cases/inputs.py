@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
+from small_rig import SMALL_RIG, write_scene
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
@@ -61,6 +62,12 @@ def _changed_shot(name: str, **changes: Callable[[Any], Any]) -> Callable[[Path]
     return build
 
 
+def _small_scene(path: Path) -> None:
+    """A scene that is rendered fast, and its rig, with a mount."""
+    path.mkdir()
+    write_scene(path, "stripe_dn: 200", rig=f"{SMALL_RIG}mount: {{tool_from_camera: {np.eye(4).tolist()}}}\n")
+
+
 def _mirrored_board(path: Path) -> None:
     """Three views of the ChArUco board, mirrored."""
     path.mkdir()
@@ -80,6 +87,7 @@ BUILT: dict[str, Callable[[Path], None]] = {
     "reversed.npz": _changed_shot("B_z0500_p00_dim.npz", images=lambda images: images[::-1]),
     "reversed_pair.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[::-1]),
     "two_axes.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[1]),
+    "small": _small_scene,
     "mirrored_board": _mirrored_board,
 }
 """For each file or folder that is not carried, the function that makes it at a path."""
@@ -88,6 +96,6 @@ BUILT: dict[str, Callable[[Path], None]] = {
 def make_inputs(words: list[str], folder: Path) -> None:
     """Make the inputs that are named in the words of a command line, and copy all carried files."""
     shutil.copytree(CARRIED, folder, dirs_exist_ok=True)
-    for name in dict.fromkeys(Path(word).parts[0] for word in words if word):
+    for name in dict.fromkeys(Path(word.removeprefix("sim:")).parts[0] for word in words if word):
         if name in BUILT:
             BUILT[name](folder / name)

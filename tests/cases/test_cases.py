@@ -18,7 +18,10 @@ TABLE = yaml.safe_load(Path(__file__).with_name("cases.yaml").read_text())
 ROWS = {f"{subject}: {row['case']}": row for subject, rows in TABLE.items() for row in rows}
 """The rows of the table by subject and case."""
 
-REQUIRED, OPTIONAL = {"case", "run", "status", "source"}, {"says", "stdin", "reason", "records", "lines", "leaves"}
+REQUIRED, OPTIONAL = (
+    {"case", "run", "status", "source"},
+    {"says", "stdin", "reason", "records", "prints", "lines", "leaves"},
+)
 
 
 class Ended(NamedTuple):
@@ -62,6 +65,7 @@ def test_case_has_its_status_and_its_message(ended, name):
         assert word in message
     assert all(line.startswith("ringpose: ") for line in err)
     assert len(err) == row.get("lines", 1 if "says" in row else 0), err
+    assert len(out) == row.get("prints", len(out))
     records = [_record(line) for line in out if line.startswith("{")]
     assert len(records) == row.get("records", 1 if "reason" in row else len(records))
     assert row.get("reason", "") in (records[0]["reason"] or "" if "reason" in row else "")

@@ -137,8 +137,6 @@ def bench(
     if not scores:
         report_missed([] if since is None else [f"{', '.join(inputs)}: no shot since {since}"], batch)
         batch.finish()
-    if matched is not None and not matched.matched and batch.status:
-        batch.finish()  # nothing was compared; why not has been reported
     names = group_names(scores, by)
     lines = summaries(scores, names)
     missed = limits.missed(lines)
@@ -190,7 +188,8 @@ def scores_of_lines(
     """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc.
 
     Records of another rig than `rig` are rejected, unless `any_rig` is set.
-    Shots before `since_s`, and shots of the truth whose time is not known, are left out.
+    Shots before `since_s`, and shots of the truth whose time is not known, are left out. There are no scores if no
+    record could be compared, for reasons that have been reported.
     """
     from ringpose.bench.score import matching, scores
     from ringpose.files.rigs import read_rig
@@ -222,6 +221,8 @@ def scores_of_lines(
             if shots:
                 found = f"{len(shots)} shots {what} (the first is {shots[0]})"
                 raise DataError(", ".join(inputs), found, remedy)
+    if not matched.matched and batch.status:
+        return [], matched
     return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched
 
 
