@@ -76,7 +76,6 @@ class Batch:
         self._in_a_row, self._unreported = 0, 0
         self._records: dict[tuple[str, str], tuple[str, int]] = {}
         """By file, and finding but for its numbers: what was found in the first such record, and their number."""
-        self._given: set[Hashable] = set()
         self._repeated = 0
 
     def __enter__(self) -> None:
@@ -129,25 +128,26 @@ class Batch:
 
         One that was given before is named, too, unless `repeats_allowed` is false: the caller then rejects it.
         """
+        given: set[Hashable] = set()
         for item in items:
             if isinstance(item, DataError | NoInputError):
                 self.report(item)
             else:
                 if repeats_allowed:
-                    self._name_repeated(item)
+                    self._name_repeated(item, given)
                 yield item
 
-    def _name_repeated(self, item: "Input") -> None:
-        """Report the first input that was given before, and count the others: its results count twice.
+    def _name_repeated(self, item: "Input", given: set[Hashable]) -> None:
+        """Report the first input that was given before, and count the others: their results count twice.
 
         A file of the same name that was written again meanwhile is another input.
         """
         identity = _identity(item)
         if identity is None:
             return
-        if identity not in self._given:
-            if len(self._given) < MAX_REMEMBERED:
-                self._given.add(identity)
+        if identity not in given:
+            if len(given) < MAX_REMEMBERED:
+                given.add(identity)
             return
         if not self._repeated:
             place = item if isinstance(item, Path) else item.location
