@@ -4,12 +4,14 @@ import hashlib
 import io
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -255,22 +257,45 @@ def restamped(lines: list[str], start_s: float) -> list[str]:
     return changed
 
 
-@pytest.mark.slow
-def test_at_a_fixed_rate_lines_go_on_while_no_records_arrive(lines):
-    with fed(
-        restamped(lines, time.time() - 1.1), "--rate", "20", "--predict-for", "1.5", "--lost-after", "2.5"
-    ) as process:
-        records = [json.loads(process.stdout.readline()) for _ in range(65)]
-        process.stdin.close()
-        process.wait(timeout=300)
+class SilentInput:
+    """Standard input with these lines and nothing after them; a clock that advances by `step_s` a reading meanwhile."""
 
+    def __init__(self, lines: list[str], now_s: float, step_s: float, ends_s: float) -> None:
+        self._lines, self._now_s, self._step_s, self._ends_s = lines, now_s, step_s, ends_s
+        self._is_read, self._has_ended = threading.Event(), threading.Event()
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._lines
+        self._is_read.set()
+        self._has_ended.wait()
+
+    def fileno(self) -> int:
+        raise io.UnsupportedOperation
+
+    def time(self) -> float:
+        if self._is_read.is_set():
+            self._now_s += self._step_s
+        if self._now_s >= self._ends_s:
+            self._has_ended.set()
+        return self._now_s
+
+
+def test_at_a_fixed_rate_lines_go_on_while_no_records_arrive(capsys, monkeypatch, lines):
+    silent = SilentInput(lines, START_S + 1.1, 0.05, START_S + 4.5)
+    monkeypatch.setattr(sys, "stdin", silent)
+    monkeypatch.setattr("ringpose.cli.track.time", silent.time)
+
+    status, records, messages = tracked(capsys, "-", "--rate", 200, "--predict-for", 1.5, "--lost-after", 2.5)
+
+    assert (status, messages) == (3, [])  # the last lines have no pose
     stamps_s = np.array([record["stamp_s"] for record in records])
     validity = [record["validity"] for record in records]
-    assert np.median(np.diff(stamps_s)) > 0.7 * 0.05  # a busy machine leaves out ticks
-    assert [each for i, each in enumerate(validity) if validity[:i].count(each) == 0][-2:] == ["stale", "lost"]
+    assert stamps_s[-1] - stamps_s[0] >= 3.3
+    assert [key for key, _ in groupby(validity)][-3:] == ["predicted", "stale", "lost"]
     attempts = [each["fusion_status"] for record in records for each in record["attempts"]]
     assert attempts == ["fused"] * len(lines)
-    assert records[0]["next"] is None or records[0]["next"]["stamp_s"] > records[0]["stamp_s"]
+    ahead_s = [record["next"]["stamp_s"] - record["stamp_s"] for record in records if record["next"] is not None]
+    np.testing.assert_allclose(ahead_s, 1 / 200, atol=1e-6)
 
 
 def test_a_clock_of_this_computer_that_is_set_back_starts_a_track_at_a_rate_anew(capsys, monkeypatch, poses):
@@ -286,19 +311,16 @@ def test_a_clock_of_this_computer_that_is_set_back_starts_a_track_at_a_rate_anew
 
 @pytest.mark.slow
 def test_a_slow_reader_gets_the_newest_line(lines):
-    with fed(restamped(lines, time.time()), "--rate", "50", "--newest") as process:
-        descriptor = process.stdout.fileno()
-        first = os.read(descriptor, 1 << 20)
-        time.sleep(2.0)
-        waiting = json.loads(os.read(descriptor, 1 << 20).splitlines()[0])  # in the pipe, meanwhile
-        newest = json.loads(os.read(descriptor, 1 << 20).splitlines()[0])
+    with fed(lines, "--rate", "50", "--newest") as process:
+        skipped = []
+        while len(skipped) < 100 and max(skipped, default=0) < 10:  # a busy machine makes fewer lines in a pause
+            time.sleep(0.3)
+            skipped.append(validated(json.loads(process.stdout.readline()))["lines_skipped"])
         process.stdin.close()
         process.stdout.read()
         process.wait(timeout=300)
 
-    assert first
-    assert newest["stamp_s"] - waiting["stamp_s"] > 1.0
-    assert validated(newest)["lines_skipped"] > 10
+    assert max(skipped) >= 10
 
 
 @pytest.mark.slow

@@ -188,7 +188,7 @@ class ImageServer:
                     self._camera.dropped += max(due - slot, 0)
                 slot = max(due, slot)
             begin_s = began_s + slot / rate_hz
-            stamp_s = time.time() + begin_s - self._loop.time()
+            stamp_s = begin_s - self._loop.time() + time.time()
             self._expose(begin_s, stamp_s)
 
     def _expose(self, begin_s: float, stamp_s: float) -> None:

@@ -1,5 +1,6 @@
 """The image server, as clients see it that are written from its manual page alone."""
 
+import asyncio
 import hashlib
 import hmac
 import json
@@ -13,6 +14,7 @@ import urllib.request
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -202,14 +204,25 @@ def test_a_client_that_leaves_does_not_hold_up_lockstep(serve):
         assert len(first.frames(5)) == 5
 
 
-def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve):
-    began_s = time.time()
+def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve, monkeypatch):
+    """The time of day is that of the last reading of the loop's clock: a busy machine may pause between two."""
+    epoch_s = time.time() - time.monotonic()
+    readings_s = [time.monotonic()]
+
+    def monotonic(_):
+        readings_s[:] = [time.monotonic()]
+        return readings_s[0]
+
+    monkeypatch.setattr(asyncio.BaseEventLoop, "time", monotonic)
+    monkeypatch.setattr(images, "time", SimpleNamespace(time=lambda: epoch_s + readings_s[0]))
+    began_s = epoch_s + time.monotonic()
     with ImageClient(serve(rate_hz=50.0).port) as client:
         stamps = np.array([header["stamp_s"] for header, _ in client.frames(20)])
 
-    assert began_s < stamps[0] < stamps[-1] < time.time()
+    assert began_s < stamps[0] < stamps[-1] < epoch_s + time.monotonic()
     slots = (stamps - stamps[0]) * 50.0
-    assert np.median(np.abs(slots - np.round(slots))) < 0.25
+    np.testing.assert_allclose(slots, np.round(slots), atol=0.001)
+    assert np.all(np.diff(np.round(slots)) >= 1)
 
 
 def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, monkeypatch):
@@ -223,7 +236,7 @@ def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, m
     assert np.all(np.diff([header["frame_id"] for header in headers]) == 1)
 
 
-def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
+def test_nothing_is_rendered_while_nobody_watches(serve, scene, monkeypatch):
     rendered = []
     exposed = RenderedShot.frame
     monkeypatch.setattr(RenderedShot, "frame", lambda *words: (rendered.append(1), exposed(*words))[1])
@@ -232,7 +245,9 @@ def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
         assert not rendered
         client.frames(1)
     time.sleep(0.1)
-    assert len(rendered) <= 3
+    assert (
+        len(rendered) <= images.WORKERS + len(scene.sequence) - 1
+    )  # those begun before the first was sent, and its shot
 
 
 def receive(port, headers, count, pause=None, receive_buffer=None):
