@@ -23,7 +23,6 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.pose.drift import DriftMonitor
 from ringpose.pose.form_monitor import FormMonitor
 from ringpose.pose.pipeline import assumptions_about, pose_line
-from ringpose.processes import outcomes
 from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, USUAL, AssumptionOptions, motion_prior
 from ringpose.types.detection import Detection, Stripes
 from ringpose.types.image import Shot
@@ -147,15 +146,25 @@ class Stream:
         shots are measured again with the corrected rig. A track needs its shots one after the other.
         """
         if jobs == 1:
-            yield from outcomes(lambda item: self.measure(read(item)), items, 1)
+            yield from (self._outcome(item, read) for item in items)
             return
+        from ringpose.processes import outcomes
+
         for outcome in outcomes(_ByItself(self.setup, read), items, jobs):
             if isinstance(outcome, Exception):
                 yield outcome
             elif self.rig is self.setup.rig:
                 yield self._next(outcome[1])
             else:
-                yield from outcomes(lambda item: self.measure(read(item)), [outcome[0]], 1)
+                yield self._outcome(outcome[0], read)
+
+    def _outcome(self, item: Item, read: "Callable[[Item], Shot | Detection]") -> Measured | Exception:
+        try:
+            return self.measure(read(item))
+        except (
+            Exception
+        ) as error:  # as from another process; whoever writes the lines raises what is not about the item
+            return error
 
     def _detection(self, setup: Setup, shot: Shot) -> Detection:
         if self._warm is None:

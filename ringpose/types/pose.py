@@ -261,6 +261,13 @@ class RingVelocity:
 Status = Literal["ok", "degraded", "none"]
 
 
+def status_of(pose: RingPose | None, flags: PoseFlag) -> Status:
+    """The status of a line: `none`, `degraded` (a pose with flags other than `HARMLESS_FLAGS`) or `ok`."""
+    if pose is None:
+        return "none"
+    return "degraded" if flags & ~HARMLESS_FLAGS else "ok"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseLine:
     """Record of one shot: its pose or the reason why it has none, and the provenance."""
@@ -297,10 +304,8 @@ class PoseLine:
 
     @property
     def status(self) -> Status:
-        """`none`, `degraded` (a pose with flags other than `HARMLESS_FLAGS`) or `ok`."""
-        if self.pose is None:
-            return "none"
-        return "degraded" if self.flags & ~HARMLESS_FLAGS else "ok"
+        """See `status_of`."""
+        return status_of(self.pose, self.flags)
 
     @property
     def flag_names(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
-from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, RingPose, RingVelocity, Status
+from ringpose.types.pose import PoseFlag, RingPose, RingVelocity, Status, status_of
 
 
 class Validity(StrEnum):
@@ -131,7 +131,5 @@ class TrackLine:
 
     @property
     def status(self) -> Status:
-        """`none`, `degraded` (a pose with flags other than harmless ones) or `ok`."""
-        if self.pose is None:
-            return "none"
-        return "degraded" if self.flags & ~HARMLESS_FLAGS else "ok"
+        """See `status_of`."""
+        return status_of(self.pose, self.flags)

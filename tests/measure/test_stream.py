@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden_lines import TIMES, differences
+from moving_cameras import robot
+from moving_rings import START_S
 
 from ringpose.bench.study.shots import run_result
+from ringpose.capture.latest_frame import EarlyStripes
 from ringpose.capture.source import CaptureRequest, Source, capture_record
 from ringpose.cli.main import main
 from ringpose.console.engine import ConsolePicture, Engine
 from ringpose.console.state import first_state
+from ringpose.detect.difference_images import laser_images
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.images.shots import read_shot, write_shot
@@ -23,6 +27,7 @@ from ringpose.files.records.truths import truth_record
 from ringpose.files.rigs import read_rig, write_rig
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.sources import SourceReader
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rotations import tilted
 from ringpose.measure.stream import Setup, Stream, track_options
 from ringpose.simulate.features import Deviations, drawn_features
@@ -236,3 +241,35 @@ def test_an_input_is_read_by_its_contents(folder, shots):
     read = SourceReader(read_rig(folder / "rig.yaml"))
 
     assert read(sorted((folder / "shots").iterdir())[0]).name == shots[0].name
+
+
+def test_robot_poses_that_arrive_meanwhile_are_asked_for_up_to_the_last_frame_of_each_shot(folder, shots):
+    shot = replace(shots[0], stamp_s=shots[0].stamp_s - shots[0].stamp_s[0] + START_S + 0.5)
+    asked = []
+
+    def motion_until(stamp_s: float) -> CameraMotion:
+        asked.append(stamp_s)
+        return robot(2.0)
+
+    stream = Stream(Setup(rig=read_rig(folder / "rig.yaml")), track_options(USUAL), motion_until=motion_until)
+    measured = stream.measure(shot)
+
+    assert asked == [shot.mid_exposure_s(-1)]
+    assert measured.line.measurement.camera_motion == "robot_poses"
+    assert (measured.track.frame, measured.track.camera) == ("base", "robot_poses")
+
+
+def test_stripes_that_were_found_early_are_not_searched_again(folder, shots):
+    searched = EarlyStripes()
+    for frame in shots[0].frames:
+        searched.add(frame, shots[0].saturation_dn)
+    rig = read_rig(folder / "rig.yaml")
+    expected = Stream(Setup(rig=rig)).measure(shots[0]).line
+    early = [searched.stripes_of(image) for image in laser_images(shots[0], len(rig.lasers.names))]
+    found = iter(early)
+
+    measured = Stream(Setup(rig=rig), early=lambda _: next(found)).measure(shots[0])
+
+    assert None not in early
+    assert next(found, None) is None  # each was asked for
+    assert_same([recorded(pose_record(measured.line))], [recorded(pose_record(expected))])
