@@ -10,6 +10,7 @@ from decimal import Decimal
 from pathlib import Path
 
 import pytest
+from needed import needed_program
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -42,8 +43,8 @@ def test_links_lead_to_files(page):
     assert [link for link in links if not (ROOT / link).exists()] == []
 
 
-def test_the_pipeline_prints_the_lines_that_are_shown(tmp_path, needed_program):
-    needed_program("jq")
+def test_the_pipeline_prints_the_lines_that_are_shown(tmp_path):
+    needed_program("jq", "jq")
     blocks = blocks_of(README.read_text())
     (command,) = [block for block in blocks if block.startswith("ringpose capture --camera files:")]
     (lines,) = [block for block in blocks if block.startswith('{"shot"')]
