@@ -1,7 +1,7 @@
 """`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, radians
 from pathlib import Path
@@ -28,6 +28,7 @@ from ringpose.types.options import Method
 if TYPE_CHECKING:
     from ringpose.bench.score import Matching, PoseEstimate, Score
     from ringpose.bench.summary import Summary
+    from ringpose.measure.stream import Stream
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.scene import Truth
@@ -281,7 +282,7 @@ def _scores_of_folders(
 
     In a folder that is still being filled, shots written before `since_s`, and shots not written yet, are left out.
     """
-    from ringpose.bench.score import estimate_of, scores
+    from ringpose.bench.score import scores
     from ringpose.files.images.shots import read_shot
     from ringpose.files.rigs import read_rig
     from ringpose.measure.stream import Setup, Stream
@@ -297,15 +298,12 @@ def _scores_of_folders(
             if since_s > -inf:
                 shots = {path.stem: path.stat().st_mtime for path in (folder / "shots").glob("*.npz")}
                 truths = [truth for truth in truths if shots.get(truth.shot, -inf) >= since_s]
-            estimates, streams = [], [Stream(Setup(rig=of_shots, method=method)) for method in methods]
+            estimates: list[PoseEstimate] = []
+            streams = [Stream(Setup(rig=of_shots, method=method)) for method in methods]
             for truth in with_progress(truths, "shots", quiet):
                 with batch.guarded():
-                    source: "Shot | Detection" = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
-                    for stream in streams:  # the first one detects for all of them
-                        measured = stream.measure(source)
-                        source = measured.detection or source
-                        method = stream.setup.method.value
-                        estimates.append(replace(estimate_of(measured.line, truth.shot), method=method))
+                    shot = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
+                    estimates += _estimates_of(shot, streams)
             found += scores(estimates, truths, of_shots.camera)
     return found
 
@@ -319,6 +317,22 @@ def _require_data_set(folder: Path, rig: Path | None) -> None:
     if missing:
         remedy = "a data set holds rig.yaml, truth.jsonl and the folder shots; give --truth FILE to compare pose lines"
         raise NoInputError(str(folder), f"is not a data set: it has no {' and no '.join(missing)}", remedy)
+
+
+def _estimates_of(shot: "Shot", streams: "Sequence[Stream]") -> "Iterator[PoseEstimate]":
+    """The estimates of the methods; the first one detects for all of them, which counts in the latency of each."""
+    from ringpose.bench.score import estimate_of
+
+    source: Shot | Detection = shot
+    detect_s = 0.0
+    for stream in streams:
+        measured = stream.measure(source)
+        line = measured.line
+        if measured.shot is not None and measured.detection is not None:
+            source, detect_s = measured.detection, line.stage_s["detect"]
+        else:
+            line = replace(line, latency_s=line.latency_s + detect_s)
+        yield replace(estimate_of(line, shot.name), method=stream.setup.method.value)
 
 
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:
