@@ -142,10 +142,13 @@ class DetectInput:
             from ringpose.detect.line_segments import segments_only
 
             return path, shot, segments_only(shot, self.method)
+        from ringpose.detect.pipeline import Prior
         from ringpose.detect.pipeline import detect as detected
 
         assumptions = self.options.about_shot(self.rig.stability, still=shot.still)
-        detection = detected(shot, self.rig, self.stripes, predicted=self.previous, assumptions=assumptions)
+        detection = detected(
+            shot, self.rig, Prior(predicted=self.previous, assumptions=assumptions), source=self.stripes
+        )
         if self.track:
             self.previous = detection.break_points if isinstance(detection.break_points, BreakPoints) else None
         return path, shot, detection

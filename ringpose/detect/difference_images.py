@@ -60,7 +60,7 @@ def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[i
     return frames
 
 
-def repeated_image(shot: Shot, images: list[LaserImage]) -> LaserImage | None:
+def repeated_image(shot: Shot, images: Sequence[LaserImage]) -> LaserImage | None:
     """A frame with several lasers on that repeats the stripes of `images`, each of one laser; None if there is none."""
     lasers = {laser for image in images for laser in image.lasers}
     if any(image.label == UNLABELLED for image in images):

@@ -7,8 +7,7 @@ would triangulate behind the camera are rejected: the images are upside down, mi
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,91 +54,236 @@ MOVED_PX = 0.5
 """Displacement of the ring's edges from which the background of another frame is not subtracted."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prior:
+    """What is known about a shot before its images are searched; nothing by default."""
+
+    assumptions: Assumptions | None = None
+    """None for the usual ones about this shot."""
+    camera: CameraMotion | None = None
+    """The camera's motion, if a robot moves it; then a ring at rest moves in the images, too."""
+    predicted: BreakPoints | None = None
+    """Stripes in windows about which the shot is searched first; if `labelled`, they also assign the stripes of frames
+    with several lasers on."""
+    background: Frame | None = None
+    """A frame without lasers of an earlier shot, for a shot without one: it is subtracted, but the edges that it shows
+    are not measured again."""
+    stripes_of: Callable[[LaserImage], Stripes | None] | None = None
+    """The stripes of a whole frame, if they were found before the shot was complete."""
+
+
+NOTHING_KNOWN = Prior()
+
+
+class Stop(Exception):
+    """A step of the detection cannot go on."""
+
+    def __init__(self, reason: NoBreakPoints) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """What every step of the detection looks at: a shot, its frames with lasers on, and what is assumed about it."""
+
+    shot: Shot
+    rig: Rig
+    images: Sequence[LaserImage]
+    assumptions: Assumptions
+    camera: CameraMotion | None
+
+    @property
+    def still(self) -> bool:
+        """Whether the ring cannot move in the images."""
+        return self.assumptions.motion is None and self.camera is None
+
+    @property
+    def saturation_dn(self) -> int:
+        """Grey value from which a pixel is saturated."""
+        return self.images[0].saturation_dn
+
+    def unlabelled_lasers(self) -> list[int]:
+        """Lasers that are on in frames with others, so that their stripes are not assigned by the frame."""
+        return [laser for image in self.images if image.label == UNLABELLED for laser in image.lasers]
+
+
 def detect(
     shot: Shot,
     rig: Rig,
-    source: StripeSource = StripeSource.CENTERS,
+    prior: Prior = NOTHING_KNOWN,
     *,
+    source: StripeSource = StripeSource.CENTERS,
     edges: bool = True,
-    predicted: BreakPoints | None = None,
-    background: Frame | None = None,
-    assumptions: Assumptions | None = None,
-    camera: CameraMotion | None = None,
-    searched: Callable[[LaserImage], Stripes | None] | None = None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
-    With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
-    whole frames are searched. If the prediction is `labelled`, it assigns the stripes of frames with several lasers on.
-    `background`: a frame without lasers of an earlier shot, for a shot without one: it is subtracted, but the edges
-    that it shows are not measured again. `assumptions`: None for the usual ones about this shot. `camera`: its motion,
-    if a robot moves it; then a ring at rest moves in the images, too. `searched`: the stripes of a whole frame, if they
-    were found before the shot was complete.
+    The steps are those of ringpose-method(7), section 3.
     """
-    if assumptions is None:
-        assumptions = USUAL.about_shot(rig.stability, still=shot.still)
-    nothing = Detection(
+    view = shot_view(shot, rig, prior)
+    blank = blank_detection(view)
+    if not view.images:
+        return blank
+    found = ring_near_prediction(view, prior) or ring_in_whole_frames(view, prior, source)
+    seen = replace(blank, stripes=found.stripes, segments=found.segments)
+    try:
+        named, visible, missing = visible_edges(found.judged(), found, view, source, wanted=edges)
+        clear = confirmed(named, visible, view)
+        points = clear if source is StripeSource.SEGMENTS else with_repetition(clear, view, found.motion)
+    except Stop as stop:
+        reason = explained(stop.reason, found.stripes, view)
+        return replace(seen, break_points=reason, advice=exposure_advice(reason, shot, view.images))
+    return replace(
+        seen,
+        break_points=points,
+        ring_edges=visible if edges else None,
+        ring=found.ring if np.array_equal(points.flags, found.judged().flags) else None,  # named as it was judged
+        rejected=(*found.rejected, *([Rejection(what="edge")] if edges and missing else [])),
+        advice=exposure_advice(points, shot, view.images),
+    )
+
+
+def shot_view(shot: Shot, rig: Rig, prior: Prior) -> View:
+    """The frames of a shot that are searched, with their backgrounds; no frames if the shot is lost."""
+    return View(
+        shot=shot,
+        rig=rig,
+        images=[] if shot.is_lost else laser_images(shot, len(rig.lasers.names), prior.background),
+        assumptions=prior.assumptions or USUAL.about_shot(rig.stability, still=shot.still),
+        camera=prior.camera,
+    )
+
+
+def blank_detection(view: View) -> Detection:
+    """The detection of a shot before it is searched, which is also that of one without a frame to search."""
+    shot, lasers = view.shot, view.rig.lasers.names
+    return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
         break_points=NoBreakPoints.AMBIENT_CHANGED if shot.is_lost else NoBreakPoints.NO_LASER_FRAME,
-        lasers_on=(np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1,
+        lasers_on=(np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(lasers))) & 1 == 1,
         still=shot.still,
         ambient_changed=shot.ambient_changed,
-        rig=rig.sha256,
+        rig=view.rig.sha256,
     )
-    images = [] if shot.is_lost else laser_images(shot, len(rig.lasers.names), background)
-    if not images:
-        return nothing
-    stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
-    segments, ring_edges = None, None
-    assigned = predicted is not None and predicted.labelled
-    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, camera, assigned=assigned)
-    if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
-        stripes, segments = _all_stripes(images, source, searched)
-        on_ring = _found(stripes, images, shot, rig, assumptions, camera)
-    found, edges_missing = on_ring.break_points, False
-    if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges, edges_missing = detect_ring_edges(
-            found, shot, stripes, rig, assumptions, camera, on_ring.motion
-        )
-    if isinstance(found, BreakPoints):
-        found = _confirmed(found, ring_edges, images)
-    if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
-        found = with_repetition(found, images, shot, rig, on_ring.motion)
-    found = _explained(found, stripes, images, rig)
-    rejected: tuple[Rejection, ...] = on_ring.rejected if isinstance(found, BreakPoints) else ()
-    if edges and edges_missing and isinstance(found, BreakPoints):
-        rejected = (*rejected, Rejection(what="edge"))
-    return replace(
-        nothing,
-        break_points=found,
+
+
+# Stripes, face, ends, and the ring that they agree with
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingSearch:
+    """The stripes of a shot, and the break points on those of them that agree with one ring."""
+
+    stripes: Stripes
+    segments: Segments | None = None
+    """The line segments that the stripes were made from, if any."""
+    break_points: BreakPoints | NoBreakPoints
+    rejected: tuple[Rejection, ...] = ()
+    """What does not agree with the ring."""
+    motion: RingMotion | None = None
+    """The ring's motion, if the shot shows it."""
+    ring: JudgedRing | None = None
+
+    def judged(self) -> BreakPoints:
+        """The break points that agree with one ring; raises `Stop` if there are none."""
+        if isinstance(self.break_points, NoBreakPoints):
+            raise Stop(self.break_points)
+        return self.break_points
+
+
+def ring_near_prediction(view: View, prior: Prior) -> RingSearch | None:
+    """The ring by the stripes in windows about the predicted ones; None without all of the predicted break points."""
+    predicted = prior.predicted
+    stripes = None if predicted is None else _predicted_stripes(view.images, predicted, view.rig)
+    if predicted is None or stripes is None:
+        return None
+    search = _ring_search(stripes, view, [] if predicted.labelled else view.unlabelled_lasers())
+    points = search.break_points
+    if isinstance(points, NoBreakPoints) or (predicted.seen & np.isnan(points.position_px[..., 0])).any():
+        return None
+    return search
+
+
+def ring_in_whole_frames(view: View, prior: Prior, source: StripeSource) -> RingSearch:
+    """The ring by the stripes in the whole frames."""
+    stripes, segments = _all_stripes(view.images, source, prior.stripes_of)
+    return replace(_ring_search(stripes, view, view.unlabelled_lasers()), segments=segments)
+
+
+def _ring_search(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> RingSearch:
+    """The break points on the stripes that lie on one ring; `unlabelled`: lasers whose stripes are not assigned."""
+    try:
+        return _judged_ring(stripes, view, unlabelled)
+    except Stop as stop:
+        return RingSearch(stripes=stripes, break_points=stop.reason)
+
+
+def _judged_ring(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> RingSearch:
+    """Face, ends, and the outlier test by one ring.
+
+    The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
+    """
+    rig, saturation_dn = view.rig, view.saturation_dn
+    if not len(stripes.piece):
+        raise Stop(_why_no_stripe(view.images))
+    tracks = stripe_line_segments(stripes, rig.camera)
+    face = select_face(tracks, unlabelled, rig)
+    ends = break_points(face, tracks, view.images, rig, saturation_dn)
+    if saturated_along_stripes(ends, view.images, saturation_dn):
+        raise Stop(NoBreakPoints.HIDDEN_BY_SATURATION)
+    motion = None if view.still or view.shot.lasers.all() else ring_motion(ends, view.shot, rig)
+    unmoved = view.images if motion is None else [_without_moved_background(image, motion) for image in view.images]
+    if unmoved != view.images:
+        ends = break_points(face, tracks, unmoved, rig, saturation_dn)
+    judged = without_outliers(ends, rig, view.assumptions, view.camera)
+    displaced = [rig.lasers.names[laser] for laser in displaced_lasers(face, tracks, unlabelled, rig)]
+    return RingSearch(
         stripes=stripes,
-        segments=segments,
-        ring_edges=ring_edges if edges else None,
-        ring=on_ring.ring if _named_alike(found, on_ring.break_points) else None,
-        rejected=rejected,
-        advice=exposure_advice(found, shot, images),
+        break_points=judged.break_points,
+        rejected=(*judged.rejected, *(Rejection(what="stripe", laser=name) for name in displaced)),
+        motion=motion,
+        ring=judged.ring,
     )
 
 
-def _confirmed(
-    found: BreakPoints, ring_edges: RingEdgePoints | None, images: list[LaserImage]
-) -> BreakPoints | NoBreakPoints:
-    """The break points, or why they are not enough to show a ring.
+# The ring's visible edges
+
+
+def visible_edges(
+    points: BreakPoints, found: RingSearch, view: View, source: StripeSource, *, wanted: bool
+) -> tuple[BreakPoints, RingEdgePoints | None, bool]:
+    """The break points with inner and outer edge resolved, the visible edges, and whether light should show them.
+
+    They are also searched if they are not wanted but the ends are not clear. Raises `Stop` if they are straight.
+    """
+    if source is StripeSource.SEGMENTS or (not wanted and ends_clear(points)):
+        return points, None, False
+    edges = detect_ring_edges(points, view.shot, found.stripes, view.rig, view.assumptions, view.camera, found.motion)
+    if isinstance(edges.break_points, NoBreakPoints):
+        raise Stop(edges.break_points)
+    return edges.break_points, edges.points, edges.missing
+
+
+def confirmed(points: BreakPoints, visible: RingEdgePoints | None, view: View) -> BreakPoints:
+    """The break points; raises `Stop` if they are not enough to show a ring.
 
     Visible edges beside several stripes stand for clear ends only without a background frame, where its texture hides
     the ends: the shadow of a ring on a flat body has the edges of a ring, but beside it the stripes go on, fainter.
     """
-    several = int(found.seen.any(axis=1).sum()) > 1
-    by_edges = ring_edges is not None and several and any(image.dark is None for image in images)
-    if not by_edges and not ends_clear(found):
-        return NoBreakPoints.NO_RING
-    if ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
-        return NoBreakPoints.HIDDEN_BY_SATURATION
-    return found
+    several = int(points.seen.any(axis=1).sum()) > 1
+    by_edges = visible is not None and several and any(image.dark is None for image in view.images)
+    if not by_edges and not ends_clear(points):
+        raise Stop(NoBreakPoints.NO_RING)
+    if visible is None and hidden_by_saturation(points, view.images, view.saturation_dn):
+        raise Stop(NoBreakPoints.HIDDEN_BY_SATURATION)
+    return points
 
 
-def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
+# Stripes
+
+
+def _predicted_stripes(images: Sequence[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
     """The stripes in windows about the predicted ones; None if none is predicted."""
     parts = []
     for image in images:
@@ -176,15 +320,8 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
     return replace(stripes, laser=np.where(near.any(axis=1), near.argmax(axis=1), UNLABELLED))
 
 
-def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> bool:
-    """Whether a break point that was predicted was not found."""
-    if predicted is None or not isinstance(found, BreakPoints):
-        return True
-    return bool((predicted.seen & np.isnan(found.position_px[..., 0])).any())
-
-
 def _all_stripes(
-    images: list[LaserImage], source: StripeSource, searched: Callable[[LaserImage], Stripes | None] | None
+    images: Sequence[LaserImage], source: StripeSource, searched: Callable[[LaserImage], Stripes | None] | None
 ) -> tuple[Stripes, Segments | None]:
     """The stripes of all frames in one record, and the line segments that they were made from, if any."""
     if source is StripeSource.SEGMENTS:
@@ -197,7 +334,7 @@ def _all_stripes(
     return _joined([_labelled(part, image) for part, image in zip(parts, images, strict=True)]), None
 
 
-def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:
+def _stripes_between_segments(images: Sequence[LaserImage]) -> tuple[Stripes, Segments]:
     """The stripes of all frames in one record, from pairs of line segments (the paper's method), and the segments.
 
     The line detector is imported only if needed.
@@ -234,15 +371,13 @@ def _joined_segments(parts: list[Segments]) -> Segments:
     )
 
 
-def with_repetition(
-    found: BreakPoints, images: list[LaserImage], shot: Shot, rig: Rig, motion: RingMotion | None = None
-) -> BreakPoints:
+def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = None) -> BreakPoints:
     """The break points, and as `repeated` those of a frame with several lasers on that shows the same stripes again.
 
     The stripes of that frame are searched and assigned to lasers near those found. What was not measured the first time
     is left out.
     """
-    image = repeated_image(shot, images)
+    rig, image = view.rig, repeated_image(view.shot, view.images)
     bands = None if image is None else predicted_bands(found, image.lasers, rig.camera)
     if image is None or bands is None:
         return found
@@ -255,7 +390,7 @@ def with_repetition(
     face = ring_face(tracks, (), rig)
     if face is None:
         return found
-    again = break_points(face, tracks, [image], rig, shot.saturation_dn)
+    again = break_points(face, tracks, [image], rig, view.shot.saturation_dn)
     far_px = np.nansum(np.abs(again.position_px - found.position_px))
     if np.nansum(np.abs(again.position_px[:, ::-1] - found.position_px)) < far_px:
         again = again.with_edges_exchanged()
@@ -298,81 +433,26 @@ def _nearest_lasers(
     return np.where(near, np.array(known, dtype=np.int64)[away_px.argmin(axis=1)], UNLABELLED)
 
 
-def _named_alike(found: BreakPoints | NoBreakPoints, judged: BreakPoints | NoBreakPoints) -> bool:
-    """Whether the search for visible edges has left all flags of the break points unchanged.
-
-    Edges that resolve which one is the inner edge remove the flag `EDGE_UNKNOWN`.
-    """
-    if not isinstance(found, BreakPoints) or not isinstance(judged, BreakPoints):
-        return False
-    return np.array_equal(found.flags, judged.flags)
-
-
-class _Found(NamedTuple):
-    """The break points that agree with one ring, those that do not, and the ring's motion if the shot shows it."""
-
-    break_points: BreakPoints | NoBreakPoints
-    rejected: tuple[Rejection, ...] = ()
-    motion: RingMotion | None = None
-    ring: JudgedRing | None = None
-
-
-def _found(
-    stripes: Stripes,
-    images: list[LaserImage],
-    shot: Shot,
-    rig: Rig,
-    assumptions: Assumptions,
-    camera: CameraMotion | None,
-    *,
-    assigned: bool = False,
-) -> _Found:
-    """The break points on the stripes that lie on one ring, or the reason why there are none.
-
-    The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
-    `assigned`: whether the stripes of frames with several lasers on are assigned already.
-    """
-    if not len(stripes.piece):
-        return _Found(_why_no_stripe(images))
-    tracks = stripe_line_segments(stripes, rig.camera)
-    unlabelled = [] if assigned else [laser for image in images if image.label == UNLABELLED for laser in image.lasers]
-    face = _face(tracks, unlabelled, rig)
-    if isinstance(face, NoBreakPoints):
-        return _Found(face)
-    names = (rig.lasers.names[laser] for laser in displaced_lasers(face, tracks, unlabelled, rig))
-    displaced = tuple(Rejection(what="stripe", laser=name) for name in names)
-    saturation_dn = images[0].saturation_dn
-    points = break_points(face, tracks, images, rig, saturation_dn)
-    if saturated_along_stripes(points, images, saturation_dn):
-        return _Found(NoBreakPoints.HIDDEN_BY_SATURATION)
-    still = assumptions.motion is None and camera is None
-    motion = None if still or shot.lasers.all() else ring_motion(points, shot, rig)
-    if motion is not None:
-        unmoved = [_without_moved_background(image, motion) for image in images]
-        if unmoved != images:
-            points = break_points(face, tracks, unmoved, rig, saturation_dn)
-    found = without_outliers(points, rig, assumptions, camera)
-    return _Found(found.break_points, (*found.rejected, *displaced), motion, found.ring)
-
-
 def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:
     """The image, without background if the ring's edges have moved since the background was taken."""
     moved_px = motion.edge_speed_px_s * abs(image.stamp_s - image.dark_stamp_s)
     return replace(image, dark=None) if moved_px > MOVED_PX else image
 
 
-def _face(tracks: Float64[Array, "track column=11"], unlabelled: list[int], rig: Rig) -> Face | NoBreakPoints:
-    """The stripes on the ring's face, or the reason why there are none; `unlabelled`: lasers of unlabelled segments."""
+def select_face(tracks: Float64[Array, "track column=11"], unlabelled: Sequence[int], rig: Rig) -> Face:
+    """The stripes on the ring's face; `unlabelled`: lasers of unlabelled segments. Raises `Stop` if there are none."""
     face = ring_face(tracks, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, tracks, rig):
-        return NoBreakPoints.CONTRADICTED_MASKS
+        raise Stop(NoBreakPoints.CONTRADICTED_MASKS)
     if (face is None or len(face.lasers) < CONFIRMED) and stripes_behind_camera(tracks, rig):
-        return NoBreakPoints.CONTRADICTED_RIG
+        raise Stop(NoBreakPoints.CONTRADICTED_RIG)
     if face is None:
-        return NoBreakPoints.NO_RING
+        raise Stop(NoBreakPoints.NO_RING)
     if face.ambiguous:
-        return NoBreakPoints.AMBIGUOUS_LABELS
-    return NoBreakPoints.SURFACE_IN_FRONT if face.behind else face
+        raise Stop(NoBreakPoints.AMBIGUOUS_LABELS)
+    if face.behind:
+        raise Stop(NoBreakPoints.SURFACE_IN_FRONT)
+    return face
 
 
 UNEXPLAINED = (
@@ -384,24 +464,22 @@ UNEXPLAINED = (
 """Reasons that frames in another order or images upside down have as well: these are looked for."""
 
 
-def _explained(
-    found: BreakPoints | NoBreakPoints, stripes: Stripes, images: list[LaserImage], rig: Rig
-) -> BreakPoints | NoBreakPoints:
-    """The result; a reason may become one for which the shot has evidence: exchanged frames, an image upside down."""
-    if found not in UNEXPLAINED:
-        return found
-    with_dark = [image for image in images if image.dark is not None]
+def explained(reason: NoBreakPoints, stripes: Stripes, view: View) -> NoBreakPoints:
+    """The reason, or one for which the shot has evidence: exchanged frames, an image upside down."""
+    if reason not in UNEXPLAINED:
+        return reason
+    rig = view.rig
+    with_dark = [image for image in view.images if image.dark is not None]
     if with_dark and all(_dark_frame_lit(image) for image in with_dark):
         return NoBreakPoints.DARK_FRAME_LIT
-    if found is NoBreakPoints.HIDDEN_BY_SATURATION:
-        return found
+    if reason is NoBreakPoints.HIDDEN_BY_SATURATION:
+        return reason
     x, y = stripes.position_px.T
     turned_px = np.stack([x, rig.camera.image_height - 1 - y], axis=1)
     tracks = stripe_line_segments(replace(stripes, position_px=turned_px), rig.camera)
-    unlabelled = [laser for image in images if image.label == UNLABELLED for laser in image.lasers]
-    face = ring_face(tracks, unlabelled, rig)
+    face = ring_face(tracks, view.unlabelled_lasers(), rig)
     fits = face is not None and len(face.lasers) >= CONFIRMED and not face.ambiguous and not face.behind
-    return NoBreakPoints.UPSIDE_DOWN if fits else found
+    return NoBreakPoints.UPSIDE_DOWN if fits else reason
 
 
 BRIGHTER = 10
@@ -432,7 +510,7 @@ def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=
     return other is not None and len(other.lasers) > 2
 
 
-def _why_no_stripe(images: list[LaserImage]) -> NoBreakPoints:
+def _why_no_stripe(images: Sequence[LaserImage]) -> NoBreakPoints:
     if all(image.lit.max() < DARK_SHARE * image.threshold_scale_dn for image in images):
         return NoBreakPoints.IMAGE_DARK
     if all(np.median(image.lit) >= image.saturation_dn for image in images):

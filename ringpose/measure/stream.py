@@ -33,6 +33,7 @@ from ringpose.types.track import TrackLine
 
 if TYPE_CHECKING:  # not imported to measure detections
     from ringpose.detect.difference_images import LaserImage
+    from ringpose.detect.pipeline import Prior
     from ringpose.measure.warm_start import WarmStart
     from ringpose.track.explanations import TrackOptions
 
@@ -53,12 +54,13 @@ class Setup:
     camera: CameraMotion | None = None
     """The camera's motion by the poses of the robot that carries it; None for a camera that counts as inertial."""
 
-    def detection(self, shot: Shot, **prior: Any) -> Detection:
-        """What a shot shows; `prior`: what earlier shots have shown, as `detect` takes it."""
-        from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
+    def detection(self, shot: Shot, prior: "Prior | None" = None) -> Detection:
+        """What a shot shows; `prior`: what earlier shots have shown."""
+        from ringpose.detect.pipeline import NOTHING_KNOWN, detect  # not needed for detections, and slow to import
 
         assumptions = assumptions_about(shot, self.rig, self.known, self.options)
-        return detect(shot, self.rig, assumptions=assumptions, camera=self.camera, **prior)
+        known = replace(prior or NOTHING_KNOWN, assumptions=assumptions, camera=self.camera)
+        return detect(shot, self.rig, known)
 
     def line(self, detection: Detection) -> PoseLine:
         """The pose line of a detection by itself."""
@@ -167,10 +169,12 @@ class Stream:
             return error
 
     def _detection(self, setup: Setup, shot: Shot) -> Detection:
+        from ringpose.detect.pipeline import NOTHING_KNOWN
+
+        prior = NOTHING_KNOWN if self._warm is None else self._warm.before(shot, setup.rig)
+        detection = setup.detection(shot, replace(prior, stripes_of=self._early))
         if self._warm is None:
-            return setup.detection(shot, searched=self._early)
-        prior = self._warm.before(shot, setup.rig)
-        detection = setup.detection(shot, searched=self._early, **prior._asdict())
+            return detection
         self._warm.after(shot, detection, prior)
         return detection
 

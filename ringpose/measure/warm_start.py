@@ -1,12 +1,11 @@
 """What earlier shots show about the next one of a stream: its stripes by the track, their lasers, its background."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.detect.difference_images import laser_images
-from ringpose.detect.pipeline import MOVED_PX
+from ringpose.detect.pipeline import MOVED_PX, Prior
 from ringpose.detect.ring_edges import PredictedRing
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
@@ -39,15 +38,6 @@ FIRST_INTERVAL_S = 0.5
 """... and the interval before there were two shots."""
 
 
-class Prior(NamedTuple):
-    """What earlier shots show about the next one, as arguments of `ringpose.detect.pipeline.detect`."""
-
-    predicted: BreakPoints | None
-    """The stripes at the times of the shot's frames; None if the track does not predict them well enough."""
-    background: Frame | None
-    """A frame without lasers of an earlier shot; None if it does not show the background of this one."""
-
-
 class WarmStart:
     """Predicts what the next shot of a stream shows, and extends the track by it."""
 
@@ -68,7 +58,7 @@ class WarmStart:
 
     def before(self, shot: Shot, rig: Rig) -> Prior:
         """What is known about a shot before its detection."""
-        return Prior(self.prediction(shot, rig), self._usable_background(shot, rig))
+        return Prior(predicted=self.prediction(shot, rig), background=self._usable_background(shot, rig))
 
     def after(self, shot: Shot, detection: Detection, prior: Prior) -> None:
         """Keep what the detection of a shot shows about the following ones."""

@@ -37,7 +37,7 @@ from ringpose.capture.latest_frame import EarlyStripes
 from ringpose.cli.bench.speed import start_calls
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.difference_images import laser_images
-from ringpose.detect.pipeline import detect
+from ringpose.detect.pipeline import Prior, detect
 from ringpose.detect.stripes import find_stripes
 from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
@@ -163,7 +163,7 @@ def _chain_times_s(kind: Kind, rounds: int, *, switched: bool = False) -> dict[s
         calls: dict[str, Callable[[], object]] = {
             "reference": partial(detector(DetectorName.EDGE_DRAWING), image.image),
             "full frame": partial(detect, shot, rig, edges=False),
-            "tracked bands": partial(detect, shot, rig, edges=False, predicted=predicted),
+            "tracked bands": partial(detect, shot, rig, Prior(predicted=predicted), edges=False),
             "judgement": _judgement(shot, rig),
         }
         if switched:
@@ -255,7 +255,7 @@ def latency_figures(rounds: int) -> list[Figure]:
             early.stripes_of(image)  # waits until it is searched
         start_s = process_time()
         early.add(last, shot.saturation_dn)
-        _pose_record(detect(shot, rig, searched=early.stripes_of), rig)
+        _pose_record(detect(shot, rig, Prior(stripes_of=early.stripes_of)), rig)
         samples_s.append(process_time() - start_s)
     median_s, p99_s = np.percentile(samples_s, [50, 99])
     return [

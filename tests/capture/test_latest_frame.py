@@ -10,7 +10,7 @@ from recorded_shots import make_shot
 
 from ringpose.capture.latest_frame import EarlyStripes, NewestShots
 from ringpose.detect.difference_images import laser_images
-from ringpose.detect.pipeline import detect
+from ringpose.detect.pipeline import Prior, detect
 from ringpose.errors import DeviceError
 from ringpose.files.records import line_of
 from ringpose.files.records.detections import detection_record
@@ -126,7 +126,7 @@ def test_stripes_found_before_the_shot_is_complete_give_the_same_detection(switc
     complete, rig = switched
     early = early_stripes(complete)
 
-    found = detect(complete, rig, searched=early.stripes_of)
+    found = detect(complete, rig, Prior(stripes_of=early.stripes_of))
 
     assert line_of(detection_record(found)) == line_of(detection_record(detect(complete, rig)))
 

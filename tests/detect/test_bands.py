@@ -9,7 +9,7 @@ from drawn_scene import DrawnScene, draw_shot, drawn_rig, true_break_points
 from ring_scenes import break_points_of, with_lines
 
 from ringpose.detect.difference_images import laser_images
-from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, detect, predicted_bands
+from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, Prior, detect, predicted_bands
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.detection import UNLABELLED
@@ -59,7 +59,7 @@ def drawn(rng):
 def test_a_prediction_assigns_the_stripes_of_a_frame_with_all_lasers_on(drawn):
     rig, shot, predicted = drawn
 
-    found = detect(shot, rig, predicted=predicted)
+    found = detect(shot, rig, Prior(predicted=predicted))
 
     np.testing.assert_allclose(found.break_points.position_px, predicted.position_px, atol=0.2)
     assert set(found.stripes.laser.tolist()) == {UNLABELLED, 0, 1, 2}  # pieces on the body are not assigned
@@ -75,7 +75,7 @@ def test_a_wrong_prediction_is_replaced_by_a_search_of_the_whole_frame(drawn, wr
         names = ("position_px", "face_start_px", "face_end_px")
         predicted = replace(predicted, **{name: getattr(predicted, name)[::-1] for name in names})
 
-    found = detect(shot, rig, predicted=predicted)
+    found = detect(shot, rig, Prior(predicted=predicted))
 
     np.testing.assert_allclose(found.break_points.position_px, truth_px, atol=0.2)
 
@@ -89,5 +89,5 @@ def test_the_background_of_an_earlier_shot_is_subtracted_from_a_shot_without_one
     assert found.dark is earlier.image
     assert found.dark_stamp_s == pytest.approx(-0.098)
     assert without.dark is None
-    edges = detect(shot, rig, background=earlier).ring_edges
+    edges = detect(shot, rig, Prior(background=earlier)).ring_edges
     assert edges is None or set(edges.stamp_s.tolist()) == {shot.mid_exposure_s(0)}  # not those of the earlier frame

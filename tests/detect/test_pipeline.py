@@ -10,7 +10,7 @@ from recorded_shots import make_shot
 
 from ringpose.detect import pipeline, ring_edges
 from ringpose.detect.break_points import break_points
-from ringpose.detect.pipeline import detect
+from ringpose.detect.pipeline import Prior, detect
 from ringpose.detect.ring_edges import edges_lit
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
@@ -116,7 +116,7 @@ def test_the_paper_segments_find_the_same_ring(rig, rng):
     scene = DrawnScene(noise_dn=0.5)
     shot = draw_shot(scene, rig, SWITCHED, rng)
 
-    detection = detect(shot, rig, StripeSource.SEGMENTS)
+    detection = detect(shot, rig, source=StripeSource.SEGMENTS)
 
     assert isinstance(detection.break_points, BreakPoints)
     assert detection.segments is not None
@@ -179,7 +179,7 @@ def test_a_prediction_restricts_the_search_and_changes_little(rig, rng, monkeypa
     whole = found(shot, rig)
     calls = count_calls(monkeypatch)
 
-    tracked = detect(shot, rig, predicted=predicted).break_points
+    tracked = detect(shot, rig, Prior(predicted=predicted)).break_points
 
     assert calls == []
     assert isinstance(tracked, BreakPoints)
@@ -191,7 +191,7 @@ def test_a_lost_prediction_falls_back_to_the_whole_frame(rig, rng, monkeypatch):
     predicted = found(draw_shot(DrawnScene(center_m=(0.58, 0.02, 0.7)), rig, SWITCHED, rng), rig)
     calls = count_calls(monkeypatch)
 
-    tracked = detect(shot, rig, predicted=predicted).break_points
+    tracked = detect(shot, rig, Prior(predicted=predicted)).break_points
 
     assert len(calls) == 3
     assert isinstance(tracked, BreakPoints)

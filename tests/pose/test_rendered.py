@@ -87,7 +87,7 @@ def test_what_one_or_two_stripes_and_the_edges_say_of_the_normal_is_true(shared_
         if truth["expect"] == "partial":
             found = detect(read_shot(place / "shots" / f"{truth['shot']}.npz", rig=rig), rig)
             pose = most_likely_pose(found.break_points, rig, ring_edges=found.ring_edges)
-            if np.isfinite(pose.normal).all():
+            if not isinstance(pose, NoPose) and np.isfinite(pose.normal).all():
                 apart = np.linalg.norm(np.cross(pose.normal, truth["normal"]))
                 sigmas[truth["shot"]] = apart / np.sqrt(np.trace(pose.covariance[:2, :2]))
 
