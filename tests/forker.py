@@ -38,6 +38,7 @@ def carry_out(job, out, said):
     os.environ.clear()
     os.environ.update(job["environment"])
     sys.argv[1:] = job["words"]
+    sys.dont_write_bytecode = True  # it would be cut off where a test limits the size of files
     exec(job["before"], {"__name__": "before"})
     run()
 

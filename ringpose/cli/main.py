@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from ringpose.cli import messages
 from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
@@ -80,8 +80,8 @@ def run() -> None:
         interrupts.are_over = True
         status = received.status
     ignore_signals()
-    if interrupts.number:
-        _discard_output()  # its reader may have stopped reading, and no signal could end the wait for it
+    if interrupts.number and sys.stdout is not None:
+        _discard(sys.stdout)  # its reader may have stopped reading, and no signal could end the wait for it
     _discard_unwritten_output()
     sys.exit(status)
 
@@ -105,8 +105,8 @@ def _command(arguments: list[str]) -> int:
         path = getattr(getattr(error, "ctx", None), "command_path", "ringpose")
         found = re.sub(r"a valid (int|float)( range)?\b", _number_kind, error.format_message().rstrip("."))
         raise UsageError("", found, f"see {path} --help") from None
-    except typer.Abort:
-        return 128 + signal.SIGINT
+    except typer.Abort as abort:  # what Typer makes of an EOFError, such as that of a truncated file of byte code
+        raise abort.__cause__ or abort from None
 
 
 def _number_kind(found: re.Match[str]) -> str:
@@ -127,18 +127,18 @@ def _output_failed(error: OSError) -> int:
 
 
 def _discard_unwritten_output() -> None:
-    """Redirect stdout to /dev/null if it cannot be flushed; else Python retries at exit and prints a traceback."""
-    try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except OSError:
-        _discard_output()
+    """Discard output and messages that cannot be written; else Python tries again at exit, and ends with status 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except OSError:
+            _discard(stream)
 
 
-def _discard_output() -> None:
-    """Redirect stdout to /dev/null."""
-    if sys.stdout is not None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _discard(stream: TextIO) -> None:
+    """Redirect a stream to /dev/null."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 AGAIN_S = 0.1

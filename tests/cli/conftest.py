@@ -176,9 +176,10 @@ def started() -> Callable[..., "subprocess.Popen[str]"]:
 
     def start(*arguments: str | Path, before: str = "", **options: Any) -> "subprocess.Popen[str]":
         program = f"{before}\nfrom ringpose.cli.main import run\nrun()"
-        # a signal may arrive between the opening of a file and its `with` block
-        warnings = ("-W", "error", "-W", "ignore::ResourceWarning")
-        words = [sys.executable, *warnings, "-c", program, *map(str, arguments)]
+        # a signal may arrive between the opening of a file and its `with` block; byte code would be cut off where a
+        # test limits the size of files, and later processes could not read it
+        flags = ("-B", "-W", "error", "-W", "ignore::ResourceWarning")
+        words = [sys.executable, *flags, "-c", program, *map(str, arguments)]
         pipe = subprocess.PIPE
         return subprocess.Popen(words, **({"stdin": pipe, "stdout": pipe, "stderr": pipe, "text": True} | options))
 

@@ -142,3 +142,13 @@ except SignalReceived:
 
     assert printed in done.stderr
     assert bool(done.stderr) is not interrupted
+
+
+def test_a_module_whose_byte_code_is_cut_off_is_an_error_with_its_place(monkeypatch):
+    def loaded(*_):
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr("ringpose.files.records.write_text", loaded)
+
+    with pytest.raises(EOFError, match="marshal"):
+        main(["schema"])

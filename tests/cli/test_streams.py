@@ -326,7 +326,9 @@ def test_closed_stdout_is_one_line(started, rig, detections):
     assert (status, said.count("\n")) == (74, 1)
 
 
-def test_nobody_to_read_the_messages_changes_no_status(started, rig, tmp_path):
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_nobody_to_read_the_messages_changes_no_status(started, rig, tmp_path, monkeypatch, unbuffered):
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     with Path("/dev/full").open("w") as full:
         process = started("pose", tmp_path / "none.npz", "--rig", rig, stderr=full)
         process.communicate(timeout=DEADLINE_S)
