@@ -41,4 +41,4 @@ def test_a_folder_of_that_name_can_still_be_given(capsys):
     status = main(["bench", "./speed"])
 
     assert status == 66
-    assert "speed/rig.yaml: does not exist" in capsys.readouterr().err
+    assert "speed: is not a data set" in capsys.readouterr().err

@@ -52,7 +52,10 @@ def test_existing_pictures_are_not_replaced_without_force(rig, detections, tmp_p
 def test_second_shot_of_a_name_is_reported_and_not_drawn_over_the_first(rig, detections, tmp_path, run):
     words = ["--rig", rig, "--method", "paper", "--overlay", tmp_path / "drawn"]
 
-    status, out, messages = run("pose", detections, detections, *words)
+    again = tmp_path / "again.jsonl"  # other detections of these shots
+    again.write_text(detections.read_text() + "\n")
+
+    status, out, messages = run("pose", detections, again, *words)
 
     assert (status, len(out)) == (65, 6)
     assert ["earlier shot" in message for message in messages] == [True] * 3
