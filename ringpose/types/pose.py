@@ -27,6 +27,7 @@ class NoPose(Enum):
     COLLINEAR = "the break points lie on one line within their errors, which no plane determines"
     EDGE_ON = "the ring's plane passes through the camera: its face cannot be seen"
     AMBIGUOUS = "what was seen has several explanations with neither the ring's plane nor a grasp point in common"
+    MIRRORED = "what was seen fits a ring only if the image is mirrored left to right; see the camera's flip"
     UNDETERMINED = "neither the ring's plane nor a point to grasp is determined by what was seen"
     SINGULAR = "the equations for the ring are numerically singular: what was seen contradicts itself or is degenerate"
     UNCONFIRMED = (

@@ -84,6 +84,8 @@ BUILT: dict[str, Callable[[Path], None]] = {
     "poses.jsonl": _pose_lines,
     "upside_down.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[:, ::-1, ::-1]),
     "flipped.npz": _changed_shot("B_z0500_p00_dim.npz", images=lambda images: images[:, ::-1]),
+    "mirrored.npz": _changed_shot("B_z0500_p00_dim.npz", images=lambda images: images[:, :, ::-1]),
+    "mirrored_pair.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[:, :, ::-1]),
     "reversed.npz": _changed_shot("B_z0500_p00_dim.npz", images=lambda images: images[::-1]),
     "reversed_pair.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[::-1]),
     "two_axes.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[1]),
