@@ -103,7 +103,9 @@ class _Records:
             except DataError as problem:
                 raise DataError(item.location, problem.found, problem.remedy) from problem
             if line.pose is not None and line.measurement is None:
-                self._report_once(f"{item.location}: has no measurement", "leave out --brief of ringpose pose")
+                self._report_once(
+                    f"{item.location}: has no measurement", "measure with --method ml and without --brief"
+                )
             age_s = now_s - attempt.stamp_s
             if at_rate and age_s > self._tracker.options.lost_after_s:
                 found = f"{item.location}: is {age_s:.3g} s old by this computer's clock, so that the track is lost"

@@ -80,7 +80,7 @@ def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
             raise DataError(
                 "the rig's covariance",
                 f"it names {name!r}, which is not a parameter of this rig",
-                "run ringpose calibrate-planes",
+                "correct that name, or remove the covariance from the rig file",
             )
     root = covariance_root(total.data[np.ix_(uncertain, uncertain)])
     return RigErrors(parameters=names, root=root, camera=camera, lasers=lasers, basis=light_plane_bases(rig))

@@ -42,11 +42,12 @@ _MIN_CORRELATION = 0.8
 def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: Camera) -> None:
     """Raise UsageError if the board or the camera does not support the method."""
     if free_camera and method is not PlanesMethod.JOINT:
-        found = "only the joint method estimates the camera"
-        raise UsageError("--free-camera", found, "calibrate the camera with ringpose calibrate-camera")
+        raise UsageError(
+            "--free-camera", "only the joint method estimates the camera", "leave it out, or use --method joint"
+        )
     if free_camera and camera.covariance is None:
         found = "the camera has no covariance"
-        raise UsageError("--free-camera", found, "calibrate the camera with ringpose calibrate-camera")
+        raise UsageError("--free-camera", found, "leave it out, or give a camera.yaml of ringpose calibrate-camera")
     if method is PlanesMethod.PAPER and board.kind not in MARKER_BOARDS:
         raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
 

@@ -252,7 +252,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Bat
             tracked = item.values.get("schema") == tracks.SCHEMA
             line = (tracks.pose_line_of_track if tracked else pose_line_of)(item.values, item.location)
             if tracked and item.values.get("frame") != "camera":
-                raise DataError(item.location, "is in the base frame", "track without --robot-poses")
+                raise DataError(item.location, "is in the base frame", "give a track without robot poses")
             if tracked and not line.shot:
                 continue
             reject_other_rig(line.rig, rig, item.location, "give the rig of the poses, or leave out --rig")
