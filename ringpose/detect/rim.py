@@ -85,6 +85,9 @@ ALIKE_DISPLACED_M, ALIKE = 0.04, 1.15
 """The same for a stripe parallel to the plane and of the length of those on it, and the maximum ratio of their lengths.
 With one of the selected stripes 10 px beside its place (0.5 m, lasers at 10 degrees) the third is 24 to 35 mm off."""
 
+MOVED_RAD = math.radians(0.6)
+"""Largest turn of a light plane since the calibration that is considered, seen from the camera."""
+
 BODY_RANGE_M = (0.15, 1.5)
 """Range of the depth of the body behind a ring."""
 
@@ -101,6 +104,8 @@ class Face:
     """Another assignment explains the same segments about as well, or explains them as stripes on the body."""
     behind: bool = False
     """Another segment is on a flat surface in front of these, which may be the face."""
+    displaced: tuple[int, ...] = ()
+    """Lasers of which another segment than the coplanar one is on the band of these (`_beside_band`)."""
 
 
 class Group(NamedTuple):
@@ -141,6 +146,8 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
         best = best_hypothesis(groups)
     if best is None:
         return None
+    beside = _beside_band(best, every, lasers, rig)
+    best = best if beside is None else _without(best, beside)
     chosen = every[list(best.tracks)]
     face = Face(
         lasers=best.lasers,
@@ -148,6 +155,7 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
         score=best.score,
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
         or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
+        displaced=() if beside is None else (beside,),
     )
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
         face = _with_further_lasers(face, every, lasers, rig)
@@ -178,7 +186,7 @@ def _segments_on_plane(
     face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
 ) -> dict[int, list[float]]:
     """The segments of the face, and of each other laser the longest one on its plane; none if they have no plane."""
-    ends_m, lengths_m, origin, normal = _plane_of(face, rig)
+    ends_m, lengths_m, origin, normal = _plane_of(face.tracks, face.lasers, rig)
     used = face.tracks.tolist()
     found = {
         laser: row
@@ -262,6 +270,50 @@ def _lengths_consistent(tracks: Float64[Array, "track column=11"], lasers: Seque
     return bool(lengths_m.max() < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
 
 
+def _without(group: Group, laser: int) -> Group:
+    """The group without the track of a laser, with the scores of all of them."""
+    kept = [number for number, each in enumerate(group.lasers) if each != laser]
+    lasers, tracks = (tuple(each[number] for number in kept) for each in (group.lasers, group.tracks))
+    return group._replace(lasers=lasers, tracks=tracks)
+
+
+def _beside_band(
+    group: Group, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+) -> int | None:
+    """The laser of three whose segment is beside the band of the other two, where another one of its segments is.
+
+    If a light plane has moved, the ring's three stripes are no longer coplanar, but one on the body may be with two of
+    them, as light planes are nearly parallel. Where a stripe is along its light plane, and how long it is, has hardly
+    changed: the laser's stripe on the ring is as long as the other two, on their band, and coplanar with them after a
+    small turn of one light plane.
+    """
+    start_px, end_px = tracks[list(group.tracks)][:, [X_START, X_END]].T
+    if len(group.tracks) < CONFIRMED or start_px.max() < end_px.min():
+        return None
+    for laser, track in zip(group.lasers, group.tracks, strict=True):
+        pair = _without(group, laser)
+        rows = tracks[list(pair.tracks)]
+        plane = _plane_of(rows, pair.lasers, rig)
+        if plane.on_band(_ends_m(tracks[[track]], [laser], rig))[0]:
+            continue
+        others = _of_laser(_others(rows, tracks), laser, lasers)
+        ends_m = _ends_m(others, [laser] * len(others), rig)
+        for other in others[plane.on_band(ends_m) & plane.alike(ends_m)]:
+            if _turn_rad(np.stack([*rows, other]), [*pair.lasers, laser], rig) < MOVED_RAD:
+                return laser
+    return None
+
+
+def _turn_rad(tracks: Float64[Array, "track=3 column=11"], lasers: Sequence[int], rig: Rig) -> float:
+    """The smallest turn of one of three light planes after which these segments are coplanar, seen from the camera."""
+    off_px = []
+    for number, laser in enumerate(lasers):
+        others = [each for each in range(len(lasers)) if each != number]
+        plane = _plane_of(tracks[others], [lasers[each] for each in others], rig)
+        off_px.append(_off_plane_px(tracks[number].tolist(), laser, plane.origin_m, plane.normal, rig))
+    return min(off_px) / lens(rig.camera).fy
+
+
 def may_be_background(
     tracks: Float64[Array, "track column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
 ) -> bool:
@@ -291,19 +343,44 @@ class _Plane(NamedTuple):
     normal: Float64[Array, "xyz=3"]
     """Unit normal towards the camera."""
 
+    def on_band(self, ends_m: Float64[Array, "n end=2 xyz=3"]) -> Bool[Array, "n"]:
+        """Whether stripes with these ends overlap the band of two selected ones, seen along the normal."""
+        across = self.ends_m[1].mean(axis=0) - self.ends_m[0].mean(axis=0)
+        along = across / np.linalg.norm(across)
+        offset_m = ends_m.mean(axis=1) - self.origin_m
+        aside_m = offset_m - np.outer(offset_m @ along, along) - np.outer(offset_m @ self.normal, self.normal)
+        overlap: Bool[Array, "n"] = np.linalg.norm(aside_m, axis=1) < max(self.lengths_m)
+        return overlap
 
-def _plane_of(face: Face, rig: Rig) -> _Plane:
-    ends_m = _ends_m(face.tracks, face.lasers, rig)
+    def alike(self, ends_m: Float64[Array, "n end=2 xyz=3"]) -> Bool[Array, "n"]:
+        """Whether stripes with these ends are parallel to the plane, and as long as the selected ones."""
+        length_m, off_m = _lengths_m(ends_m), (ends_m - self.origin_m) @ self.normal
+        as_long = np.maximum(max(self.lengths_m) / length_m, length_m / min(self.lengths_m)) < ALIKE
+        alike: Bool[Array, "n"] = as_long & (np.ptp(off_m, axis=1) < PARALLEL_WITHIN * length_m)
+        return alike
+
+
+def _plane_of(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> _Plane:
+    ends_m = _ends_m(tracks, lasers, rig)
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
     normal = np.linalg.svd(points_m - origin_m, full_matrices=False)[2][2]
     return _Plane(ends_m, _lengths_m(ends_m).tolist(), origin_m, -np.sign(normal @ origin_m) * normal)
 
 
-def _others(face: Face, tracks: Float64[Array, "track column=11"]) -> Float64[Array, "other column=11"]:
+def _others(
+    selected: Float64[Array, "selected column=11"], tracks: Float64[Array, "track column=11"]
+) -> Float64[Array, "other column=11"]:
     """The other segments that are not truncated by the image, and longer than most reflections."""
-    used = (tracks[:, None] == face.tracks).all(axis=2).any(axis=1)
+    used = (tracks[:, None] == selected).all(axis=2).any(axis=1)
     return tracks[~used & (tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
+
+
+def _of_laser(
+    tracks: Float64[Array, "track column=11"], laser: int, lasers: Sequence[int]
+) -> Float64[Array, "own column=11"]:
+    """The segments that may be of a laser; `lasers`: those that an unlabelled segment may belong to."""
+    return tracks[(tracks[:, LASER] == laser) | ((tracks[:, LASER] == UNLABELLED) & (laser in lasers))]
 
 
 def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> Face:
@@ -317,15 +394,15 @@ def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -
     stripe of a laser without a selected one may be off the plane because its light plane has moved
     (`displaced_lasers`).
     """
-    if len(face.lasers) < 2 or not len(others := _others(face, tracks)):
+    if len(face.lasers) < 2 or not len(others := _others(face.tracks, tracks)):
         return face
-    plane, lasers = _plane_of(face, rig), np.array(face.lasers)
+    plane, lasers = _plane_of(face.tracks, face.lasers, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
     nearer = ring_face(rows, face.lasers, rig) if len(rows) >= CONFIRMED else None
     if nearer is not None and len(nearer.lasers) >= CONFIRMED:
-        nearer_m, _, _, normal = _plane_of(nearer, rig)
+        nearer_m, _, _, normal = _plane_of(nearer.tracks, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < MAX_TILT_OF_FACES
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
             return nearer
@@ -360,24 +437,18 @@ def displaced_lasers(
     Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
     are those that an unlabelled segment may belong to.
     """
-    if len(face.lasers) != CONFIRMED - 1 or not len(others := _others(face, tracks)):
+    if len(face.lasers) != CONFIRMED - 1 or not len(others := _others(face.tracks, tracks)):
         return ()
-    plane = _plane_of(face, rig)
-    across = plane.ends_m[1].mean(axis=0) - plane.ends_m[0].mean(axis=0)
-    along = across / np.linalg.norm(across)
+    plane = _plane_of(face.tracks, face.lasers, rig)
     shortest_m, longest_m = min(plane.lengths_m), max(plane.lengths_m)
-    found = []
-    for laser in set(range(len(rig.lasers.names))).difference(face.lasers):
-        own = (others[:, LASER] == laser) | ((others[:, LASER] == UNLABELLED) & (laser in lasers))
-        ends_m = _ends_m(others[own], [laser] * int(own.sum()), rig)
+    found = list(face.displaced)
+    for laser in set(range(len(rig.lasers.names))).difference(face.lasers, face.displaced):
+        own = _of_laser(others, laser, lasers)
+        ends_m = _ends_m(own, [laser] * len(own), rig)
         length_m, off_m = _lengths_m(ends_m), (ends_m - plane.origin_m) @ plane.normal
-        offset_m = ends_m.mean(axis=1) - plane.origin_m
-        aside_m = offset_m - np.outer(offset_m @ along, along) - np.outer(offset_m @ plane.normal, plane.normal)
-        alike = np.maximum(longest_m / length_m, length_m / shortest_m) < ALIKE
-        alike &= np.ptp(off_m, axis=1) < PARALLEL_WITHIN * length_m
-        near = np.abs(off_m).max(axis=1) < np.where(alike, ALIKE_DISPLACED_M, DISPLACED_M)
+        near = np.abs(off_m).max(axis=1) < np.where(plane.alike(ends_m), ALIKE_DISPLACED_M, DISPLACED_M)
         as_long = (length_m > shortest_m / MAX_TO_SHORTEST) & (length_m < MAX_TO_SHORTEST * longest_m)
-        if bool((as_long & near & (np.linalg.norm(aside_m, axis=1) < longest_m)).any()):
+        if bool((as_long & near & plane.on_band(ends_m)).any()):
             found.append(laser)
     return tuple(sorted(found))
 

@@ -9,7 +9,8 @@ from ring_scenes import break_points_of, line_of_face, make_scene, with_lines
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face
-from ringpose.geometry.rays import undistorted_pixels
+from ringpose.geometry.rays import intersect, nearest_plane, undistorted_pixels
+from ringpose.geometry.rotations import tilted
 from ringpose.kernels.lines import TRACK_COLUMNS
 from ringpose.types.detection import UNLABELLED, BreakPointFlag
 from ringpose.types.rig import LaserPlanes
@@ -244,3 +245,42 @@ def test_a_third_stripe_beside_the_plane_of_two_shows_that_one_is_displaced(heig
 
     assert face.lasers == (0, 2)
     assert displaced_lasers(face, tracks, (), RIG) == expected
+
+
+def with_turned_plane(laser, deg):
+    """The rig with the light plane of one laser turned in depth."""
+    normal = RIG.lasers.normal.copy()
+    normal[laser] = tilted(normal[laser], np.array([0.0, np.tan(np.deg2rad(deg))]))
+    return replace(RIG, lasers=replace(RIG.lasers, normal=normal))
+
+
+def coplanar_piece(ends, laser, shift_px, rig):
+    """A piece as long as a laser's stripe, but beside it, in the plane of the other two as this rig has it."""
+    others = [each for each in ALL if each != laser]
+    normal, distance_m = rig.lasers.normal, rig.lasers.distance_m
+    rays = np.concatenate([(ends[others].reshape(-1, 2) - (800.0, 600.0)) / 1778.0, np.ones((4, 1))], axis=1)
+    of = np.repeat(others, 2)
+    points_m = intersect(rays, normal[of], distance_m[of])
+    across = nearest_plane(points_m)[0]
+    a, b, c = normal[laser] / distance_m[laser] - across / (across @ points_m.mean(axis=0))
+    x = (ends[laser][:, 0] + shift_px - 800.0) / 1778.0
+    return np.stack([x, -(a * x + c) / b], axis=1) * 1778.0 + (800.0, 600.0)
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+@pytest.mark.parametrize(("turned", "deg", "shift_px"), [(2, -0.2, 150), (2, 0.2, -200), (2, 0.4, 150), (1, 0.4, 250)])
+def test_a_piece_beside_the_ring_is_not_taken_for_the_stripe_of_a_light_plane_that_has_moved(
+    turned, deg, shift_px, labelled
+):
+    ends, moved = face_ends(2 if turned == 1 else 3), with_turned_plane(turned, deg)
+    piece = coplanar_piece(ends, 0, shift_px, moved)
+    lasers = [0, 0, 1, 2] if labelled else [UNLABELLED] * 4
+    tracks = np.array([row(*each, laser) for each, laser in zip([piece, *ends], lasers, strict=True)])
+    unlabelled = () if labelled else ALL
+
+    face = ring_face(tracks, unlabelled, moved)
+
+    assert ring_face(tracks[[0, 2, 3]], unlabelled, moved).lasers == ALL
+    assert face.lasers == (1, 2)
+    assert displaced_lasers(face, tracks, unlabelled, moved) == (0,)
+    assert ring_face(tracks, unlabelled, RIG).lasers == ALL
