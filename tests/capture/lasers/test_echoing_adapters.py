@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from echoing_adapter import echoing_adapter
@@ -12,8 +11,6 @@ from guarded_lasers import BOARDS, PATIENT, LinkedRelays, lasers_at, on_mask, wa
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError
-
-FAKE_BOARD = Path(__file__).parents[4] / "shared/data/cases/fake_modbus.py"
 
 NO_BOARD = r"the adapter echoes what is sent \(.*\), and no board answers"
 
@@ -97,10 +94,9 @@ def test_a_watchdog_killed_at_an_echoing_adapter_leaves_no_laser_on(tmp_path):
                 lasers.set_mask(1)
 
 
-@pytest.mark.skipif(not FAKE_BOARD.exists(), reason="the shared cases are absent")
 @pytest.mark.parametrize("mode", ["echo", "both", "board"])
-def test_the_fake_board_of_the_shared_cases_is_used_only_if_it_is_there(tmp_path, mode):
-    words = [sys.executable, str(FAKE_BOARD), mode, "600"]
+def test_the_fake_board_of_the_shared_cases_is_used_only_if_it_is_there(shared_data, tmp_path, mode):
+    words = [sys.executable, str(shared_data / "cases" / "fake_modbus.py"), mode, "600"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         lasers = lasers_at(f"modbus:{process.stdout.readline().strip()}?ch=0,1,2{PATIENT}")
         try:
