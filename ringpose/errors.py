@@ -92,6 +92,10 @@ class InputOutputError(RingposeError):
     status = 74
 
 
+class ImplausibleValueWarning(UserWarning):
+    """A value that is possible, but probably wrong; the commands print it as a line on stderr."""
+
+
 class SignalReceived(BaseException):
     """SIGHUP, SIGINT, SIGTERM or a closed pipe; not an `Exception`, so that `except Exception` does not catch it."""
 

@@ -9,13 +9,15 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from types import FrameType
 from typing import Any, TextIO
 
 from ringpose.cli import messages
-from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
+from ringpose.errors import CLOSED_PIPE, ImplausibleValueWarning, RingposeError, SignalReceived, UsageError
 
 COMMANDS = {
     "capture": "capture",
@@ -41,7 +43,8 @@ collecting among them takes 5 % of its time; a shot leaves only a few dozen smal
 def main(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status; bugs propagate as exceptions."""
     try:
-        status = _command(list(arguments))
+        with hints_on_stderr():
+            status = _command(list(arguments))
         if sys.stdout is not None:
             sys.stdout.flush()
     except (BrokenPipeError, SystemExit):  # Typer raises SystemExit for a broken pipe, and for nothing else
@@ -84,6 +87,23 @@ def run() -> None:
         _discard(sys.stdout)  # its reader may have stopped reading, and no signal could end the wait for it
     _discard_unwritten_output()
     sys.exit(status)
+
+
+@contextmanager
+def hints_on_stderr() -> Iterator[None]:
+    """Print each different warning of an implausible value as one line while the block runs."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", ImplausibleValueWarning)
+        show = warnings.showwarning
+
+        def show_hint(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, ImplausibleValueWarning):
+                messages.echo(str(message))
+            else:
+                show(message, category, *where, **more)
+
+        warnings.showwarning = show_hint
+        yield
 
 
 def _command(arguments: list[str]) -> int:

@@ -13,10 +13,21 @@ from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.board import Board, BoardKind
+from ringpose.types.plausible import BOARD_M, MARGIN_M, MARKER_M, SQUARE_M
 
 _COUNTS = ("squares_x", "squares_y")
 
-_LENGTHS = ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
+_LENGTHS = {
+    "square_m": SQUARE_M,
+    "square_y_m": SQUARE_M,
+    "marker_m": MARKER_M,
+    "gap_m": MARKER_M,
+    "spacing_m": SQUARE_M,
+    "width_m": BOARD_M,
+    "height_m": BOARD_M,
+    "margin_m": MARGIN_M,
+}
+"""The lengths on a board with their plausible ranges."""
 
 _KEYS = ("ringpose", "kind", *_COUNTS, *_LENGTHS, "dictionary", "legacy_pattern", "order")
 
@@ -37,9 +48,6 @@ MAX_SQUARES = 200
 
 POINT_M = 0.0254 / 72
 """Unit of length in PDF, 1/72 inch, in metres."""
-
-_MIN_LENGTH_M = 1e-6
-"""Smallest length on a board; near the smallest floating-point numbers, products would underflow to zero."""
 
 
 def read_board(path: Path) -> Board:
@@ -67,7 +75,7 @@ def board_of(fields: Fields) -> Board:
     sizes: dict[str, Any] = fields.given(
         _COUNTS, lambda key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES)
     )
-    sizes |= fields.given(_LENGTHS, lambda key: _length(fields, key))
+    sizes |= fields.given(_LENGTHS, lambda key: fields.quantity(key, _LENGTHS[key]))
     sizes |= fields.given(("dictionary", "order"), fields.text)
     sizes |= fields.given(("legacy_pattern",), fields.boolean)
     _check_fit(fields, sizes)
@@ -81,15 +89,6 @@ def write_board(path: Path, board: Board, *, force: bool = False) -> None:
         values["legacy_pattern"] = True
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, {key: value for key, value in values.items() if value is not None})
-
-
-def _length(fields: Fields, key: str) -> float:
-    length = fields.length_m(key)
-    if length < 0 or (length == 0 and key != "margin_m"):
-        raise fields.problem(key, f"is {length:g}, must be positive")
-    if 0 < length < _MIN_LENGTH_M:
-        raise fields.problem(key, f"is {length:g}, below the smallest length {_MIN_LENGTH_M:g}", "give metres")
-    return length
 
 
 def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:

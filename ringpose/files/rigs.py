@@ -11,19 +11,39 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values, covariance_values, read_covariance
+from ringpose.files.cameras.ros import (
+    CAMERA_KEYS,
+    camera_of,
+    camera_values,
+    covariance_values,
+    read_covariance,
+    without_hints,
+)
 from ringpose.files.io import provenance, read_bytes
 from ringpose.files.records import plain
 from ringpose.files.schema import ROUNDED, Fields, checked_covariance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
+from ringpose.types.plausible import (
+    DELAY_S,
+    DELAY_SD_S,
+    MOUNT_M,
+    PLANE_DISTANCE_M,
+    STABILITY_DISTANCE_M,
+    STABILITY_FOCAL,
+    STABILITY_TILT_RAD,
+)
 from ringpose.types.rig import LaserPlanes, Mount, Rig, camera_parameters, laser_parameters
 from ringpose.types.session import MAX_LASERS
 
 SCHEMA = "rig/1"
 
-MAX_STABILITY = RigStability(plane_tilt_rad=0.2, plane_distance_m=0.1, focal_ratio=0.2)
-"""Upper bounds of a rig's stability in radians and metres; larger values are probably degrees and millimetres."""
+STABILITY = {
+    "plane_tilt_rad": STABILITY_TILT_RAD,
+    "plane_distance_m": STABILITY_DISTANCE_M,
+    "focal_ratio": STABILITY_FOCAL,
+}
+"""Plausible ranges of a rig's stability."""
 
 MIN_DISTANCE_M = 1e-6
 """Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
@@ -131,7 +151,8 @@ def write_rig(
     A rig that `rig_of` would reject is not written. A rig with steep stripes is written, as its light planes are valid.
     """
     values = rig_values(rig)
-    rig_of(Fields(str(path), plain(values), _KEYS))
+    with without_hints():
+        rig_of(Fields(str(path), plain(values), _KEYS))
     head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | values | dict(extra))
@@ -164,8 +185,7 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 
 def rig_stability(fields: Fields) -> RigStability:
     """The key `stability` of a rig or a pose record."""
-    limits = dataclasses.asdict(MAX_STABILITY)
-    return RigStability(**{key: fields.number(key, least=0, most=most) for key, most in limits.items()})
+    return RigStability(**{key: fields.quantity(key, plausible) for key, plausible in STABILITY.items()})
 
 
 def _lasers(fields: Fields) -> LaserPlanes:
@@ -182,7 +202,7 @@ def _lasers(fields: Fields) -> LaserPlanes:
             raise entry.problem("name", f"{name!r} occurs twice")
         names.append(name)
         normals.append(entry.unit_vector("normal", "divide normal and distance_m by it"))
-        distances_m.append(entry.length_m("distance_m"))
+        distances_m.append(entry.quantity("distance_m", PLANE_DISTANCE_M))
         if abs(distances_m[-1]) < MIN_DISTANCE_M:
             raise entry.problem("distance_m", f"is {distances_m[-1]:g}: the plane contains the camera's centre")
     unknown = np.full(3, np.nan)
@@ -191,7 +211,10 @@ def _lasers(fields: Fields) -> LaserPlanes:
         normal=np.stack(normals),
         distance_m=np.array(distances_m),
         projector_m=np.stack(
-            [entry.point_m("projector_m") if entry.has("projector_m") else unknown for entry in entries]
+            [
+                entry.quantities("projector_m", 3, PLANE_DISTANCE_M) if entry.has("projector_m") else unknown
+                for entry in entries
+            ]
         ),
     )
 
@@ -205,7 +228,7 @@ def _mount(fields: Fields) -> Mount:
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDED or np.linalg.det(rotation) < 0:
         raise mount.problem("tool_from_camera", "its upper left 3 x 3 matrix is not a rotation")
-    mount.check_metres("tool_from_camera", matrix[:3, 3])
+    mount.check("tool_from_camera", matrix[:3, 3], MOUNT_M)
     left, _, right = np.linalg.svd(rotation)
     covariance = np.zeros((6, 6))
     if mount.has("covariance"):
@@ -214,6 +237,6 @@ def _mount(fields: Fields) -> Mount:
     return Mount(
         tool_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
         root=axes * np.sqrt(np.maximum(variance, 0.0)),
-        delay_s=mount.number("delay_s", missing=0.0),
-        delay_sd_s=mount.number("delay_sd_s", least=0, missing=0.0),
+        delay_s=mount.quantity("delay_s", DELAY_S) if mount.has("delay_s") else 0.0,
+        delay_sd_s=mount.quantity("delay_sd_s", DELAY_SD_S) if mount.has("delay_sd_s") else 0.0,
     )

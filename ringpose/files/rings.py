@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
-from ringpose.types.assumptions import MAX_TOLERANCE_M
+from ringpose.types.plausible import RING_RADIUS_M, RING_TOLERANCE_M
 from ringpose.types.pose import Ring
 
 SCHEMA = "rings/1"
@@ -39,11 +39,7 @@ def _ring(fields: Fields) -> Ring:
     inner, outer = _interval(fields, "radius_inner_m"), _interval(fields, "radius_outer_m")
     if not inner[1] < outer[0]:
         raise fields.problem("radius_inner_m", f"reaches {inner[1]:g}, must end below the outer edge's {outer[0]:g}")
-    tolerance_m = fields.number("tolerance_m", least=0) if fields.has("tolerance_m") else None
-    if tolerance_m is not None and tolerance_m >= MAX_TOLERANCE_M:
-        raise fields.problem(
-            "tolerance_m", f"is {tolerance_m:g}, must be metres", "give a standard deviation in metres"
-        )
+    tolerance_m = fields.quantity("tolerance_m", RING_TOLERANCE_M) if fields.has("tolerance_m") else None
     if tolerance_m is not None and not fields.has("source"):
         raise fields.problem("tolerance_m", "has no source", "add source: the drawing or the measurement it is from")
     return Ring(
@@ -57,9 +53,7 @@ def _ring(fields: Fields) -> Ring:
 
 def _interval(fields: Fields, key: str) -> tuple[float, float]:
     """Lower and upper limit of a radius in metres."""
-    interval = fields.vector(key, 2)
-    fields.check_metres(key, interval)
-    start_m, end_m = interval.tolist()
-    if not 0 < start_m < end_m:
+    start_m, end_m = fields.quantities(key, 2, RING_RADIUS_M).tolist()
+    if not start_m < end_m:
         raise fields.problem(key, f"is [{start_m:g}, {end_m:g}], must be two positive radii, the smaller one first")
     return start_m, end_m

@@ -10,6 +10,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files.kinds import Kind, in_place_of_another, kind_of
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.plausible import STAMP_S, Range
 
 FREE_PREFIX = "x_"
 """Prefix of the user's own keys, which are never read and never rejected."""
@@ -28,12 +29,6 @@ MAX_QUATERNION_ERROR = 1e-3
 
 _TOLERANCE = 1e-9
 """Rounding errors of a correlation matrix: asymmetry, and negative eigenvalues per row."""
-
-MAX_LENGTH_M = 5.0
-"""Longest plausible length on a rig or board; a larger number is probably in millimetres."""
-
-MAX_STAMP_S = 4_102_444_800.0
-"""Latest plausible stamp: the year 2100. A larger number is probably in milliseconds, or smaller parts of a second."""
 
 Value = TypeVar("Value")
 
@@ -125,10 +120,10 @@ class Fields:
         self._check_range(key, value, (least, most))
         return float(value)
 
-    def length_m(self, key: str) -> float:
-        """A finite length in metres of either sign, at most `MAX_LENGTH_M`."""
+    def quantity(self, key: str, plausible: Range) -> float:
+        """A number in the range of a quantity."""
         value = self.number(key)
-        self.check_metres(key, np.array([value]))
+        self.check(key, np.array([value]), plausible)
         return value
 
     def array(self, key: str, shape: tuple[int | None, ...], allow_nan: bool = False) -> Float64[Array, "..."]:
@@ -154,11 +149,20 @@ class Fields:
         """A list of `length` finite numbers."""
         return self.array(key, (length,))
 
-    def point_m(self, key: str) -> Float64[Array, "xyz=3"]:
-        """A point in metres, each coordinate at most `MAX_LENGTH_M`."""
-        point = self.vector(key, 3)
-        self.check_metres(key, point)
-        return point
+    def quantities(self, key: str, length: int, plausible: Range) -> Float64[Array, "n"]:
+        """A list of `length` numbers in the range of a quantity."""
+        values = self.vector(key, length)
+        self.check(key, values, plausible)
+        return values
+
+    def sized(self, key: str, plausible: Range) -> Float64[Array, "xyz=3"]:
+        """A vector, such as a position, whose length is in the range of a quantity."""
+        vector = self.vector(key, 3)
+        length = float(np.linalg.norm(vector))
+        if not plausible.holds(length):
+            found, remedy = plausible.finding(length)
+            raise self.problem(key, f"has a length that {found}", remedy)
+        return vector
 
     def unit_vector(self, key: str, remedy: str = "") -> Float64[Array, "xyz=3"]:
         """A vector of length 1 within `ROUNDED`, normalised."""
@@ -177,11 +181,11 @@ class Fields:
             raise self.problem(key, f"has length {length:.6g}, must be 1", remedy)
         return _normalised(quaternion, length)
 
-    def check_metres(self, key: str, lengths: Float64[Array, "..."], limit_m: float = MAX_LENGTH_M) -> None:
-        """Reject lengths beyond a limit, which are only plausible in millimetres."""
-        longest = float(lengths.ravel()[np.argmax(np.abs(lengths))]) if lengths.size else 0.0
-        if abs(longest) > limit_m:
-            raise self.problem(key, f"is {longest:g}", "give metres; this looks like millimetres")
+    def check(self, key: str, values: Float64[Array, "..."], plausible: Range) -> None:
+        """Reject values outside the range of a quantity; the one that is farthest from zero is named."""
+        outside = values[~((values >= plausible.lowest) & (values <= plausible.highest))]
+        if outside.size:
+            raise self.problem(key, *plausible.finding(float(outside[np.argmax(np.abs(outside))])))
 
     def schema(self, versions: Collection[str], wanted: Kind) -> str:
         """The schema of a record, which must be one of the versions; another record is named for what it is."""
@@ -197,9 +201,9 @@ class Fields:
         return str(schema)
 
     def stamp_s(self, key: str) -> float:
-        """A stamp in seconds, at most `MAX_STAMP_S`."""
+        """A stamp in seconds, at most that of the year 2100."""
         stamp_s = self.number(key)
-        if stamp_s > MAX_STAMP_S:
+        if stamp_s > STAMP_S.highest:
             raise self.problem(key, *late_stamp(stamp_s))
         return stamp_s
 
@@ -303,5 +307,5 @@ def checked_covariance(fields: Fields, key: str, data: Float64[Array, "n n"]) ->
 
 
 def late_stamp(stamp_s: float) -> tuple[str, str]:
-    """Finding and remedy for a stamp later than `MAX_STAMP_S`."""
+    """Finding and remedy for a stamp after the year 2100."""
     return f"is {stamp_s:.6g}, which is after the year 2100", "give seconds, not milliseconds or nanoseconds"

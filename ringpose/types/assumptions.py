@@ -3,9 +3,6 @@
 from dataclasses import dataclass
 from math import radians
 
-MAX_TOLERANCE_M = 0.05
-"""Upper bound of a ring's tolerance; larger values are probably millimetres."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionPrior:

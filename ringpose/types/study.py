@@ -11,6 +11,22 @@ from pathlib import Path
 from typing import Literal
 
 from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.plausible import (
+    BLUR_PX,
+    DARK_NOISE_E,
+    DISTANCE_M,
+    LASER_ANGLE_RAD,
+    OFFSET_SHARE,
+    RATE_SD_RAD_S,
+    RING_RADIUS_M,
+    RING_TOLERANCE_M,
+    SHARE,
+    SPEED_M_S,
+    STABILITY_TILT_RAD,
+    STRIPE_DN,
+    TILT_RAD,
+    Range,
+)
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
 
@@ -21,26 +37,26 @@ Row = dict[str, str | float | int | bool | None]
 """One shot by one method: values by the names of `columns`; None where there is none."""
 
 
-NUMBERS: Mapping[str, tuple[float, float]] = {
-    "distance_m": (0.05, 5.0),
-    "tilt_rad": (0.0, 1.2),
-    "clock_rad": (0.0, 1.2),
-    "offset": (0.0, 0.5),
-    "radius_outer_m": (0.05, 5.0),
-    "laser_angle_rad": (0.001, 0.7),
-    "stripe_dn": (5.0, 10000.0),
-    "blur_px": (0.0, 5.0),
-    "speckle_contrast": (0.0, 1.0),
-    "dark_noise_e": (0.0, 1000.0),
-    "ring_tolerance_m": (0.0, 0.05),
-    "plane_tilt_rad": (0.0, 0.1),
-    "speed_sd_m_s": (0.0, 1.0),
-    "rate_sd_rad_s": (0.0, 1.0),
-    "displaced_share": (0.0, 1.0),
-    "background_share": (0.0, 1.0),
-    "missing_share": (0.0, 1.0),
+NUMBERS: Mapping[str, Range] = {
+    "distance_m": DISTANCE_M,
+    "tilt_rad": TILT_RAD,
+    "clock_rad": TILT_RAD,
+    "offset": OFFSET_SHARE,
+    "radius_outer_m": RING_RADIUS_M,
+    "laser_angle_rad": LASER_ANGLE_RAD,
+    "stripe_dn": STRIPE_DN,
+    "blur_px": BLUR_PX,
+    "speckle_contrast": SHARE,
+    "dark_noise_e": DARK_NOISE_E,
+    "ring_tolerance_m": RING_TOLERANCE_M,
+    "plane_tilt_rad": STABILITY_TILT_RAD,
+    "speed_sd_m_s": SPEED_M_S,
+    "rate_sd_rad_s": RATE_SD_RAD_S,
+    "displaced_share": SHARE,
+    "background_share": SHARE,
+    "missing_share": SHARE,
 }
-"""The factors that are numbers, each with its smallest and largest valid value."""
+"""The factors that are numbers, each with its plausible range."""
 
 ONLY_FEATURES = ("displaced_share", "background_share", "missing_share")
 """Factors with which images cannot be rendered, only features drawn."""

@@ -36,6 +36,42 @@ def _rig(**changes: Any) -> Callable[[Path], None]:
     return build
 
 
+def _scene(**changes: Any) -> Callable[[Path], None]:
+    """A scene with the rig of rig_b and one view, with other keys; a key of a part is written as `lasers__power_w`."""
+
+    def build(path: Path) -> None:
+        shutil.copy(RIG_FILE, path.with_name("rig_of_scene.yaml"))
+        scene: dict[str, Any] = {
+            "ringpose": "scene/1",
+            "rig": "rig_of_scene.yaml",
+            "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
+            "body": {"size_m": [2.2, 2.2, 1.0]},
+            "lasers": {},
+            "trajectory": [{"name": "a", "center_m": [-0.58, 0, 0.5], "pitch_rad": 0.1, "yaw_rad": 0}],
+        }
+        for key, value in changes.items():
+            part, _, name = key.partition("__")
+            scene[part] = scene[part] | {name: value} if name else value
+        path.write_text(yaml.safe_dump(scene))
+
+    return build
+
+
+def _exchanged_principal_point(path: Path) -> None:
+    """The camera of rig_b with cx and cy exchanged."""
+    camera = yaml.safe_load(RIG_FILE.read_text())["camera"]
+    matrix = camera["camera_matrix"]["data"]
+    matrix[2], matrix[5] = matrix[5], matrix[2]
+    path.write_text(yaml.safe_dump(camera))
+
+
+def _camera_of_a_corner(path: Path) -> None:
+    """The camera of rig_b with its principal point at a quarter of the image."""
+    camera = yaml.safe_load(RIG_FILE.read_text())["camera"]
+    camera["camera_matrix"]["data"][2] = camera["image_width"] / 4
+    path.write_text(yaml.safe_dump(camera))
+
+
 def _rig_of_camera_keys(path: Path) -> None:
     camera = yaml.safe_load(RIG_FILE.read_text())["camera"]
     path.write_text(yaml.safe_dump({"ringpose": "rig/1", **camera}))
@@ -91,6 +127,25 @@ BUILT: dict[str, Callable[[Path], None]] = {
     "two_axes.npz": _changed_shot("B_z0500_p01_dim.npz", images=lambda images: images[1]),
     "small": _small_scene,
     "mirrored_board": _mirrored_board,
+    "exchanged.yaml": _exchanged_principal_point,
+    "quarter.yaml": _camera_of_a_corner,
+    "near_ring.yaml": _scene(trajectory=[{"name": "a", "center_m": [0, 0, 0.02], "pitch_rad": 0, "yaw_rad": 0}]),
+    "laser_20_w.yaml": _scene(lasers__power_w=20),
+    "high_ring.yaml": _scene(ring__height_m=4.9),
+    "ring_in_cm.yaml": _scene(ring={"radius_inner_m": 56.7, "radius_outer_m": 59.7, "height_m": 0.06}),
+    "no_exposure.yaml": _scene(exposure_s=0),
+    "no_board_exposure.yaml": _scene(
+        boards={
+            "camera": {
+                "board": {"kind": "chessboard", "squares_x": 9, "squares_y": 7, "square_m": 0.02},
+                "exposure_s": 0,
+            }
+        }
+    ),
+    "exposure_in_ms.yaml": _scene(exposure_s=500),
+    "no_shots.yaml": _scene(trajectory=[{"generate": {"count": 0}}]),
+    "endless_shots.yaml": _scene(motion={"preset": "geo-bound", "shots": 10**9}),
+    "large_board.yaml": lambda path: path.write_text("{kind: chessboard, squares_x: 9, squares_y: 7, square_m: 2.5}\n"),
 }
 """For each file or folder that is not carried, the function that makes it at a path."""
 

@@ -28,9 +28,12 @@ def test_board_is_read_as_it_was_written(tmp_path, board):
     ("changes", "finding"),
     [
         ({"kind": "charucco"}, "kind: is 'charucco', must be one of charuco"),
-        ({"square_m": 25}, "square_m: is 25; give metres; this looks like millimetres"),
-        ({"square_m": -0.02}, "square_m: is -0.02, must be positive"),
-        ({"square_m": 1e-320}, "square_m: is 9.99989e-321, below the smallest length 1e-06; give metres"),
+        (
+            {"square_m": 25},
+            "square_m: is 25, must be 0.0005 to 1; give metres: 0.025 if it is in millimetres, 0.25 if",
+        ),
+        ({"square_m": -0.02}, "square_m: is -0.02, must be 0.0005 to 1"),
+        ({"square_m": 1e-320}, "square_m: is 9.99989e-321, must be 0.0005 to 1; give metres"),
         ({"marker_m": 0.03}, "marker_m: is 0.03, must be smaller than square_m"),
         ({"squares_x": 1}, "squares_x: is 1, must be at least 2 and at most 200"),
         ({"kind": "chessboard", "squares_y": 3}, "squares_y: is 3, must be at least 4"),

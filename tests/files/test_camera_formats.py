@@ -125,6 +125,7 @@ def read_message(folder, **changes):
     return read_camera(folder / "m.yaml")
 
 
+@pytest.mark.filterwarnings("ignore::ringpose.errors.ImplausibleValueWarning")  # a window beside the axis
 def test_a_pixel_of_a_binned_window_is_the_middle_of_those_it_covers(tmp_path):
     roi = {"x_offset": 40, "y_offset": 30, "width": 400, "height": 300, "do_rectify": False}
     after = read_message(tmp_path, binning_x=4, binning_y=2, roi=roi)

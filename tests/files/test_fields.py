@@ -5,6 +5,7 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files.schema import Fields
+from ringpose.types.plausible import PLANE_DISTANCE_M
 
 
 def fields(**values):
@@ -46,7 +47,7 @@ def test_keys_with_the_free_prefix_are_accepted():
         (lambda a: a.array("a", (None, 2)), [[1, 2], [3]], "must be n x 2 numbers"),
         (lambda a: a.number("a", least=0, most=5), 7, "is 7, must be at least 0 and at most 5"),
         (lambda a: a.integer("a", least=1), -1, "is -1, must be at least 1"),
-        *((lambda a: a.length_m("a"), value, "this looks like millimetres") for value in (-39.5, 5.1)),
+        *((lambda a: a.quantity("a", PLANE_DISTANCE_M), value, "if it is in centimetres") for value in (-39.5, 5.1)),
         (lambda a: a.choice("a", ("board", "scene")), "boord", "must be one of board, scene; did you mean 'board'?"),
     ],
 )

@@ -82,7 +82,7 @@ def waypoints(*times_s: float) -> list[dict]:
         ({"preset": "geo-bond"}, "motion.preset", "geo-bound"),
         ({"angular_velocity": [0, 0, 1]}, "motion", "unknown key"),
         ({"angular_velocity_rad_s": [0, 0, 5]}, "motion.angular_velocity_rad_s", "degrees"),
-        ({"velocity_m_s": [0, 0, 50]}, "motion.velocity_m_s", "at most"),
+        ({"velocity_m_s": [0, 0, 50]}, "motion.velocity_m_s", "0 to 10"),
         ({"preset": "stress", "inertia_kg_m2": [1, 1, 3]}, "motion.inertia_kg_m2", "sum of the other two"),
         ({"preset": "stress", "inertia_kg_m2": [1, 1, 0]}, "motion.inertia_kg_m2", "positive"),
         ({"preset": "stress", "inertia_kg_m2": SKEW}, "motion.inertia_kg_m2", "symmetric"),

@@ -42,13 +42,13 @@ def test_an_interval_has_the_moments_of_a_uniform_distribution(tmp_path):
             (MINE.replace(old, new), finding)
             for old, new, finding in (
                 ("0.5665, 0.5675", "0.5675, 0.5665", "must be two positive radii, the smaller one first"),
-                ("0.5665, 0.5675", "566.5, 567.5", "this looks like millimetres"),
+                ("0.5665, 0.5675", "566.5, 567.5", "0.5675 if it is in millimetres"),
                 ("0.5665, 0.5675", "0.5665, 0.597", "must end below the outer edge's 0.5965"),
                 ("mine", "auto", "is taken"),
                 ("mine", "none of these", "is taken"),
                 ("rings/1", "rings/2", "must be one of rings/1"),
                 ("radius_inner_m", "inner_m", "unknown key 'inner_m'"),
-                ("name: mine", "name: mine\n  source: a\n  tolerance_m: 0.2", "tolerance_m: is 0.2, must be metres"),
+                ("name: mine", "name: mine\n  source: a\n  tolerance_m: 0.2", "tolerance_m: is 0.2, must be 0 to 0.05"),
                 ("name: mine", "name: mine\n  tolerance_m: 0.0003", "tolerance_m: has no source"),
             )
         ),

@@ -73,7 +73,11 @@ def test_shot_of_another_program_is_read(tmp_path, rng):
         ("stamp_s", np.array([1, np.nan, 2]), "stamp_s: has a number that is not finite"),
         ("stamp_s", np.array([1, -1, 2.0]), "stamp_s: is -1 in frame 1, must not be negative"),
         ("exposure_s", np.full(3, 40.0), "exposure_s: is 40 s, but frames are"),
-        ("exposure_s", np.full(3, 4000.0), "exposure_s: is 4000 in frame 0, must be at most 60"),
+        (
+            "exposure_s",
+            np.full(3, 4000.0),
+            "exposure_s: is 4000, must be 1e-06 to 60 (frame 0); give seconds: 4 if it is in milli",
+        ),
         ("stamp_s", 1.7e12 + 20.0 * np.arange(3), "stamp_s: is 1.7e+12, which is after the year 2100; give seconds"),
         ("stamp_s", np.array(["a", "b", "c"]), "stamp_s: has type <U1, must be floating point"),
         ("exposure_s", np.array([1, np.inf, 2]), "exposure_s: has a number that is not finite"),

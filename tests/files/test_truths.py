@@ -68,10 +68,14 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
         ("frames", [FRAME | {"normal": [0, 0, 2]}], "frames[0].normal: has length 2"),
         ("frames", [FRAME | {"velocity": 0}], "frames[0]: unknown key 'velocity'"),
         ("normal", [0, 0, 1.5], "normal: has length 1.5, must be 1"),
-        ("radius_outer_m", 597, "radius_outer_m: is 597; give metres"),
+        ("radius_outer_m", 597, "radius_outer_m: is 597, must be 0.02 to 5; give metres: 0.597 if"),
         ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),
         ("centre_m", [0, 0, 0], "unknown key 'centre_m'; did you mean 'center_m'?"),
-        ("center_m", [100, 200, 500], "center_m: is 500; give metres; this looks like millimetres"),
+        (
+            "center_m",
+            [100, 200, 500],
+            "center_m: has a length that is 547.723, must be 0.05 to 200; give metres: 0.5477 if",
+        ),
         ("shot", "z", "shot: 'z' occurs twice"),
     ],
 )

@@ -11,6 +11,7 @@ from ringpose.cli.options.common import (
     Force,
     Quiet,
     Report,
+    check_plausible,
     check_report,
     file_option,
     number_option,
@@ -20,6 +21,16 @@ from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Minimized
+from ringpose.types.plausible import (
+    BASELINE_M,
+    DARK_NOISE_E,
+    DISTANCE_M,
+    FOCAL_PX,
+    LASER_ANGLE_RAD,
+    LASERS,
+    OFFSET,
+    RING_RADIUS_M,
+)
 
 if TYPE_CHECKING:
     from ringpose.types.scene import Scene
@@ -100,8 +111,8 @@ def design(
 
     sweep = _sweep(vary or [])
     where = places(
-        sorted(set(numbers(distances, "--distances", "such as 0.3,0.5,1", (0.02, 5.0)))),
-        sorted(set(numbers(offsets, "--offsets", "such as -0.3,0,0.3", (-0.5, 0.5)))),
+        sorted(set(numbers(distances, "--distances", "such as 0.3,0.5,1", DISTANCE_M))),
+        sorted(set(numbers(offsets, "--offsets", "such as -0.3,0,0.3", OFFSET))),
         radians(pitch),
         radians(yaw),
     )
@@ -138,24 +149,23 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
     """Names and values of --vary."""
     from math import prod
 
-    bounds = {
-        "laser_angle_rad": (0.001, 0.7),
-        "baseline_m": (0.005, 2.0),
-        "focal_px": (50.0, 1e5),
-        "dark_noise_e": (0.0, 1000.0),
-        "lasers": (1.0, 8.0),
+    varied = {
+        "laser_angle_rad": LASER_ANGLE_RAD,
+        "baseline_m": BASELINE_M,
+        "focal_px": FOCAL_PX,
+        "dark_noise_e": DARK_NOISE_E,
+        "lasers": LASERS,
     }
-    units = {"rad": "radians", "m": "metres", "px": "pixels", "e": "electrons", "lasers": "numbers of lasers"}
     sweep: dict[str, list[float]] = {}
     for word in words:
         name, _, values = word.partition("=")
         if name in sweep:
             raise UsageError("--vary", f"{name!r} is given twice", "give all its values in one --vary")
-        if name not in bounds:
-            known = f"give NAME=VALUES, where NAME is one of {', '.join(bounds)}"
+        if name not in varied:
+            known = f"give NAME=VALUES, where NAME is one of {', '.join(varied)}"
             raise UsageError("--vary", f"{name!r} cannot be varied", known)
-        remedy = f"give {units[name.rpartition('_')[2]]} separated by commas"
-        sweep[name] = sorted(set(numbers(values, f"--vary {name}", remedy, bounds[name])))
+        remedy = f"give {varied[name].unit} separated by commas"
+        sweep[name] = sorted(set(numbers(values, f"--vary {name}", remedy, varied[name])))
         if name == "lasers" and any(value != round(value) for value in sweep[name]):
             raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
     number = prod(map(len, sweep.values()))
@@ -183,8 +193,10 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
     if (radius_inner_m is None) != (radius_outer_m is None):
         raise UsageError("--radius-inner", "and --radius-outer need each other")
     if radius_inner_m is not None and radius_outer_m is not None:
-        if not 0 < radius_inner_m < radius_outer_m <= 5:
-            raise UsageError("--radius-inner", "must be positive and smaller than --radius-outer, in metres")
+        check_plausible("--radius-inner", radius_inner_m, RING_RADIUS_M)
+        check_plausible("--radius-outer", radius_outer_m, RING_RADIUS_M)
+        if not radius_inner_m < radius_outer_m:
+            raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
         radii_m = [radius_inner_m, radius_inner_m, radius_outer_m, radius_outer_m]
         profile_m = np.column_stack([radii_m, [0.0, ring.height_m, ring.height_m, 0.0]])
         ring = replace(ring, profile_m=profile_m)

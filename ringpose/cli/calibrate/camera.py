@@ -19,6 +19,7 @@ from ringpose.cli.options.common import (
     numbers,
 )
 from ringpose.types.options import DistortionModel
+from ringpose.types.plausible import DISTANCE_M
 
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]
 FixK3 = Annotated[bool, typer.Option("--fix-k3", help="Hold k3 at zero: for few views or little distortion.")]
@@ -78,7 +79,7 @@ def calibrate_camera(
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
-    distances_m = numbers(distances, "--distances", "give metres, as 0.2,0.5,1", (0.001, 1000.0))
+    distances_m = numbers(distances, "--distances", "give metres, as 0.2,0.5,1", DISTANCE_M)
     images = BoardImages(read_board(board), overlay, channel=channel, force=force)
     images.outputs = (output, report)
     batch = Batch()

@@ -22,6 +22,7 @@ from ringpose.cli.options.common import (
     numbers,
 )
 from ringpose.types.options import PlanesMethod
+from ringpose.types.plausible import EXPECTED_DEG
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes.shots import StripeShots
@@ -144,7 +145,7 @@ def calibrate_planes(
     if update is not None:
         _check(shots, update, options, given(output, "--output"))
         return
-    angles_deg = numbers(expected_angles, "--expected-angles", "give degrees, as 10,10", (0.0, 180.0))
+    angles_deg = numbers(expected_angles, "--expected-angles", "give degrees, as 10,10", EXPECTED_DEG)
     _calibrate(
         shots, options, given(output, "--output"), given(camera, "--camera"), mount, report, method=method,
         free_camera=free_camera, expected_rad=[radians(angle) for angle in angles_deg], working_m=working_distance,

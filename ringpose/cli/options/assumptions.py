@@ -5,17 +5,10 @@ from typing import Annotated
 
 import typer
 
+from ringpose.cli.options.common import check_plausible
 from ringpose.errors import UsageError
-from ringpose.types.assumptions import MAX_TOLERANCE_M, AssumptionOptions
-
-MAX_RATE_DEG_S = 720.0
-"""Upper bound of a rate: no target turns twice a second."""
-
-MAX_SPEED_M_S = 10.0
-"""Upper bound of a speed; larger values are probably millimetres a second."""
-
-MAX_STABILITY = 1e3
-"""Upper bound of the factor: planes may then have moved by 6 degrees."""
+from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.plausible import MAX_RATE_DEG_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR
 
 MaxSpeed = Annotated[
     float | None,
@@ -65,19 +58,10 @@ class Assumed:
         for option, given in (("--max-speed", self.max_speed), ("--max-rate", self.max_rate)):
             if self.still and given is not None:
                 raise UsageError("--still", f"and {option} exclude each other", "leave one of them out")
-        for option, value, limit, remedy in (
-            ("--max-speed", self.max_speed, MAX_SPEED_M_S, "give metres a second"),
-            ("--max-rate", self.max_rate, MAX_RATE_DEG_S, "give degrees a second"),
-            ("--ring-tolerance", self.ring_tolerance, MAX_TOLERANCE_M, "give metres"),
-            (
-                "--rig-stability",
-                self.rig_stability,
-                MAX_STABILITY,
-                "give a factor, 1 for the rig file's stability",
-            ),
-        ):
-            if value is not None and not 0 <= value < limit:
-                raise UsageError(option, f"{value:g} is not a plausible value", remedy)
+        check_plausible("--max-speed", self.max_speed, SPEED_M_S)
+        check_plausible("--max-rate", self.max_rate, MAX_RATE_DEG_S)
+        check_plausible("--ring-tolerance", self.ring_tolerance, RING_TOLERANCE_M)
+        check_plausible("--rig-stability", self.rig_stability, STABILITY_FACTOR)
         return AssumptionOptions(
             still=self.still,
             max_speed_m_s=self.max_speed,

@@ -7,8 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from ringpose.errors import UsageError
 from ringpose.types.options import Method
 from ringpose.types.options import PoseFrame as PoseFrame
+from ringpose.types.plausible import Range
 
 STDOUT = "-"
 
@@ -43,16 +45,20 @@ def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
     return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
 
 
-def numbers(text: str | None, option: str, remedy: str, limits: tuple[float, float]) -> list[float]:
-    """The numbers of an option, separated by commas; UsageError unless all are within the limits."""
-    from ringpose.errors import UsageError
+def check_plausible(option: str, value: float | None, plausible: Range) -> None:
+    """Reject the value of an option that is outside the range of its quantity; None is not given."""
+    if value is not None and not plausible.holds(value):
+        raise UsageError(option, *plausible.finding(value))
 
+
+def numbers(text: str | None, option: str, remedy: str, plausible: Range) -> list[float]:
+    """The numbers of an option, separated by commas; UsageError unless all are in the range of their quantity."""
     try:
         found = [float(word) for word in text.split(",")] if text is not None else []
     except ValueError:
         raise UsageError(option, f"{text!r} is not a list of numbers", remedy) from None
-    if not all(limits[0] <= number <= limits[1] for number in found):
-        raise UsageError(option, f"{text!r} are not all from {limits[0]:g} to {limits[1]:g}", remedy)
+    for number in found:
+        check_plausible(option, number, plausible)
     return found
 
 

@@ -1,14 +1,16 @@
 """The options of `ringpose pose` that give the ring's radii."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli.options.common import check_plausible
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
+from ringpose.types.plausible import RADIUS_SD_M, RING_RADIUS_M
 
 if TYPE_CHECKING:
     from ringpose.types.pose import KnownRadii, Ring
@@ -18,12 +20,6 @@ AUTO = "auto"
 
 DEFAULT_SD_M = 0.0005
 """Default standard deviation of a given radius: edges are chamfered or rounded by about as much."""
-
-MAX_LENGTH_M = 5.0
-"""Upper bound of a radius; larger values are probably millimetres."""
-
-MIN_SD_M = 1e-6
-"""Lower bound of its standard deviation: smaller ones make the normal equations ill-conditioned."""
 
 MAX_SD = 0.2
 """Upper bound of its standard deviation, relative to the radius."""
@@ -86,24 +82,15 @@ def _check(options: RingOptions) -> None:
     if options.radius_sd is not None and radii == (None, None):
         raise UsageError("--radius-sd", "needs a radius", "give --radius-outer or --radius-inner")
     for option, radius_m in zip(("--radius-outer", "--radius-inner"), radii, strict=True):
-        if radius_m is not None and not 0 < radius_m < MAX_LENGTH_M:
-            raise UsageError(option, f"{radius_m:g} is not the radius of a ring in metres", _in_metres(radius_m))
-    smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=MAX_LENGTH_M)
-    if options.radius_sd is not None and not MIN_SD_M <= options.radius_sd < MAX_SD * smallest_m:
-        found = f"{options.radius_sd:g} is not a plausible standard deviation of a radius in metres"
-        raise UsageError("--radius-sd", found, _in_metres(options.radius_sd))
+        check_plausible(option, radius_m, RING_RADIUS_M)
+    if options.radius_sd is not None:
+        smallest_m = min(radius_m for radius_m in radii if radius_m is not None)
+        check_plausible("--radius-sd", options.radius_sd, replace(RADIUS_SD_M, highest=MAX_SD * smallest_m))
     if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]
         raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
 
 
-def _in_metres(value: float) -> str:
-    """The remedy for a value that is probably in millimetres."""
-    return f"give metres: {value / 1000:g}" if 0 < value < 1000 * MAX_LENGTH_M else "give metres"
-
-
 def _of_catalogue(name: str, path: Path | None, *, keep_tolerance: bool) -> "KnownRadii | Sequence[Ring]":
-    from dataclasses import replace
-
     from ringpose.files.rings import SHIPPED, read_rings
     from ringpose.files.schema import hint
 

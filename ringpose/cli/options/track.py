@@ -12,9 +12,10 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import number_option
+from ringpose.cli.options.common import check_plausible, number_option
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN
+from ringpose.types.plausible import GRIPPER_M
 
 if TYPE_CHECKING:
     from ringpose.geometry.camera_motion import CameraMotion
@@ -29,9 +30,6 @@ class Format(StrEnum):
     RINGPOSE = "ringpose"
     ROS = "ros"
 
-
-MAX_GRIPPER_M = 0.5
-"""Largest tolerance of a gripper across the band of a ring, which is at most 0.3 m wide."""
 
 RobotPosesFile = Annotated[
     str | None,
@@ -92,9 +90,7 @@ class TrackSettings:
         from ringpose.track.explanations import Gripper
 
         radial_m, tilt_deg = self.gripper_radial_m, self.gripper_tilt_deg
-        if radial_m is not None and radial_m > MAX_GRIPPER_M:
-            found = f"is {radial_m:g} m, must be at most {MAX_GRIPPER_M:g}"
-            raise UsageError("--gripper-radial-m", found, f"give metres: {radial_m / 1000:g} if it is in millimetres")
+        check_plausible("--gripper-radial-m", radial_m, GRIPPER_M)
         if radial_m is None and tilt_deg is None:
             return None
         if radial_m is None or tilt_deg is None:

@@ -74,6 +74,7 @@ def trajectory_in(content: bytes, name: str) -> "Trajectory":
     from ringpose.errors import DataError
     from ringpose.files import records
     from ringpose.files.schema import Fields
+    from ringpose.types.plausible import TARGET_DISTANCE_M
 
     lines = content.decode(errors="replace").splitlines()
     entries = [Fields(location, record) for location, record in records.read(lines, name)]
@@ -87,6 +88,6 @@ def trajectory_in(content: bytes, name: str) -> "Trajectory":
         raise DataError(name, "is not in chronological order: stamp_s must increase")
     return Trajectory(
         time_s=time_s,
-        center_m=np.array([entry.point_m("center_m") for entry in entries]),
+        center_m=np.array([entry.sized("center_m", TARGET_DISTANCE_M) for entry in entries]),
         normal=np.array([entry.unit_vector("normal") for entry in entries]),
     )

@@ -1,18 +1,23 @@
 """Cameras with the keys of ROS camera_info, as in camera.yaml and rig.yaml, and the check of camera matrices."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from ringpose.errors import ImplausibleValueWarning
 from ringpose.files import atomic
 from ringpose.files.io import provenance
 from ringpose.files.records import plain
 from ringpose.files.schema import Fields, checked_covariance, hint
 from ringpose.files.yaml import write_yaml
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.lens import fold_px
+from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.plausible import CENTRAL_POINT, FOCAL_LENGTH, PRINCIPAL_POINT, TANGENTIAL
 from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, ParameterCovariance, camera_parameters
 
 SCHEMA = "camera/1"
@@ -48,9 +53,18 @@ def write_camera(
     A camera that `read_camera` would reject is not written.
     """
     head, values = {"ringpose": SCHEMA, "provenance": provenance(inputs)}, camera_values(camera)
-    camera_of(Fields(str(path), plain(values), CAMERA_KEYS))
+    with without_hints():
+        camera_of(Fields(str(path), plain(values), CAMERA_KEYS))
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | values | dict(extra))
+
+
+@contextmanager
+def without_hints() -> Iterator[None]:
+    """No warnings of implausible values, since they were given when the values were read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ImplausibleValueWarning)
+        yield
 
 
 def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
@@ -58,7 +72,7 @@ def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
     if schema != SCHEMA:
         raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}", "give a camera.yaml or a rig.yaml")
     coefficients = _coefficients(fields)
-    return Camera(
+    camera = Camera(
         camera_name=fields.text("camera_name") if fields.has("camera_name") else "",
         image_width=fields.integer("image_width", least=1),
         image_height=fields.integer("image_height", least=1),
@@ -67,6 +81,7 @@ def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
         distortion_coefficients=coefficients,
         covariance=read_covariance(fields, camera_parameters(len(coefficients))),
     )
+    return _checked_lens(fields, camera)
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
@@ -134,7 +149,7 @@ def pinhole_camera(
     """
     model = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
     missing = DISTORTION_COEFFICIENTS[model] - len(coefficients)
-    return Camera(
+    camera = Camera(
         camera_name=name,
         image_width=fields.integer("image_width", least=1),
         image_height=fields.integer("image_height", least=1),
@@ -142,13 +157,11 @@ def pinhole_camera(
         distortion_model=model,
         distortion_coefficients=np.concatenate([coefficients, np.zeros(missing)]),
     )
+    return _checked_lens(fields, camera)
 
 
 MAX_PIXELS = 100_000
 """Maximum number of columns or rows of an image."""
-
-MIN_FOCAL_LENGTH = 0.05
-"""Minimum focal length in image widths; it corresponds to a field of view of 169 degrees."""
 
 
 def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
@@ -160,10 +173,37 @@ def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Arr
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise fields.problem("camera_matrix", "has a focal length that is not positive")
     size = np.array([fields.integer(key, least=1, most=MAX_PIXELS) for key in ("image_width", "image_height")])
-    if np.any(np.diag(matrix)[:2] < MIN_FOCAL_LENGTH * size):
+    if not all(map(FOCAL_LENGTH.holds, (np.diag(matrix)[:2] / size).tolist())):
         shortest = min(matrix[0, 0], matrix[1, 1])
         raise fields.problem("camera_matrix", f"has a focal length of {shortest:g} pixels", "give pixels, not mm")
-    if np.any(np.abs(matrix[:2, 2] - size / 2) > 1.5 * size):
-        center = f"({matrix[0, 2]:g}, {matrix[1, 2]:g})"
-        raise fields.problem("camera_matrix", f"has its principal point at {center}, far outside the image")
+    _check_principal_point(fields, matrix[:2, 2], size)
     return matrix
+
+
+def _check_principal_point(fields: Fields, principal_px: Float64[Array, "xy=2"], size: Int64[Array, "xy=2"]) -> None:
+    """Reject a principal point far outside the image, and warn of one far from its middle."""
+    offset: list[float] = (principal_px / size - 0.5).tolist()
+    found = f"has its principal point at ({principal_px[0]:g}, {principal_px[1]:g})"
+    if not all(map(PRINCIPAL_POINT.holds, offset)):
+        raise fields.problem("camera_matrix", f"{found}, far outside the image")
+    if all(map(CENTRAL_POINT.holds, offset)):
+        return
+    remedy = "check the order fx, 0, cx, 0, fy, cy and the image's size, unless the image is a window of the sensor's"
+    if 2 * np.abs(principal_px[::-1] / size - 0.5).max() < np.abs(offset).max():
+        remedy = "cx and cy are probably exchanged"
+    middle = f"({size[0] / 2:g}, {size[1] / 2:g})"
+    line = str(fields.problem("camera_matrix", f"{found}, far from the image's middle {middle}", remedy))
+    warnings.warn(line, ImplausibleValueWarning, stacklevel=2)
+
+
+def _checked_lens(fields: Fields, camera: Camera) -> Camera:
+    """The camera; rejected if its lens does not map rays one-to-one to the pixels of the image."""
+    at_px = fold_px(camera)
+    if at_px is None:
+        return camera
+    p1, p2 = camera.distortion_coefficients[2:4].tolist()
+    remedy = "the order is k1, k2, p1, p2, k3; calibrate with --fix-k3, or with the board in the corners, too"
+    if not (TANGENTIAL.holds(p1) and TANGENTIAL.holds(p2)):
+        remedy = f"the order is k1, k2, p1, p2, k3, and p1 = {p1:g}, p2 = {p2:g} look like radial coefficients"
+    found = f"folds the image: beyond the pixel ({at_px[0]:.0f}, {at_px[1]:.0f}) pixels have no ray, or several"
+    raise fields.problem("distortion_coefficients", found, remedy)

@@ -9,9 +9,10 @@ from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.images.codecs import IMAGE_SUFFIXES, check_shot_size, read_image
 from ringpose.files.npz import Archive, write_archive
-from ringpose.files.schema import MAX_STAMP_S, Fields, late_stamp
+from ringpose.files.schema import Fields, late_stamp
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.image import ALL_LASERS, Shot
+from ringpose.types.plausible import EXPOSURE_S, STAMP_S
 from ringpose.types.rig import Rig
 
 SHOT_SUFFIXES = (".npz", *IMAGE_SUFFIXES)
@@ -20,9 +21,6 @@ _REQUIRED = ("images", "lasers", "stamp_s", "exposure_s")
 _TIMES = ("device_stamp_s", "gain_db")
 _MASKS = ("seen_lasers", "read_lasers")
 _KEYS = (*_REQUIRED, *_TIMES, "frame_id", *_MASKS, "meta")
-
-MAX_EXPOSURE_S = 60.0
-"""Longest plausible exposure; a larger number is probably in milliseconds."""
 
 MAX_EXPOSURE = 5.0
 """Maximum exposure as a share of the time between two frames: 1, and a margin for stamps of a busy host."""
@@ -132,11 +130,11 @@ def _times(archive: Archive, frames: int) -> tuple[Float64[Array, "frame"], Floa
         if values.min() < 0:
             raise archive.problem(key, f"is {values.min():g} in frame {values.argmin()}, must not be negative")
     stamp_s, exposure_s = times
-    if stamp_s.max() > MAX_STAMP_S:
+    if stamp_s.max() > STAMP_S.highest:
         raise archive.problem("stamp_s", *late_stamp(stamp_s.max()))
-    if exposure_s.max() > MAX_EXPOSURE_S:
-        found = f"is {exposure_s.max():g} in frame {exposure_s.argmax()}, must be at most {MAX_EXPOSURE_S:g}"
-        raise archive.problem("exposure_s", found, "give seconds; this looks like milliseconds")
+    if exposure_s.max() > EXPOSURE_S.highest:
+        found, remedy = EXPOSURE_S.finding(float(exposure_s.max()))
+        raise archive.problem("exposure_s", f"{found} (frame {exposure_s.argmax()})", remedy)
     apart_s = np.diff(np.sort(stamp_s))
     least_s, longest_s = apart_s[apart_s > 0].min(initial=np.inf), exposure_s.max()
     if longest_s > MAX_EXPOSURE * least_s:

@@ -16,10 +16,8 @@ from ringpose.files.schema import Fields
 from ringpose.geometry.rotations import rotation_of
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import STDIN
+from ringpose.types.plausible import REACH_M
 from ringpose.types.rig import RobotPoses
-
-MAX_REACH_M = 100.0
-"""Longest plausible distance of a tool from the robot's base."""
 
 KEPT_S = 5.0
 """Time for which poses that arrive on standard input are kept: longer than late records and backgrounds are used."""
@@ -130,7 +128,6 @@ def _robot_pose(item: Input | Problem) -> RobotPose:
     if other is not None and other is not ROBOT_POSE:
         raise fields.problem("", *ROBOT_POSE.instead_of(other))
     pose = fields.fields("base_from_tool")
-    position_m = pose.vector("position_m", 3)
-    pose.check_metres("position_m", position_m, MAX_REACH_M)
+    position_m = pose.quantities("position_m", 3, REACH_M)
     rotation = rotation_of(pose.quaternion("orientation_xyzw"))
     return RobotPose(stamp_s=fields.stamp_s("stamp_s"), position_m=position_m, rotation=rotation)

@@ -11,6 +11,7 @@ from ringpose.files import records
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields, kind
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.plausible import RING_RADIUS_M, TARGET_DISTANCE_M
 from ringpose.types.scene import Truth, TruthFrame
 
 _KEYS = ("schema", *Truth.__slots__)
@@ -35,12 +36,12 @@ def truth_of(fields: Fields) -> Truth:
     return Truth(
         shot=fields.text("shot"),
         expect=cast(Literal["pose", "partial", "no_target"], fields.choice("expect", _EXPECT)),
-        center_m=fields.point_m("center_m") if fields.has("center_m") else None,
+        center_m=fields.sized("center_m", TARGET_DISTANCE_M) if fields.has("center_m") else None,
         normal=fields.unit_vector("normal") if fields.has("normal") else None,
-        radius_inner_m=fields.length_m("radius_inner_m") if fields.has("radius_inner_m") else None,
-        radius_outer_m=fields.length_m("radius_outer_m") if fields.has("radius_outer_m") else None,
+        radius_inner_m=fields.quantity("radius_inner_m", RING_RADIUS_M) if fields.has("radius_inner_m") else None,
+        radius_outer_m=fields.quantity("radius_outer_m", RING_RADIUS_M) if fields.has("radius_outer_m") else None,
         break_points_px=_break_points(fields) if fields.has("break_points_px") else None,
-        stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else None,
+        stamp_s=fields.stamp_s("stamp_s") if fields.has("stamp_s") else None,
         velocity_m_s=fields.vector("velocity_m_s", 3) if fields.has("velocity_m_s") else None,
         angular_velocity_rad_s=fields.vector("angular_velocity_rad_s", 3)
         if fields.has("angular_velocity_rad_s")
@@ -84,8 +85,8 @@ def _frame_record(frame: TruthFrame) -> dict[str, Any]:
 def _frames(fields: Fields) -> tuple[TruthFrame, ...]:
     frames = tuple(
         TruthFrame(
-            stamp_s=each.number("stamp_s"),
-            center_m=each.point_m("center_m"),
+            stamp_s=each.stamp_s("stamp_s"),
+            center_m=each.sized("center_m", TARGET_DISTANCE_M),
             normal=each.unit_vector("normal"),
             break_points_px=_break_points(each) if each.has("break_points_px") else None,
         )

@@ -10,9 +10,9 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.rigs import write_rig
-from ringpose.files.scenes.motions import MAX_RATE_RAD_S, MAX_SPEED_M_S
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.rotations import rotation_vector
+from ringpose.types.plausible import RATE_RAD_S, SPEED_M_S
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Light, RingView
 from ringpose.types.session import steps_of, written_sequence
@@ -98,12 +98,13 @@ def _motion(view: RingView) -> dict[str, Any] | None:
     center_target_m = begin[0].T @ (view.center_m - begin[1])
     velocity_m_s = (end[0] @ center_target_m + end[1] - view.center_m) / STEP_S
     angular_velocity_rad_s = rotation_vector(turned) / STEP_S
-    for speed, limit, unit in (
-        (np.linalg.norm(velocity_m_s), MAX_SPEED_M_S, "m/s"),
-        (np.linalg.norm(angular_velocity_rad_s), MAX_RATE_RAD_S, "rad/s"),
+    for velocity, plausible, unit in (
+        (velocity_m_s, SPEED_M_S, "m/s"),
+        (angular_velocity_rad_s, RATE_RAD_S, "rad/s"),
     ):
-        if speed > limit:
-            raise DataError(view.name, f"moves at {speed:.3g} {unit}, and a scene file can have {limit:g}")
+        speed = float(np.linalg.norm(velocity))
+        if not plausible.holds(speed):
+            raise DataError(view.name, f"moves at {speed:.3g} {unit}, and a scene file can have {plausible.highest:g}")
     if max(np.abs(velocity_m_s).max(), np.abs(angular_velocity_rad_s).max()) < STILL:
         return None
     return {

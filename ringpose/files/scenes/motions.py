@@ -13,6 +13,7 @@ from ringpose.files import records
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.plausible import PART_M, PATH_M, RATE_RAD_S, SPEED_M_S
 from ringpose.types.target import MOTION_PRESETS, Box, FreeMotion, Part, Revolution, TimedPoses
 
 MOTION_KEYS = (
@@ -33,14 +34,6 @@ CSV_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _GAUSS = np.polynomial.legendre.leggauss(3)
 """Nodes and weights, exact for the moments of a straight piece of a profile."""
 
-MAX_RATE_RAD_S = 0.5
-"""Largest angular velocity of a satellite, 29 deg/s; a larger number is probably in degrees."""
-
-MAX_DISTANCE_M = 200.0
-"""Largest distance of a moving target; a larger number is probably in millimetres."""
-
-MAX_SPEED_M_S = 10.0
-
 SYMMETRIC = 1e-9
 """Relative tolerance of the symmetry of an inertia tensor and of the triangle inequality."""
 
@@ -60,27 +53,20 @@ def read_motion(
     rate_rad_s = np.zeros(3) if preset is None else np.array(preset.angular_velocity_rad_s)
     if preset is not None and preset.inertia_kg_m2 is not None:
         inertia_kg_m2 = np.diag(preset.inertia_kg_m2)
-    values: dict[str, Any] = fields.given(("velocity_m_s",), lambda key: _bounded(fields, key, MAX_SPEED_M_S, "m/s"))
+    values: dict[str, Any] = fields.given(("velocity_m_s",), lambda key: fields.sized(key, SPEED_M_S))
     values |= fields.given(("camera",), lambda key: _poses(fields.each(key, POSE_KEYS), fields.location(key)))
     if "camera" in values and values["camera"].time_s[0] != 0:
         raise fields.problem("camera", f"begins at {values['camera'].time_s[0]:g} s, must begin at 0")
     return FreeMotion(
         inertia_kg_m2=_inertia(fields) if fields.has("inertia_kg_m2") else inertia_kg_m2,
-        center_of_mass_m=fields.point_m("center_of_mass_m") if fields.has("center_of_mass_m") else center_of_mass_m,
-        angular_velocity_rad_s=_bounded(fields, "angular_velocity_rad_s", MAX_RATE_RAD_S, "rad/s")
+        center_of_mass_m=fields.quantities("center_of_mass_m", 3, PART_M)
+        if fields.has("center_of_mass_m")
+        else center_of_mass_m,
+        angular_velocity_rad_s=fields.sized("angular_velocity_rad_s", RATE_RAD_S)
         if fields.has("angular_velocity_rad_s")
         else rate_rad_s,
         **values,
     )
-
-
-def _bounded(fields: Fields, key: str, limit: float, unit: str) -> Float64[Array, "3"]:
-    vector = fields.vector(key, 3)
-    length = float(np.linalg.norm(vector))
-    if length > limit:
-        remedy = "give radians; this looks like degrees" if unit == "rad/s" else f"give at most {limit:g}"
-        raise fields.problem(key, f"has length {length:g} {unit}", remedy)
-    return vector
 
 
 def _inertia(fields: Fields) -> Float64[Array, "3 3"]:
@@ -133,8 +119,7 @@ def _poses(entries: Iterator[Fields], where: str) -> TimedPoses:
         times_s.append(entry.number("time_s"))
         if len(times_s) > 1 and times_s[-1] <= times_s[-2]:
             raise entry.problem("time_s", f"is {times_s[-1]:g}, not later than the time before")
-        positions_m.append(entry.vector("position_m", 3))
-        entry.check_metres("position_m", np.linalg.norm(positions_m[-1:], axis=1), MAX_DISTANCE_M)
+        positions_m.append(entry.sized("position_m", PATH_M))
         orientation = entry.optional("orientation_xyzw", entry.quaternion)
         orientations.append(np.array([0.0, 0.0, 0.0, 1.0]) if orientation is None else orientation)
     if len(times_s) < 2:

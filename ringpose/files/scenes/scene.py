@@ -1,6 +1,5 @@
 """scene.yaml, the input of `ringpose simulate`; man/ringpose-simulate.1 documents its keys."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +11,12 @@ import numpy as np
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
 from ringpose.files.rigs import read_rig
-from ringpose.files.scenes.motions import MAX_DISTANCE_M, MOTION_KEYS, mass_properties, read_motion
+from ringpose.files.scenes.motions import MOTION_KEYS, mass_properties, read_motion
 from ringpose.files.scenes.targets import (
     RING_KEYS,
     TARGET_KEYS,
     Target,
     numbers_of,
-    positive_m,
     read_material,
     read_profile,
     read_target,
@@ -28,6 +26,21 @@ from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.plausible import (
+    ANGLE_RAD,
+    DETAIL_M,
+    DISTANCE_M,
+    EXPOSURE_S,
+    FACE_WIDTH_M,
+    FACING_RAD,
+    IRRADIANCE_W_M2,
+    OFFSET_SHARE,
+    RING_HEIGHT_M,
+    RING_RADIUS_M,
+    SUN_RAD,
+    TARGET_DISTANCE_M,
+    TILT_RAD,
+)
 from ringpose.types.rig import Rig
 from ringpose.types.scene import (
     EARTH_RADIUS_M,
@@ -51,7 +64,7 @@ from ringpose.types.target import Body, Foil, Part, Revolution, RingShape
 
 SCHEMA = "scene/1"
 
-_NUMBERS = ("exposure_s", "stripe_dn", "period_s", "start_s")
+_NUMBERS = ("stripe_dn", "period_s", "start_s")
 
 _RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Optics, "sensor": Sensor, "speckle": Speckle}
 
@@ -60,7 +73,7 @@ _PARTS = (
     "trajectory", "motion", "boards",
 )  # fmt: skip
 
-_KEYS = ("ringpose", "rig", "seed", *_NUMBERS, *_PARTS)
+_KEYS = ("ringpose", "rig", "seed", "exposure_s", *_NUMBERS, *_PARTS)
 
 MAX_SHOTS = 1_000_000
 """Maximum number of shots of a view: a day of shots, one every 0.1 s."""
@@ -84,8 +97,7 @@ def read_scene(path: Path) -> Scene:
         lights = {str(name): _light(named, str(name), space) for name in named.values}
     lasers = len(rig.lasers.names)
     values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
-    if values.get("exposure_s") == 0:
-        raise fields.problem("exposure_s", "is 0: the images would be black", "give seconds, such as 0.005")
+    values |= fields.given(("exposure_s",), lambda key: fields.quantity(key, EXPOSURE_S))
     values |= fields.given(_RECORDS, lambda key: numbers_of(fields, key, _RECORDS[key]))
     values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
     values["views"], values["approaches"] = _views(fields, tuple(lights))
@@ -169,12 +181,14 @@ def _rig(fields: Fields, folder: Path) -> Rig:
 
 def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
     if not fields.has("profile_m"):
-        inner, outer, height = (positive_m(fields, key) for key in ("radius_inner_m", "radius_outer_m", "height_m"))
+        inner, outer = (fields.quantity(key, RING_RADIUS_M) for key in ("radius_inner_m", "radius_outer_m"))
+        height = fields.quantity("height_m", RING_HEIGHT_M)
         if inner >= outer:
             raise fields.problem("radius_inner_m", f"is {inner:g}, must be smaller than radius_outer_m")
         return np.array([[inner, 0.0], [inner, height], [outer, height], [outer, 0.0]])
     profile_m = read_profile(fields)
-    fields.check_metres("profile_m", profile_m)
+    fields.check("profile_m", profile_m[:, 0], RING_RADIUS_M)
+    fields.check("profile_m", profile_m[:, 1].max(keepdims=True), RING_HEIGHT_M)
     if (profile_m[:, 1] < 0).any():
         raise fields.problem("profile_m", "has a negative height")
     if not (np.diff(profile_m[:, 1]) == 0).any():
@@ -184,20 +198,22 @@ def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
 
 def _ring(fields: Fields) -> RingShape:
     values: dict[str, Any] = fields.given(("face", "wall"), lambda key: read_material(fields, key))
-    return with_details(fields, RingShape(profile_m=_profile_m(fields), **values))
+    ring = RingShape(profile_m=_profile_m(fields), **values)
+    width_m = ring.radius_outer_m - ring.radius_inner_m
+    if not FACE_WIDTH_M.holds(width_m):
+        found, remedy = FACE_WIDTH_M.finding(width_m)
+        raise fields.problem("", f"has a face whose width {found}", remedy)
+    return with_details(fields, ring)
 
 
 _BODY_KEYS = ("size_m", "offset_m", "material", "foil")
 
 
 def _body(fields: Fields) -> Body:
-    values: dict[str, Any] = fields.given(("offset_m",), lambda key: fields.vector(key, 2))
-    if values:
-        fields.check_metres("offset_m", values["offset_m"])
+    values: dict[str, Any] = fields.given(("offset_m",), lambda key: fields.quantities(key, 2, DETAIL_M))
     values |= fields.given(("material",), lambda key: read_material(fields, key))
     values |= fields.given(("foil",), lambda key: numbers_of(fields, key, Foil))
-    size_m = fields.vector("size_m", 3)
-    fields.check_metres("size_m", size_m)
+    size_m = fields.quantities("size_m", 3, DETAIL_M)
     if (size_m <= 0).any():
         raise fields.problem("size_m", "must be positive")
     return Body(size_m=size_m, **values)
@@ -213,9 +229,9 @@ def _space(fields: Fields) -> Light:
     values: dict[str, Any] = {}
     if fields.has("sun"):
         sun = fields.fields("sun", _SUN_KEYS)
-        values["sun_w_m2"] = sun.number("irradiance_w_m2", least=0)
+        values["sun_w_m2"] = sun.quantity("irradiance_w_m2", IRRADIANCE_W_M2)
         values["sun_direction"] = _direction(sun, "direction")
-        values |= {f"sun_{key}": _angle(sun, key, 0.2) for key in ("diameter_rad",) if sun.has(key)}
+        values |= {f"sun_{key}": sun.quantity(key, SUN_RAD) for key in ("diameter_rad",) if sun.has(key)}
     if fields.has("earth"):
         earth = fields.fields("earth", _EARTH_KEYS)
         given: dict[str, Any] = {"direction": _direction(earth, "direction")}
@@ -234,18 +250,10 @@ def _direction(fields: Fields, key: str) -> Float64[Array, "3"]:
     return direction
 
 
-def _angle(fields: Fields, key: str, most_rad: float, *, signed: bool = False) -> float:
-    angle_rad = fields.number(key, least=-math.inf if signed else 0)
-    if abs(angle_rad) > most_rad:
-        found = f"is {angle_rad:g}, must be at most {most_rad:g}{' to either side' if signed else ''}"
-        raise fields.problem(key, found, "give radians")
-    return angle_rad
-
-
 def _light(named: Fields, name: str, space: Light) -> Light:
     keys = ("ambient_w_m2", "sun_w_m2", "sun_direction", "beacon")
     light = Fields(named.file, named.values[name] or {}, keys, named.path + "." + name)
-    values: dict[str, Any] = light.given(keys[:2], lambda key: light.number(key, least=0))
+    values: dict[str, Any] = light.given(keys[:2], lambda key: light.quantity(key, IRRADIANCE_W_M2))
     if light.has("sun_direction"):
         values["sun_direction"] = _direction(light, "sun_direction")
     values |= light.given(("beacon",), lambda key: numbers_of(light, key, Beacon))
@@ -313,7 +321,7 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
             NamedBoardPose(
                 name=_name(pose),
                 rotation=np.asarray(cv2.Rodrigues(pose.vector("camera_from_board_rvec", 3))[0], dtype=np.float64),
-                translation_m=pose.point_m("camera_from_board_tvec_m"),
+                translation_m=pose.sized("camera_from_board_tvec_m", DISTANCE_M),
             )
             for pose in entry.each("views", _POSE_KEYS)
         )
@@ -323,7 +331,8 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
         if len(random_set.get("distances_m", (0.0, 0.0))) != 2:
             raise approach.problem("distances_m", "must be the nearest and the farthest distance")
         values["approach"] = BoardApproach(**random_set)
-    values |= entry.given(("ambient_w_m2", "exposure_s"), lambda key: entry.number(key, least=0))
+    values |= entry.given(("ambient_w_m2",), lambda key: entry.quantity(key, IRRADIANCE_W_M2))
+    values |= entry.given(("exposure_s",), lambda key: entry.quantity(key, EXPOSURE_S))
     values |= entry.given(("sequence",), lambda key: read_sequence(entry, key, lasers))
     return BoardSet(**values)
 
@@ -345,7 +354,7 @@ def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
         raise entry.problem("light", "is missing, and there is no light 'dim'")
     if entry.has("target"):
         values["target"] = cast(TargetKind, entry.choice("target", get_args(TargetKind)))
-    values |= entry.given(("roll_rad",), lambda key: _angle(entry, key, 7.0, signed=True))
+    values |= entry.given(("roll_rad",), lambda key: entry.quantity(key, ANGLE_RAD))
     if entry.has("groups"):
         values["groups"] = entry.fields("groups").values
         if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
@@ -354,8 +363,7 @@ def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
 
 
 def _center_m(entry: Fields) -> Float64[Array, "3"]:
-    center_m = entry.vector("center_m", 3)
-    entry.check_metres("center_m", np.linalg.norm(center_m[None], axis=1), MAX_DISTANCE_M)
+    center_m = entry.sized("center_m", TARGET_DISTANCE_M)
     if center_m[2] <= 0:
         raise entry.problem("center_m", f"lies behind the camera, at z = {center_m[2]:g}", "z is forward")
     return center_m
@@ -364,7 +372,7 @@ def _center_m(entry: Fields) -> Float64[Array, "3"]:
 def _normal(entry: Fields) -> Float64[Array, "3"]:
     """The normal, given as a vector or by the paper's pitch and yaw; it must point towards the camera."""
     if not entry.has("normal"):
-        pitch, yaw = (_angle(entry, key, 1.5, signed=True) for key in ("pitch_rad", "yaw_rad"))
+        pitch, yaw = (entry.quantity(key, FACING_RAD) for key in ("pitch_rad", "yaw_rad"))
         return facing_normal(pitch, yaw)
     if entry.has("pitch_rad") or entry.has("yaw_rad"):
         raise entry.problem("normal", "cannot be combined with pitch_rad or yaw_rad", "give one of the two")
@@ -388,13 +396,11 @@ def _random_set(entry: Fields) -> dict[str, Any]:
     """The values that random sets of ring views and of board views have in common."""
     values: dict[str, Any] = entry.given(("count",), lambda key: entry.integer(key, least=1, most=MAX_COUNT))
     values |= entry.given(("seed",), lambda key: entry.integer(key, least=0))
-    values |= entry.given(_ANGLES, lambda key: _angle(entry, key, 1.2))
-    values |= entry.given(("offset",), lambda key: entry.number(key, least=0, most=0.5))
+    values |= entry.given(_ANGLES, lambda key: entry.quantity(key, TILT_RAD))
+    values |= entry.given(("offset",), lambda key: entry.quantity(key, OFFSET_SHARE))
     if entry.has("distances_m"):
         distances_m = entry.array("distances_m", (None,))
-        entry.check_metres("distances_m", distances_m)
-        if (distances_m <= 0).any():
-            raise entry.problem("distances_m", "must be positive")
+        entry.check("distances_m", distances_m, DISTANCE_M)
         values["distances_m"] = tuple(distances_m.tolist())
     return values
 

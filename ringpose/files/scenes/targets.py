@@ -13,6 +13,23 @@ import ringpose
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.plausible import (
+    ANGLE_RAD,
+    BLUR_PX,
+    DETAIL_M,
+    DIVERGENCE_RAD,
+    F_NUMBER,
+    FAN_RAD,
+    IRRADIANCE_W_M2,
+    LASER_POWER_W,
+    PART_M,
+    PIXEL_M,
+    RING_FORM_M,
+    RING_TOLERANCE_M,
+    SHEET_M,
+    WAVELENGTH_M,
+    Range,
+)
 from ringpose.types.target import MATERIALS, Box, Foil, Gap, Grid, Material, Part, Revolution, RingForm, RingShape
 
 MODELS = Path(ringpose.__file__).parent / "simulate" / "target" / "models"
@@ -39,18 +56,24 @@ COMMON_KEYS = ("name", "shape", "position_m", "rotation_rad", "material", "foil"
 MODEL_KEYS = ("state", "assumed", "cited")
 """Keys of the parts of models: the state in which a part is there, and where its numbers are from."""
 
-MAX_SIZE_M = 50.0
-"""Longest plausible length on a satellite; a larger number is probably in millimetres."""
-
-MAX_ANGLE_RAD = 2 * np.pi
-"""Largest plausible angle; a larger number is probably in degrees."""
-
 RING_KEYS = ("profile_m", "radius_inner_m", "radius_outer_m", "height_m", "face", "wall", "gaps", "form", "chamfer_m")
 
-_DIVISORS = ("f_number", "quantum_efficiency", "overall_system_gain_dn_per_e", "saturation_capacity_e", "fan_rad",
-             "on_s", "off_s", "line_m", "crinkle_m", "rms_m")  # fmt: skip
+_DIVISORS = ("quantum_efficiency", "overall_system_gain_dn_per_e", "saturation_capacity_e", "on_s", "off_s")
 
 _FRACTIONS = ("diffuse", "specular", "roughness", "transmission", "quantum_efficiency", "albedo")
+
+_PLAUSIBLE = {
+    "power_w": LASER_POWER_W,
+    "sigma_m": SHEET_M,
+    "divergence_rad": DIVERGENCE_RAD,
+    "fan_rad": FAN_RAD,
+    "ambient_w_m2": IRRADIANCE_W_M2,
+    "f_number": F_NUMBER,
+    "blur_px": BLUR_PX,
+    "pixel_m": PIXEL_M,
+    "wavelength_m": WAVELENGTH_M,
+}
+"""Plausible ranges of quantities by their keys; lengths that are not among them are details of the target."""
 
 _MIN_VALUE = 1e-6
 """Minimum of the numbers in `_DIVISORS`."""
@@ -158,7 +181,7 @@ def _shape(part: Fields, shape: str) -> tuple[Box | Revolution, int]:
         profile_m = np.array([[inner_m, 0.0], [_length(part, "radius_m"), 0.0]])
     else:
         height_m, radius_m = _length(part, "height_m"), _length(part, "radius_m")
-        top_m = radius_m if shape == "cylinder" else part.number("top_radius_m", least=0, most=MAX_SIZE_M)
+        top_m = radius_m if shape == "cylinder" else part.number("top_radius_m", least=0, most=PART_M.highest)
         profile_m = np.array([[0.0, 0.0], [radius_m, 0.0], [top_m, height_m], [0.0, height_m]])
         profile_m = profile_m if top_m > 0 else profile_m[:3]
     return Revolution(profile_m=profile_m), len(profile_m) - 1
@@ -167,17 +190,12 @@ def _shape(part: Fields, shape: str) -> tuple[Box | Revolution, int]:
 def _rotation(part: Fields) -> Float64[Array, "3 3"]:
     if not part.has("rotation_rad"):
         return np.eye(3)
-    vector = part.vector("rotation_rad", 3)
-    length = float(np.linalg.norm(vector))
-    if length > MAX_ANGLE_RAD:
-        raise part.problem("rotation_rad", f"has length {length:g}", "give radians; this looks like degrees")
+    vector = part.sized("rotation_rad", ANGLE_RAD)
     return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
 
 
 def _position_m(part: Fields) -> Float64[Array, "xyz=3"]:
-    position_m = part.vector("position_m", 3) if part.has("position_m") else np.zeros(3)
-    part.check_metres("position_m", position_m, MAX_SIZE_M)
-    return position_m
+    return part.quantities("position_m", 3, PART_M) if part.has("position_m") else np.zeros(3)
 
 
 def _mass(part: Fields, mass: str | None) -> float:
@@ -221,9 +239,7 @@ def with_details(fields: Fields, ring: RingShape) -> RingShape:
 
 
 def _gap(gap: Fields, ring: RingShape) -> Gap:
-    angle_rad = gap.number("angle_rad")
-    if abs(angle_rad) > MAX_ANGLE_RAD:
-        raise gap.problem("angle_rad", f"is {angle_rad:g}", "give radians; this looks like degrees")
+    angle_rad = gap.quantity("angle_rad", ANGLE_RAD)
     width_m = _length(gap, "width_m")
     if width_m >= 2 * ring.radius_inner_m:
         raise gap.problem("width_m", f"is {width_m:g}, wider than the ring")
@@ -236,15 +252,14 @@ def _form(form: Fields) -> RingForm:
         for key in filter(form.has, ("inner_m", "outer_m", "axial_m")):
             raise form.problem(key, "cannot be combined with tolerance_m", "give one of them")
         generator = np.random.default_rng(form.integer("seed", least=0) if form.has("seed") else 1)
-        scale_m = form.number("tolerance_m", least=0, most=0.01) / np.sqrt(3)
+        scale_m = form.quantity("tolerance_m", RING_TOLERANCE_M) / np.sqrt(3)
         drawn = scale_m * generator.standard_normal((3, 3, 2))
         return RingForm(radial_m=drawn[:2], axial_m=drawn[2])
     inner, outer, axial = (
         form.array(key, (3, 2)) if form.has(key) else np.zeros((3, 2)) for key in ("inner_m", "outer_m", "axial_m")
     )
     for key, values in (("inner_m", inner), ("outer_m", outer), ("axial_m", axial)):
-        if np.abs(values).max() > 0.01:
-            raise form.problem(key, "has a deviation of more than 10 mm", "give metres; this looks like millimetres")
+        form.check(key, values, RING_FORM_M)
     return RingForm(radial_m=np.stack([inner, outer]), axial_m=axial)
 
 
@@ -269,7 +284,7 @@ def _chamfered(fields: Fields, ring: RingShape) -> RingShape:
 def read_profile(fields: Fields) -> Float64[Array, "point 2"]:
     """A polyline of (radius, height)."""
     profile_m = fields.array("profile_m", (None, 2))
-    fields.check_metres("profile_m", profile_m, MAX_SIZE_M)
+    fields.check("profile_m", profile_m, PART_M)
     if len(profile_m) < 2:
         raise fields.problem("profile_m", f"has {len(profile_m)} points, must have at least 2")
     if (profile_m[:, 0] < 0).any() or (np.abs(np.diff(profile_m, axis=0)).max(axis=1) == 0).any():
@@ -312,29 +327,25 @@ def _number(fields: Fields, key: str) -> Any:
         if bits not in (8, 12):
             raise fields.problem(key, f"is {bits}, must be 8 or 12")
         return bits
+    if key in _PLAUSIBLE:
+        return fields.quantity(key, _PLAUSIBLE[key])
     if key.endswith("_m"):
-        return positive_m(fields, key)
+        return _positive_lengths(fields, key, np.array([fields.number(key)]), DETAIL_M).item()
     return fields.number(key, least=_MIN_VALUE if key in _DIVISORS else 0.0, most=1.0 if key in _FRACTIONS else np.inf)
 
 
-def positive_m(fields: Fields, key: str) -> float:
-    """A positive length on a rig."""
-    length_m = fields.length_m(key)
-    if length_m <= 0:
-        raise fields.problem(key, f"is {length_m:g}, must be positive")
-    return length_m
-
-
 def _length(fields: Fields, key: str) -> float:
-    return float(_positive_lengths(fields, key, np.array([fields.number(key)]))[0])
+    return _positive_lengths(fields, key, np.array([fields.number(key)])).item()
 
 
 def _lengths(fields: Fields, key: str, count: int) -> Float64[Array, "n"]:
     return _positive_lengths(fields, key, fields.vector(key, count))
 
 
-def _positive_lengths(fields: Fields, key: str, lengths_m: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    fields.check_metres(key, lengths_m, MAX_SIZE_M)
+def _positive_lengths(
+    fields: Fields, key: str, lengths_m: Float64[Array, "n"], plausible: Range = PART_M
+) -> Float64[Array, "n"]:
+    fields.check(key, lengths_m, plausible)
     if (lengths_m <= 0).any():
         raise fields.problem(key, "must be positive")
     return lengths_m

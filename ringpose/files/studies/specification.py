@@ -13,7 +13,8 @@ from ringpose.files.io import read_bytes
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.schema import FREE_PREFIX, Fields, hint
 from ringpose.files.yaml import read_yaml
-from ringpose.types.assumptions import MAX_TOLERANCE_M, AssumptionOptions
+from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.plausible import MAX_RATE_RAD_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
 from ringpose.types.study import (
@@ -117,12 +118,17 @@ def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
 
 def _assumed(fields: Fields) -> AssumptionOptions:
     """The assumptions of the estimator; keys that are not given have the defaults of `ringpose pose`."""
-    largest = {"max_speed_m_s": 10.0, "max_rate_rad_s": 10.0, "ring_tolerance_m": MAX_TOLERANCE_M, "rig_stability": 1e3}
-    entry = fields.fields("assume", ("still", *largest))
+    plausible = {
+        "max_speed_m_s": SPEED_M_S,
+        "max_rate_rad_s": MAX_RATE_RAD_S,
+        "ring_tolerance_m": RING_TOLERANCE_M,
+        "rig_stability": STABILITY_FACTOR,
+    }
+    entry = fields.fields("assume", ("still", *plausible))
     still = bool(entry.optional("still", entry.boolean))
     if still and (entry.has("max_speed_m_s") or entry.has("max_rate_rad_s")):
         raise entry.problem("still", "excludes max_speed_m_s and max_rate_rad_s", "give one of them")
-    given = entry.given(largest, lambda key: entry.number(key, least=0.0, most=largest[key]))
+    given = entry.given(plausible, lambda key: entry.quantity(key, plausible[key]))
     if "max_rate_rad_s" in given:
         given["max_rate_deg_s"] = degrees(given.pop("max_rate_rad_s"))
     return AssumptionOptions(still=still, **given)
@@ -200,7 +206,7 @@ def _value(fields: Fields, key: str, name: str, scene: Scene) -> Value:
     if name in SWITCHES:
         return fields.boolean(key)
     if name in NUMBERS:
-        return fields.number(key, *NUMBERS[name])
+        return fields.quantity(key, NUMBERS[name])
     if name != "sequence":
         return fields.choice(key, scene.lights if name == "light" else ("ring", "body"))
     text = fields.text(key)
