@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from ringpose.errors import DataError, InputOutputError, NoInputError
 from ringpose.files import records
-from ringpose.files.io import read_bytes
+from ringpose.files.io import opened
 from ringpose.types.options import STDIN
 
 RECORDS_SUFFIX = ".jsonl"
@@ -90,7 +90,7 @@ def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
             continue
         is_empty = True
         try:
-            for number, line in enumerate(_lines(item), start=1):
+            for number, line in enumerate(file_lines(item), start=1):
                 if line.strip():
                     is_empty = False
                     yield _record(line, f"{item}:{number}")
@@ -105,23 +105,29 @@ def holds_records(path: Path) -> bool:
     return path.name.lower().endswith((RECORDS_SUFFIX, COMPRESSED_SUFFIX))
 
 
-def _lines(path: Path) -> Iterator[bytes]:
+def file_lines(path: Path) -> Iterator[bytes]:
     """Yield the lines of a file; a compressed file, recognised by its contents, is decompressed as it is read."""
-    data = read_bytes(path)
-    compressed = path.name.lower().endswith(COMPRESSED_SUFFIX) or data.startswith(_GZIP)
+    with opened(path) as stream:
+        if not (path.name.lower().endswith(COMPRESSED_SUFFIX) or stream.peek(len(_GZIP)).startswith(_GZIP)):
+            yield from limited_lines(stream, str(path))
+            return
+        try:
+            with gzip.GzipFile(fileobj=stream) as unpacked:
+                yield from limited_lines(unpacked, str(path))
+        except (OSError, EOFError, zlib.error) as error:
+            raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None
+
+
+def limited_lines(stream: io.BufferedIOBase, location: str) -> Iterator[bytes]:
+    """Yield the lines of a stream, of which neither the length nor the number of empty ones in a row is unlimited."""
     blank = 0
-    try:
-        with gzip.open(io.BytesIO(data)) if compressed else io.BytesIO(data) as stream:
-            while line := stream.readline(MAX_LINE_BYTES):
-                if len(line) == MAX_LINE_BYTES:
-                    found = f"has a line of {MAX_LINE_BYTES >> 20} MiB or more"
-                    raise DataError(str(path), found, "end each record")
-                blank = 0 if line.strip() else blank + 1
-                if blank > MAX_BLANK_LINES:
-                    raise DataError(str(path), f"has more than {MAX_BLANK_LINES} empty lines in a row", "remove them")
-                yield line
-    except (OSError, EOFError, zlib.error) as error:
-        raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None
+    while line := stream.readline(MAX_LINE_BYTES):
+        if len(line) == MAX_LINE_BYTES:
+            raise DataError(location, f"has a line of {MAX_LINE_BYTES >> 20} MiB or more", "end each record")
+        blank = 0 if line.strip() else blank + 1
+        if blank > MAX_BLANK_LINES:
+            raise DataError(location, f"has more than {MAX_BLANK_LINES} empty lines in a row", "remove them")
+        yield line
 
 
 def _record(line: str | bytes, location: str) -> Record | DataError:

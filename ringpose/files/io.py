@@ -7,7 +7,8 @@ import io
 import shlex
 import stat
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,17 +26,25 @@ _CANNOT_OPEN = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 
 def read_bytes(path: Path) -> bytes:
     """The bytes of an input file; a missing or inaccessible file raises `NoInputError`."""
+    with opened(path) as stream:
+        return stream.read()
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[io.BufferedReader]:
+    """An input file, open to be read; a missing or inaccessible file raises `NoInputError`."""
+    if "\0" in str(path):
+        raise NoInputError(repr(str(path)), "is not a valid file name")
     try:
         _check_length(path)
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            yield stream
     except (FileNotFoundError, NotADirectoryError):
         raise NoInputError(str(path), "does not exist") from None
     except IsADirectoryError:
         raise NoInputError(str(path), "is a folder, must be a file") from None
     except PermissionError:
         raise NoInputError(str(path), "cannot be opened: permission denied") from None
-    except ValueError:
-        raise NoInputError(repr(str(path)), "is not a valid file name") from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         if error.errno in _CANNOT_OPEN:

@@ -23,19 +23,19 @@ SIDE = 30_000
 """900 million pixels."""
 
 
-def png(width: int, height: int) -> bytes:
+def png(width: int, height: int, bits: int = 8, color: int = 0) -> bytes:
     def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)
     return (
         b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
     )
 
 
-def jpeg(width: int, height: int) -> bytes:
+def jpeg(width: int, height: int, channels: tuple[int, ...] = ()) -> bytes:
     """A JPEG image of 8 x 8 pixels with another size in its frame header."""
-    encoded = bytearray(cv2.imencode(".jpg", np.zeros((8, 8), np.uint8))[1].tobytes())
+    encoded = bytearray(cv2.imencode(".jpg", np.zeros((8, 8, *channels), np.uint8))[1].tobytes())
     at = encoded.index(b"\xff\xc0") + 5
     encoded[at : at + 4] = struct.pack(">HH", height, width)
     return bytes(encoded)
@@ -254,3 +254,45 @@ def test_a_file_of_more_than_2_gib_is_rejected(tmp_path):
 
     assert "2 GiB" in message
     assert peak < 2e6
+
+
+WIDTH, HEIGHT = 16_000, 15_812
+"""253 million pixels: few enough for one channel."""
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "pixel_bytes"),
+    [
+        ("a.png", png(WIDTH, HEIGHT, color=2), 3),
+        ("a.png", png(WIDTH, HEIGHT, bits=16, color=6), 8),
+        ("a.jpg", jpeg(WIDTH, HEIGHT, (3,)), 3),
+        ("a.bmp", bmp(WIDTH, HEIGHT), 3),
+        ("a.tif", tiff(SMALL, changes={256: WIDTH, 257: HEIGHT, 277: 3}.items()), 3),
+        ("a.tif", tiff(SMALL, changes={256: WIDTH, 257: HEIGHT, 258: 32}.items()), 4),
+    ],
+)
+def test_decoded_bytes_of_all_channels_are_limited(tmp_path, name, content, pixel_bytes):
+    file = tmp_path / name
+    file.write_bytes(content)
+
+    with pytest.raises(DataError) as caught:
+        read_image(file)
+
+    assert f"declares {WIDTH} x {HEIGHT} pixels of {pixel_bytes} bytes" in str(caught.value)
+    assert "must be at most 512 MB" in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp", ".jpg"])
+@pytest.mark.parametrize("shape", [(4, 5), (4, 5, 3), (4, 5, 4)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_declared_bytes_of_a_pixel_are_at_least_the_decoded_ones(suffix, shape, dtype):
+    if suffix in (".bmp", ".jpg") and (dtype is np.uint16 or shape[2:] == (4,)):
+        pytest.skip("the format has no such pixels")
+    encoded = cv2.imencode(suffix, np.ones(shape, dtype))[1]
+
+    decoded = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
+
+    header = image_header(encoded.tobytes())
+    assert header is not None
+    assert header.pixel_bytes * 20 >= decoded.nbytes
+    assert header.pixel_bytes * 20 == decoded.nbytes or suffix == ".bmp"  # palettes are decoded to colours

@@ -168,6 +168,11 @@ def test_invalid_targets_and_lights_are_rejected_with_their_place(scene_of, chan
 @pytest.mark.parametrize(
     ("keys", "value", "message"),
     [
+        (
+            "trajectory",
+            [{"generate": {"count": 10_000, "distances_m": [0.1 + 0.0005 * k for k in range(1001)]}}],
+            "trajectory: gives 1.001e+07 shots, must give at most 1e+07",
+        ),
         ("exposure_s", 0, "exposure_s: is 0, must be 1e-06 to 60"),
         ("motion", {"velocity_m_s": [0, 0, 0.01], "shots": 10**9}, "motion.shots: is 1e+09, must be at least 1"),
         ("trajectory", [{"generate": {"count": 0}}], "count: is 0, must be at least 1 and at most 10000"),

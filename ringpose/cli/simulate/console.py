@@ -68,15 +68,18 @@ def trajectory_in(content: bytes, name: str) -> "Trajectory":
 
     Their times are taken from `stamp_s`; if a line has no stamp, all poses are 0.1 s apart.
     """
+    import io
+
     import numpy as np
 
     from ringpose.console.state import Trajectory
     from ringpose.errors import DataError
     from ringpose.files import records
+    from ringpose.files.inputs import limited_lines
     from ringpose.files.schema import Fields
     from ringpose.types.plausible import TARGET_DISTANCE_M
 
-    lines = content.decode(errors="replace").splitlines()
+    lines = limited_lines(io.BytesIO(content), name)
     entries = [Fields(location, record) for location, record in records.read(lines, name)]
     entries = [entry for entry in entries if entry.has("center_m") and entry.has("normal")]
     if not entries:

@@ -30,6 +30,9 @@ CHANNELS = {"b": 0, "g": 1, "r": 2}
 MAX_SHOT_PIXELS = 256_000_000
 """Maximum number of pixels in all frames of a shot together."""
 
+MAX_DECODED_BYTES = 2 * MAX_SHOT_PIXELS
+"""Maximum size of a decoded image, with all its channels: that of the largest shot in 16 bits."""
+
 _REMEDY = "give an intact PNG, TIFF, BMP, JPEG or binary PGM image"
 
 _STDERR = 2
@@ -93,6 +96,11 @@ def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageH
     if min(header.width, header.height) < 1:
         raise DataError(str(path), f"declares {header.width} x {header.height} pixels", _REMEDY)
     check_shot_size(str(path), 1, header.width, header.height, camera)
+    decoded = header.width * header.height * header.pixel_bytes
+    if decoded > MAX_DECODED_BYTES:
+        size = f"{header.width} x {header.height} pixels of {header.pixel_bytes} bytes"
+        found = f"declares {size}, {decoded / 1e6:.0f} MB, must be at most {MAX_DECODED_BYTES / 1e6:.0f} MB"
+        raise DataError(str(path), found, "crop it, or make it grey")
     return header
 
 

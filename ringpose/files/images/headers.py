@@ -19,6 +19,8 @@ class ImageHeader(NamedTuple):
     """PGM only: offset of the pixels, in bytes."""
     maximum: int = 0
     """PGM only: the largest grey value."""
+    pixel_bytes: int = 1
+    """Bytes of a decoded pixel, with all its channels."""
 
 
 def image_header(encoded: bytes) -> ImageHeader | None:
@@ -34,10 +36,14 @@ def image_header(encoded: bytes) -> ImageHeader | None:
 
 
 def _png(encoded: bytes) -> ImageHeader:
-    name, width, height = struct.unpack_from(">4sII", encoded, 12)
+    name, width, height, bits, color = struct.unpack_from(">4sIIBB", encoded, 12)
     if name != b"IHDR":
         raise ValueError("no IHDR")
-    return ImageHeader("PNG", width, height)
+    return ImageHeader("PNG", width, height, pixel_bytes=_PNG_CHANNELS.get(color, 4) * (2 if bits == 16 else 1))
+
+
+_PNG_CHANNELS = {0: 1, 2: 3}
+"""Decoded channels by colour type: grey and RGB; palettes and images with alpha become up to 4."""
 
 
 def _jpeg(encoded: bytes) -> ImageHeader:
@@ -52,8 +58,8 @@ def _jpeg(encoded: bytes) -> ImageHeader:
         if marker in _STANDALONE:
             continue
         if marker in _FRAMES:
-            height, width = struct.unpack_from(">HH", encoded, at + 3)
-            return ImageHeader("JPEG", width, height)
+            height, width, components = struct.unpack_from(">HHB", encoded, at + 3)
+            return ImageHeader("JPEG", width, height, pixel_bytes=1 if components == 1 else 3)
         if marker in (0xD9, 0xDA):  # end of image (EOI), or start of scan (SOS)
             raise ValueError("no frame header")
         at += max(struct.unpack_from(">H", encoded, at)[0], 2)
@@ -69,7 +75,9 @@ _STANDALONE = {0x00, 0x01, 0xD8, *range(0xD0, 0xD8)}
 def _bmp(encoded: bytes) -> ImageHeader:
     (length,) = struct.unpack_from("<I", encoded, 14)
     width, height = struct.unpack_from("<HH" if length == 12 else "<ii", encoded, 18)
-    return ImageHeader("BMP", width, abs(height))  # a negative height means that the top row comes first
+    (bits,) = struct.unpack_from("<H", encoded, 24 if length == 12 else 28)
+    pixel_bytes = 4 if bits == 32 else 3
+    return ImageHeader("BMP", width, abs(height), pixel_bytes=pixel_bytes)  # negative: the top row comes first
 
 
 def _tiff(encoded: bytes) -> ImageHeader:
@@ -91,10 +99,18 @@ def _tiff(encoded: bytes) -> ImageHeader:
         if number == 1 and kind in _INTEGERS:
             found = struct.unpack_from(order + _INTEGERS[kind], value)[0]
             values[tag] = max(found, values.get(tag, 0))
+        elif tag == _BITS and kind == _SHORT:  # one number per channel, beside the entry if they do not fit into it
+            fits = 2 * number <= len(value)
+            at = 0 if fits else struct.unpack_from(order + offset, value)[0]
+            values[tag] = max(struct.unpack_from(f"{order}{min(number, 4)}H", value if fits else encoded, at))
     if values.get(_TILE_WIDTH, 0) * values.get(_TILE_LENGTH, 0) > MAX_TILE_PIXELS:
         raise ValueError("a tile is too large")
-    return ImageHeader("TIFF", values.get(_WIDTH, 0), values.get(_LENGTH, 0))
+    channels = {1: 1, 2: 4}.get(values.get(_CHANNELS, 1), values.get(_CHANNELS, 1))
+    pixel_bytes = channels * max(values.get(_BITS, 1) // 8, 1)
+    return ImageHeader("TIFF", values.get(_WIDTH, 0), values.get(_LENGTH, 0), pixel_bytes=pixel_bytes)
 
+
+_BITS, _CHANNELS, _SHORT = 258, 277, 3
 
 _WIDTH, _LENGTH, _TILE_WIDTH, _TILE_LENGTH = 256, 257, 322, 323
 
@@ -107,7 +123,7 @@ def _pgm(encoded: bytes) -> ImageHeader:
     if found is None:
         raise ValueError("no PGM header")
     width, height, maximum = map(int, found.groups())
-    return ImageHeader("PGM", width, height, found.end(), maximum)
+    return ImageHeader("PGM", width, height, found.end(), maximum, 1 if maximum < 256 else 2)
 
 
 _PGM = re.compile(rb"P5" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,10})" + rb"\s")

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def write_text(line: str) -> None:
         raise InputOutputError(_LOCATION, f"writing broke off: {reason}") from error
 
 
-def read(stream: Iterable[str] | IO[str], location: str) -> Iterator[tuple[str, dict[str, Any]]]:
+def read(stream: Iterable[str | bytes], location: str) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the location and the record of each line that is not blank, as soon as the line has been read."""
     for number, line in enumerate(stream, start=1):
         if line.strip():

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from ringpose.files import records
-from ringpose.files.io import read_bytes
+from ringpose.files.inputs import file_lines
 from ringpose.files.schema import Fields, kind
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.plausible import RING_RADIUS_M, TARGET_DISTANCE_M
@@ -22,8 +22,7 @@ _EXPECT = ("pose", "partial", "no_target")
 def read_truths(path: Path) -> Iterator[Truth]:
     """Yield the truths in a file in order; a shot that occurs twice is rejected."""
     shots: set[str] = set()
-    lines = read_bytes(path).decode(errors="replace").splitlines()
-    for location, record in records.read(lines, str(path)):
+    for location, record in records.read(file_lines(path), str(path)):
         truth = truth_of(Fields(location, record, _KEYS))
         if truth.shot in shots:
             raise Fields(location, record).problem("shot", f"{truth.shot!r} occurs twice")

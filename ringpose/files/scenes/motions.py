@@ -1,7 +1,6 @@
 """The motion of a scene's target: the key `motion` of scene.yaml, trajectory files, mass and inertia of the parts."""
 
 import csv
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import records
-from ringpose.files.io import read_bytes
+from ringpose.files.inputs import file_lines
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.plausible import PART_M, PATH_M, RATE_RAD_S, SPEED_M_S
@@ -88,15 +87,15 @@ def _inertia(fields: Fields) -> Float64[Array, "3 3"]:
 
 def read_poses(path: Path) -> TimedPoses:
     """The poses in a trajectory file: CSV with the columns `CSV_COLUMNS`, or JSON lines with the keys `POSE_KEYS`."""
-    lines = read_bytes(path).decode(errors="replace").splitlines()
+    lines = file_lines(path)
     if path.suffix.lower() == ".csv":
-        return _poses(_csv_entries(lines, str(path)), str(path))
+        return _poses(_csv_entries((line.decode(errors="replace") for line in lines), str(path)), str(path))
     entries = (Fields(location, record, POSE_KEYS) for location, record in records.read(lines, str(path)))
     return _poses(entries, str(path))
 
 
-def _csv_entries(lines: list[str], file: str) -> Iterator[Fields]:
-    reader = csv.reader(io.StringIO("\n".join(lines)))
+def _csv_entries(lines: Iterator[str], file: str) -> Iterator[Fields]:
+    reader = csv.reader(lines)
     header = tuple(cell.strip() for cell in next(reader, []))
     if header != CSV_COLUMNS:
         raise DataError(f"{file}:1", f"has the columns {', '.join(header)}", f"must be {','.join(CSV_COLUMNS)}")

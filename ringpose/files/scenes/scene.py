@@ -78,6 +78,9 @@ _KEYS = ("ringpose", "rig", "seed", "exposure_s", *_NUMBERS, *_PARTS)
 MAX_SHOTS = 1_000_000
 """Maximum number of shots of a view: a day of shots, one every 0.1 s."""
 
+MAX_SCENE_SHOTS = 10_000_000
+"""Maximum number of shots of all views together."""
+
 MAX_COUNT = 10_000
 """Maximum number of random poses of a set."""
 
@@ -106,6 +109,7 @@ def read_scene(path: Path) -> Scene:
         for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
             values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
     values |= _target_and_motion(fields, path.parent)
+    _check_number_of_shots(fields, values)
     if values["ring"] is NO_RING:
         for key in ("views", "approaches"):  # they show the rest
             values[key] = tuple(replace(each, target=_WITHOUT_RING[each.target]) for each in values[key])
@@ -120,6 +124,15 @@ def _views(fields: Fields, lights: tuple[str, ...]) -> tuple[tuple[RingView, ...
     if not along_file:
         return (), ()
     return (_view(Fields(fields.file, {"name": "moving"}, _VIEW_KEYS, "trajectory"), lights, along_file),), ()
+
+
+def _check_number_of_shots(fields: Fields, values: dict[str, Any]) -> None:
+    approaches: tuple[Approach, ...] = values["approaches"]
+    drawn = sum(each.count * len(each.distances_m) * len(each.lights) for each in approaches)
+    shots = (len(values["views"]) + drawn) * values.get("shots", 1)
+    if shots > MAX_SCENE_SHOTS:
+        found = f"gives {shots:g} shots, must give at most {MAX_SCENE_SHOTS:g}"
+        raise fields.problem("trajectory", found, "give fewer poses, distances, lights or shots of the motion")
 
 
 def _target_and_motion(fields: Fields, folder: Path) -> dict[str, Any]:
