@@ -47,12 +47,13 @@ class Range:
 
     def finding(self, value: int | float) -> tuple[str, str]:
         """What is wrong with a value outside of the range, and the remedy with the value in other units."""
-        found = f"is {value:g}, must be {self.bounds}"
-        likely = [
-            f"{value * UNITS[unit]:.4g} if it is in {unit}" for unit in self.mistaken if self.holds(value * UNITS[unit])
-        ]
-        remedy = f"give {self.unit}" if self.unit else ""
-        return found, f"{remedy}: {', '.join(likely)}" if likely and value else remedy
+        remedy, likely = f"give {self.unit}" if self.unit else "", self.likely(value)
+        return f"is {value:g}, must be {self.bounds}", f"{remedy}: {likely}" if likely else remedy
+
+    def likely(self, value: int | float) -> str:
+        """What the value would be in the mistaken units in which it is plausible; empty if it is so in none."""
+        found = [(value * UNITS[unit], unit) for unit in self.mistaken if value]
+        return ", ".join(f"{meant:.4g} if it is in {unit}" for meant, unit in found if self.holds(meant))
 
 
 def _metres(quantity: str, lowest: int | float, highest: int | float, *mistaken: str) -> Range:

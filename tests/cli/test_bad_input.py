@@ -111,7 +111,7 @@ def test_image_that_shows_no_ring_is_a_record_with_a_reason(rig, picture, run, c
 @pytest.mark.parametrize("command", ["detect", "pose"])
 @pytest.mark.parametrize(
     ("is_there", "status", "finding"),
-    [(True, 65, "lasers[0].distance_m: is -100; give metres"), (False, 66, "does not exist")],
+    [(True, 65, "lasers[0].distance_m: is -100, must be -5 to 5; give metres"), (False, 66, "does not exist")],
     ids=["bad", "missing"],
 )
 def test_bad_rig_is_one_line_before_anything_is_read(rig, run, command, is_there, status, finding):

@@ -73,8 +73,8 @@ CHESSBOARD = "{kind: chessboard, squares_x: 8, squares_y: 6, square_m: 0.02}"
         ([*ORDER, "--free-camera", "--method", "total-least-squares"], 2, "--free-camera: only the joint method"),
         ([*ORDER, "--expected-angles", "ten"], 2, "--expected-angles"),
         ([*ORDER, "--expected-angles", "10"], 2, "has 1, must have 2; give left to middle, middle to right"),
-        ([*ORDER, "--expected-angles", "-10,10"], 2, "'-10,10' are not all from 0 to 180; give degrees"),
-        ([*ORDER, "--expected-angles", "nan,10"], 2, "'nan,10' are not all from 0 to 180; give degrees"),
+        ([*ORDER, "--expected-angles", "-10,10"], 2, "is -10, must be 0 to 180; give degrees"),
+        ([*ORDER, "--expected-angles", "nan,10"], 2, "is nan, must be 0 to 180; give degrees"),
         *(([*ORDER, "--working-distance", text], 2, "--working-distance") for text in ("0", "nan", "-1")),
     ],
 )

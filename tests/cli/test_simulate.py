@@ -122,7 +122,7 @@ def test_existing_output_is_kept(simulate, scene):
     [
         ({"rig": "none.yaml"}, 66, "none.yaml"),
         ({"lihgts": {}}, 65, "unknown key 'lihgts'"),
-        ({"ring": {"radius_inner_m": 567, "radius_outer_m": 597, "height_m": 60}}, 65, "looks like millimetres"),
+        ({"ring": {"radius_inner_m": 567, "radius_outer_m": 597, "height_m": 60}}, 65, "if it is in millimetres"),
         ({"trajectory": [{"generate": {}}, {"generate": {}}]}, 65, "two views are called 'z0500_p00_dim'"),
     ],
 )

@@ -45,10 +45,14 @@ def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
     return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
 
 
-def check_plausible(option: str, value: float | None, plausible: Range) -> None:
-    """Reject the value of an option that is outside the range of its quantity; None is not given."""
+def check_plausible(option: str, value: float | None, plausible: Range, remedy: str = "") -> None:
+    """Reject the value of an option that is outside the range of its quantity; None is not given.
+
+    `remedy` is for values that are plausible in no other unit.
+    """
     if value is not None and not plausible.holds(value):
-        raise UsageError(option, *plausible.finding(value))
+        found, cause = plausible.finding(value)
+        raise UsageError(option, found, cause if plausible.likely(value) or not remedy else remedy)
 
 
 def numbers(text: str | None, option: str, remedy: str, plausible: Range) -> list[float]:
@@ -58,7 +62,7 @@ def numbers(text: str | None, option: str, remedy: str, plausible: Range) -> lis
     except ValueError:
         raise UsageError(option, f"{text!r} is not a list of numbers", remedy) from None
     for number in found:
-        check_plausible(option, number, plausible)
+        check_plausible(option, number, plausible, remedy)
     return found
 
 
