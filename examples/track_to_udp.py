@@ -36,7 +36,15 @@ class Newest:
         self.ended = True
 
 
-HOLD_ON = {"grasp_weak", "inconsistent", "normal_weak", "rig_drift", "side_unknown", "velocity_weak"}
+HOLD_ON = {
+    "assignment_ambiguous",
+    "grasp_weak",
+    "inconsistent",
+    "normal_weak",
+    "rig_drift",
+    "side_unknown",
+    "velocity_weak",
+}
 """Flags of a track with which the controller does not move; a velocity just after a push is weak."""
 
 

@@ -54,6 +54,8 @@ def _is_shown(path: Path) -> bool:
 
     for program, *options in VIEWERS:
         found = shutil.which(program)
-        if found and subprocess.run([found, *options, path], check=False).returncode == 0:  # noqa: S603
+        words = [found or "", *options, str(path)]
+        # what it reports is of its own, such as tables wider than the terminal; if it fails, the text is shown instead
+        if found and subprocess.run(words, check=False, stderr=subprocess.DEVNULL).returncode == 0:  # noqa: S603
             return True
     return False

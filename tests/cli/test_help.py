@@ -62,7 +62,13 @@ def test_a_command_of_two_words_is_in_the_page_of_the_first(run, programs):
 
 
 @pytest.mark.parametrize(
-    ("words", "remedy"), [(["pos"], "did you mean 'pose'?"), (["quantum"], "ringpose help"), (["bench", "x", "y"], "")]
+    ("words", "remedy"),
+    [
+        (["pos"], "did you mean 'pose'?"),
+        (["quantum"], "ringpose help"),
+        (["bench", "x", "y"], ""),
+        (["pose", "limits"], ""),
+    ],
 )
 def test_an_unknown_topic_is_a_usage_error_with_a_remedy(run, words, remedy):
     shown = run("help", *words)

@@ -43,12 +43,16 @@ def page_of(words: Sequence[str]) -> ManualPage:
     named = "-".join(words)
     topic = named.removesuffix(f".{named[-1:]}") if named[-1:].isdigit() else named
     topic = topic.removeprefix(PREFIX)
-    if topic not in pages and len(words) == 2:  # a command of two words stands in the page of the first
-        topic = words[0]
+    if topic not in pages and words[0] in pages and f".Nm ringpose {' '.join(words)}\n" in _text(pages[words[0]]):
+        topic = words[0]  # a command of two words stands in the page of the first
     if topic not in pages:
         remedy = hint(topic, pages) or "see the topics: ringpose help"
         raise UsageError("", f"there is no manual page on {' '.join(words)!r:.60}", remedy)
     return pages[topic]
+
+
+def _text(page: ManualPage) -> str:
+    return page.path.read_text(encoding="utf-8")
 
 
 def _files() -> list[Path]:
