@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shape_checks
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from needed import missing
 
-settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50)
+_TIMED = [HealthCheck.too_slow]  # says how busy the machine is
+settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50, suppress_health_check=_TIMED)
 settings.load_profile("ringpose")
 
 for _number in (signal.SIGINT, signal.SIGHUP):  # inherited as ignored from nohup or a background job
