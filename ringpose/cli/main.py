@@ -10,8 +10,8 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from types import FrameType
 from typing import Any, TextIO
@@ -43,8 +43,7 @@ collecting among them takes 5 % of its time; a shot leaves only a few dozen smal
 def main(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status; bugs propagate as exceptions."""
     try:
-        with hints_on_stderr():
-            status = _command(list(arguments))
+        status = _command(list(arguments))
         if sys.stdout is not None:
             sys.stdout.flush()
     except (BrokenPipeError, SystemExit):  # Typer raises SystemExit for a broken pipe, and for nothing else
@@ -89,21 +88,14 @@ def run() -> None:
     sys.exit(status)
 
 
-@contextmanager
-def hints_on_stderr() -> Iterator[None]:
-    """Print each different warning of an implausible value as one line while the block runs."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("default", ImplausibleValueWarning)
-        show = warnings.showwarning
-
-        def show_hint(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if issubclass(category, ImplausibleValueWarning):
-                messages.echo(str(message))
-            else:
-                show(message, category, *where, **more)
-
-        warnings.showwarning = show_hint
-        yield
+def _show_warning(
+    show: Callable[..., None], message: Warning | str, category: type[Warning], *where: Any, **more: Any
+) -> None:
+    """Print a warning of an implausible value as one line, and any other as Python does."""
+    if issubclass(category, ImplausibleValueWarning):
+        messages.echo(str(message))
+    else:
+        show(message, category, *where, **more)
 
 
 def _command(arguments: list[str]) -> int:
@@ -117,7 +109,10 @@ def _command(arguments: list[str]) -> int:
         import_module(f"ringpose.cli.{COMMANDS[name]}")
     click_usage_error: Any = typer.BadParameter.__mro__[1]  # has no public name in Typer's copy of click
     try:
-        return int(app(arguments, prog_name="ringpose", standalone_mode=False) or 0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("default", ImplausibleValueWarning)
+            warnings.showwarning = partial(_show_warning, warnings.showwarning)
+            return int(app(arguments, prog_name="ringpose", standalone_mode=False) or 0)
     except click_usage_error as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             sys.stderr.write(error.format_message().rstrip() + "\n")

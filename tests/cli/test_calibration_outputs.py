@@ -3,6 +3,7 @@
 import os
 import shutil
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -48,11 +49,11 @@ def test_an_output_that_is_an_input_is_rejected(folder, capsys, words, output, k
 
 
 def test_an_input_without_permission_cannot_be_opened(folder, capsys, monkeypatch):
-    def refuse(file: Path) -> bytes:
+    def refuse(file: Path, *_: str) -> NoReturn:
         raise PermissionError(f"{file}")
 
     monkeypatch.setattr(os, "access", lambda *_: False)
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
 
     status = main([*CAMERA, "--output", "c.yaml"])
 

@@ -115,6 +115,7 @@ def test_valid_yaml_values_are_read(tmp_path, read, values):
 @YAML
 @relaxed
 @given(data=st.data())
+@pytest.mark.filterwarnings("ignore::ringpose.errors.ImplausibleValueWarning")
 def test_invalid_yaml_values_are_read_or_rejected(tmp_path, read, values, data):
     outcome_of_text(read, tmp_path, yaml.safe_dump(data.draw(spoiled_once(values))))
 
