@@ -163,9 +163,7 @@ class Stream:
     def _outcome(self, item: Item, read: "Callable[[Item], Shot | Detection]") -> Measured | Exception:
         try:
             return self.measure(read(item))
-        except (
-            Exception
-        ) as error:  # as from another process; whoever writes the lines raises what is not about the item
+        except Exception as error:  # as from another process; the writer of the lines raises what is no item's fault
             return error
 
     def _detection(self, setup: Setup, shot: Shot) -> Detection:

@@ -1,19 +1,5 @@
 """Streams of records of moving rings."""
 
-import numpy as np
-import pytest
-from moving_rings import Motion, Shots, drawn_motion, stream
+from moving_records import moving, records
 
-from ringpose.types.pose import PoseLine
-
-
-@pytest.fixture(scope="module")
-def moving() -> Motion:
-    """A ring in slow motion."""
-    return drawn_motion(np.random.default_rng(18))
-
-
-@pytest.fixture(scope="module")
-def records(moving) -> list[PoseLine]:
-    """Two seconds of it, six shots a second."""
-    return stream(moving, 2.0, Shots(), np.random.default_rng(19))
+__all__ = ["moving", "records"]
