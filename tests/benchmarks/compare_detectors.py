@@ -16,8 +16,8 @@ from benchmarks.detection_errors import WRONG_PX, break_point_errors, joined, me
 from benchmarks.limits import number, options
 from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
 from benchmarks.stripe_images import Kind, StripeImage, shot_of, stripe_image, stripe_rig
+from benchmarks.timing import median_times_s, one_core
 
-from ringpose.bench.speed import median_times_s, one_core
 from ringpose.bench.table import aligned
 from ringpose.detect.pipeline import detect
 from ringpose.types.arrays import Array, Float64

@@ -9,7 +9,7 @@ estimator whether they lie on one ring: that is one estimation more, which has t
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -31,10 +31,9 @@ from benchmarks.stripe_images import (
     switched_frames,
     switched_shot,
 )
+from benchmarks.timing import POSES_PER_ROUND, median_times_s, one_core, solve_pnp, start_calls
 
-from ringpose.bench.speed import POSES_PER_ROUND, median_times_s, one_core, solve_pnp
 from ringpose.capture.latest_frame import EarlyStripes
-from ringpose.cli.bench.speed import start_calls
 from ringpose.detect.break_points import without_outliers
 from ringpose.detect.difference_images import laser_images
 from ringpose.detect.pipeline import Prior, detect
@@ -373,7 +372,7 @@ def edge_shifts_px(quick: Float32[Array, "row column"], exact: Float32[Array, "r
     return shifts[np.bincount(number) == ROWS]
 
 
-def start_figures(calls: dict[str, Callable[[], object]], rounds: int) -> list[Figure]:
+def start_figures(calls: Mapping[str, Callable[[], object]], rounds: int) -> list[Figure]:
     """Wall times of processes until their first line; the first call is the reference."""
     times_s = median_times_s(calls, rounds, perf_counter)
     reference = next(iter(calls))

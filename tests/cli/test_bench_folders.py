@@ -77,3 +77,13 @@ def test_of_a_growing_data_set_only_shots_written_since_a_time_are_measured(data
     main(["bench", str(data_set), "--method", "ml", "--since", "1h", "--json", "-"])
 
     assert [shot["shot"] for shot in json.loads(capsys.readouterr().out)["shots"]] == ["V03_occl_B500_dim"]
+
+
+@pytest.mark.parametrize("name", ["compare", "design", "study"])
+def test_a_folder_that_is_called_as_a_command_is_given_with_its_path(name, capsys):
+    Path(name).mkdir()
+
+    status = main(["bench", f"./{name}"])
+
+    assert status == 66
+    assert f"{name}: is not a data set" in capsys.readouterr().err

@@ -115,7 +115,7 @@ def bench(
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed.
 
-    Further commands, each with its own --help: bench compare, bench study, bench design, bench speed.
+    Further commands, each with its own --help: bench compare, bench study, bench design.
     """
     from ringpose.bench.report import csv_rows, report
     from ringpose.bench.summary import summaries
