@@ -45,21 +45,4 @@ PyObject *list_bytes(int done, List *list);
 /* Number of doubles in a struct of doubles. */
 #define NUMBERS(type) ((int)(sizeof(type) / sizeof(double)))
 
-/* The kernels' Python functions. */
-PyObject *call_gradient(PyObject *module, PyObject *tuple);
-PyObject *call_chains(PyObject *module, PyObject *tuple);
-PyObject *call_cuts(PyObject *module, PyObject *tuple);
-PyObject *call_fits(PyObject *module, PyObject *tuple);
-PyObject *call_joins(PyObject *module, PyObject *tuple);
-PyObject *call_stripes(PyObject *module, PyObject *tuple);
-PyObject *call_tracks(PyObject *module, PyObject *tuple);
-PyObject *call_faces(PyObject *module, PyObject *tuple);
-PyObject *call_ends(PyObject *module, PyObject *tuple);
-PyObject *call_edge_places(PyObject *module, PyObject *tuple);
-PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);
-PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
-PyObject *call_render(PyObject *module, PyObject *tuple);
-PyObject *call_hits(PyObject *module, PyObject *tuple);
-PyObject *call_code_edges(PyObject *module, PyObject *tuple);
-
 #endif

@@ -37,7 +37,4 @@ static inline void release(List *list) {
     list->used = list->capacity = 0;
 }
 
-/* Fills the table of the normal distribution function; called once, when the module is loaded. */
-void fill_normal_cdf(void);
-
 #endif

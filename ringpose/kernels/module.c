@@ -1,32 +1,33 @@
 /* The extension module: the kernels' Python functions. Each takes arrays by the buffer protocol and releases the GIL
    around long work; results of unknown length leave as bytes. */
 #include "arguments.h"
+#include "ends/end_edges.h"
 
-static PyMethodDef methods[] = {
-    {"gradient", call_gradient, METH_VARARGS, "gradient(image, bits, upper, magnitude) -> (anchors, orientation)"},
-    {"chains", call_chains, METH_VARARGS, "chains(magnitude, anchors, orientation, lower, shortest) -> (pixels, starts)"},
-    {"cuts", call_cuts, METH_VARARGS, "cuts(pixels, starts, deviation, share_change, window, shortest) -> pieces"},
-    {"fits", call_fits, METH_VARARGS, "fits(magnitude, pixels, pieces, trim) -> (lines, moments)"},
-    {"joins", call_joins, METH_VARARGS, "joins(lines, moments, pieces, gap, aside, shortest) -> (lines, support)"},
-    {"stripes", call_stripes, METH_VARARGS,
-     "stripes(image, dark, bands, taps, filters, params) -> (position, sigma, peak, piece)"},
-    {"tracks", call_tracks, METH_VARARGS, "tracks(position, sigma, piece, laser, lens, params) -> tracks"},
-    {"faces", call_faces, METH_VARARGS,
-     "faces(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of one, two and three)"},
-    {"ends", call_ends, METH_VARARGS, "ends(images: (lit, dark, lines), lens, params) -> ends"},
-    {"edge_places", call_edge_places, METH_VARARGS, "edge_places(arcs, covariance, lens, params) -> places"},
-    {"edge_profiles", call_edge_profiles, METH_VARARGS,
-     "edge_profiles(image, place, normal, params, value, saturated, noise): fills the last three"},
-    {"edge_steps", call_edge_steps, METH_VARARGS,
-     "edge_steps(value, saturated, noise, across, place, unit, table, params) -> steps"},
-    {"render", call_render, METH_VARARGS,
-     "render(target tables, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, radiance, code, stripe): "
-     "fills the last three"},
-    {"hits", call_hits, METH_VARARGS,
-     "hits(target tables, origin, direction, parameter, surface, point, normal): fills the last four"},
-    {"code_edges", call_code_edges, METH_VARARGS, "code_edges(code with a border, edge): fills the last"},
-    {NULL, NULL, 0, NULL},
-};
+/* The functions, and what they take and return. Each is defined beside its loops. */
+#define KERNELS(KERNEL)                                                                                             \
+    KERNEL(gradient, "(image, bits, upper, magnitude) -> (anchors, orientation)")                                   \
+    KERNEL(chains, "(magnitude, anchors, orientation, lower, shortest) -> (pixels, starts)")                        \
+    KERNEL(cuts, "(pixels, starts, deviation, share_change, window, shortest) -> pieces")                           \
+    KERNEL(fits, "(magnitude, pixels, pieces, trim) -> (lines, moments)")                                           \
+    KERNEL(joins, "(lines, moments, pieces, gap, aside, shortest) -> (lines, support)")                             \
+    KERNEL(stripes, "(image, dark, bands, taps, filters, params) -> (position, sigma, peak, piece)")                \
+    KERNEL(tracks, "(position, sigma, piece, laser, lens, params) -> tracks")                                       \
+    KERNEL(faces, "(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of 1, 2 and 3)")       \
+    KERNEL(ends, "(images: (lit, dark, lines), lens, params) -> ends")                                              \
+    KERNEL(edge_places, "(arcs, covariance, lens, params) -> places")                                               \
+    KERNEL(edge_profiles, "(image, place, normal, params, value, saturated, noise): fills the last three")          \
+    KERNEL(edge_steps, "(value, saturated, noise, across, place, unit, table, params) -> steps")                    \
+    KERNEL(render, "(target tables, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, step, radiance, " \
+                   "code, stripe): fills the last three")                                                           \
+    KERNEL(hits, "(target tables, origin, direction, parameter, surface, point, normal): fills the last four")      \
+    KERNEL(code_edges, "(code with a border, edge): fills the last")
+
+#define PROTOTYPE(name, doc) PyObject *call_##name(PyObject *module, PyObject *tuple);
+#define METHOD(name, doc) {#name, call_##name, METH_VARARGS, #name doc},
+
+KERNELS(PROTOTYPE)
+
+static PyMethodDef methods[] = {KERNELS(METHOD){NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", NULL, -1, methods, NULL, NULL, NULL, NULL};
 

@@ -7,11 +7,13 @@ small data sets in tests/data.
 import ast
 import io
 import json
+import re
 import sys
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from graphlib import TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
 from types import FrameType
@@ -31,6 +33,7 @@ def main() -> None:
     sources = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
     trees = {name: ast.parse(path.read_text()) for name, path in sources.items()}
     print_sizes()
+    print_c_order()
     print_small_modules(sources, trees)
     print_private_functions(trees)
     print_flags(trees)
@@ -63,6 +66,29 @@ def print_sizes() -> None:
         print(f"{folder.relative_to(ROOT)!s:28}" + "".join(f"{row[name]:9}" for name in columns))
     print(f"{'all':28}" + "".join(f"{totals[name]:9}" for name in columns))
     print(f"\nlines in all: {totals['lines'] + totals['C lines']}")
+
+
+def print_c_order() -> None:
+    """The C files in an order in which each calls only files before it."""
+    order = TopologicalSorter(c_calls()).static_order()
+    print(f"\nC files, each calls only those before it: {', '.join(path.name for path in order)}")
+
+
+C_DEFINITION = re.compile(r"^(?!static\b|typedef\b|else\b)[A-Za-z_][\w \*]*?\b(\w+)\([^;{]*\) \{", re.MULTILINE)
+"""A function that is not static, at its definition; its name."""
+
+C_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
+
+C_CALL = re.compile(r"(?<![\w.>])(\w+)\(")
+
+
+def c_calls() -> dict[Path, set[Path]]:
+    """Of each C file the others whose functions it calls."""
+    texts = {path: C_COMMENT.sub("", path.read_text()) for path in sorted(PACKAGE.rglob("*.c"))}
+    defined = {name: path for path, text in texts.items() for name in C_DEFINITION.findall(text)}
+    called = {path: set(C_CALL.findall(text)) for path, text in texts.items()}
+    return {path: {defined[name] for name in called[path] & defined.keys()} - {path} for path in texts}
 
 
 def print_small_modules(sources: dict[str, Path], trees: dict[str, ast.Module]) -> None:

@@ -3,9 +3,11 @@
 import importlib
 import sys
 import threading
+from graphlib import TopologicalSorter
 
 import numpy as np
 import pytest
+from benchmarks.structure import c_calls
 
 from ringpose.detect.line_segments import edge_chains, image_gradient
 
@@ -33,3 +35,12 @@ def test_threads_with_their_own_images_do_not_disturb_each_other(rng):
         thread.join()
 
     assert [found[number] for number in range(4)] == alone
+
+
+def test_no_c_files_call_each_other_in_a_circle():
+    calls = c_calls()
+
+    TopologicalSorter(calls).prepare()  # CycleError names the files of a circle
+
+    called = {path.stem: {each.stem for each in below} for path, below in calls.items()}
+    assert called["ends"] >= {"end_edges", "end_sigmas", "end_noise", "profile"}

@@ -1,6 +1,6 @@
 /* Maximum-likelihood fit of an edge, level inside + level outside + error function, to the amplitudes about a stripe's
    end, and the width that the edges of an image have in common. */
-#include "ends.h"
+#include "end_edges.h"
 #include "kernels.h"
 
 #include <math.h>

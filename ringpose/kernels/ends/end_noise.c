@@ -1,6 +1,6 @@
 /* Noise model of the amplitudes about a stripe's end: noise N, shot noise S and speckle C^2 (ringpose-method(7),
    section 3), each estimated from the columns of one end and shrunk towards the mean of all ends. */
-#include "ends.h"
+#include "end_noise.h"
 #include "median.h"
 
 #include <math.h>

@@ -1,6 +1,6 @@
 /* Variance of a fitted edge position: u^T V u of ringpose-method(7), section 3, where fill_influence gives u and
    intensity_variance adds the parts of V; and the contribution of secondary minima of the cost. */
-#include "ends.h"
+#include "end_sigmas.h"
 
 #include <math.h>
 

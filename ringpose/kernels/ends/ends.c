@@ -5,8 +5,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "ends.h"
+#include "end_sigmas.h"
 #include "median.h"
+
+/* A row of the result. */
+typedef struct {
+    double x, y, slope, sigma, outside, saturated, width, section_sigma, blunt, background;
+} StripeEnd;
 
 /* One end, as read from its image. */
 typedef struct {

@@ -1,6 +1,6 @@
 /* The intensity profile of a stripe along its line: the amplitude of a Gaussian cross-section in every column, and the
    share of it that saturation leaves visible (headroom). */
-#include "ends.h"
+#include "profile.h"
 #include "kernels.h"
 #include "median.h"
 

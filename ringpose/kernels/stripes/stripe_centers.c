@@ -1,11 +1,13 @@
 /* Sub-pixel centres with variances of linked ridges: zero of the first derivative of a matched Gaussian filter; on
    speckled stripes, whose noise is proportional to the light, weighted least squares, in which the flanks have the
    largest weight. */
-#include "stripes.h"
+#include "stripe_centers.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include "stripe_sigmas.h"
 
 /* A filter for a stripe of that width (sigma), or for a flat top (0). */
 typedef struct {

@@ -1,6 +1,6 @@
 /* Ridges of neighbouring columns are linked into pieces by a tracking filter: position and slope are predicted, the
    nearest ridge updates them. */
-#include "stripes.h"
+#include "stripe_links.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -1,5 +1,5 @@
 /* Small patches of the image, differentiated down the columns. */
-#include "stripes.h"
+#include "stripe_patches.h"
 
 #include <string.h>
 

@@ -4,7 +4,7 @@
    Noise, clutter included, is a low quantile of samples over an area so tall that stripes fill less than half of it.
    The coarse search uses integer sums over cells of 4 x 16 pixels, because most of a frame is dark: a window is two
    cells, one above the other, and its value is their sum less that of the cells above and below, one cell away. */
-#include "stripes.h"
+#include "stripe_search.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -1,6 +1,6 @@
 /* Standard deviations of centres from second differences, which are independent of position and slope of a straight
    piece. At a near lag they show speckle, at a far lag the background. */
-#include "stripes.h"
+#include "stripe_sigmas.h"
 
 #include <math.h>
 #include <stdlib.h>

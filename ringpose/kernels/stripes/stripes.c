@@ -2,7 +2,7 @@
 #include <stdlib.h>
 
 #include "arguments.h"
-#include "stripes.h"
+#include "stripe_centers.h"
 
 /* Figures of a filter: sigma, taps on one side, response of either derivative to white noise. */
 enum { FIGURES = 4 };
