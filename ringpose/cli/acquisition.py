@@ -103,8 +103,8 @@ def _simulated(scene_file: Path, request: CaptureRequest) -> Source:
     from ringpose.capture.cameras.driver import CameraDescription
     from ringpose.capture.cameras.simulated import SimulatedCamera
     from ringpose.files.scenes.scene import read_scene
+    from ringpose.optics.sensor import saturation_dn
     from ringpose.simulate.pipeline import SceneFrames
-    from ringpose.simulate.sensor import saturation_dn
 
     scene = read_scene(scene_file)
     frames, rig_camera = SceneFrames(scene), scene.rig.camera

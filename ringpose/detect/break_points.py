@@ -16,27 +16,33 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
-from ringpose.detect.stripes import BORDER_PX, lens
+from ringpose.detect.stripes import lens
 from ringpose.estimate.explanation import Explanation, decision
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
-from ringpose.kernels.ends import FACET_SIGMAS, INSIDE_COLUMNS, OUTSIDE_COLUMNS, EndParams, LitLines, stripe_ends
+from ringpose.kernels.ends import FACET_SIGMAS, EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import (
     CENTERS,
-    COLUMNS_PER_CUT,
     CORRELATION,
-    FIT_DOF_CORRECTION,
     LASER,
-    MAX_CUT,
     MIDDLE_X,
     MIDDLE_Y,
-    MIN_SEGMENT_COLUMNS,
     SCATTER,
     SLOPE,
     X_END,
     X_START,
+)
+from ringpose.optics.feature_errors import (
+    BORDER_PX,
+    FIT_DOF_CORRECTION,
+    INSIDE_COLUMNS,
+    MIN_SEGMENT_COLUMNS,
+    OUTSIDE_COLUMNS,
+    end_covariance_px2,
+    fitted_columns,
+    tilt_sigma_px,
 )
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -226,7 +232,7 @@ def flagged_ends(
         error = np.log(tracks[:, SCATTER] * np.sqrt(tracks[:, CORRELATION]))
         pooled = SHARED_WEIGHT * (np.average(error, weights=count) - error)
         scatter = tracks[:, SCATTER] * np.exp(np.where(np.isfinite(pooled), np.maximum(pooled, -MAX_DECREASE), 0.0))
-        used = 1 - 2 * np.minimum(count // COLUMNS_PER_CUT, MAX_CUT) / np.maximum(count, 1)
+        used = fitted_columns(count) / np.maximum(count, 1)
         independent = used * count / tracks[:, CORRELATION] - FIT_DOF_CORRECTION / math.sqrt(len(tracks))
         middle = scatter / np.sqrt(np.maximum(independent, MIN_SEGMENT_COLUMNS))
         # the fitted line absorbs coarser texture, which the centres' scatter does not show
@@ -235,11 +241,12 @@ def flagged_ends(
         clipped = (saturated > SATURATED_SHARE).any(axis=0)
         rows = np.maximum(np.abs(tracks[:, SLOPE]) * (end - start), 1)
         shared = np.where(clipped, CLIPPED_PHASE / section / rows, 0.0)
-        spread = np.maximum(used * (end - start), 1) / math.sqrt(12)
+        fitted_px = np.maximum(used * (end - start), 1)
         straight_x = np.stack([start, end])
         # standard deviations of the line's ordinate at the measured ends and at its own
         at_ends, at_own = (
-            np.hypot(middle * np.hypot(1, (at - tracks[:, MIDDLE_X]) / spread), shared) for at in (x, straight_x)
+            np.hypot(np.hypot(middle, tilt_sigma_px(middle, at - tracks[:, MIDDLE_X], fitted_px)), shared)
+            for at in (x, straight_x)
         )
         inside = (x >= BORDER_PX) & (x <= rig.camera.image_width - 1 - BORDER_PX)
         edge_sigma = np.where(blunt, np.sqrt(np.maximum(along**2 - width**2, 0)), along)
@@ -248,9 +255,7 @@ def flagged_ends(
         flags |= np.where(blunt, int(BreakPointFlag.BLUNT), 0)
         flags |= np.where(edge_sigma > UNCLEAR_PX, int(BreakPointFlag.UNCLEAR), 0)
         flags = np.where(inside, flags, int(BreakPointFlag.CLIPPED))
-        direction = np.stack([np.ones_like(slope), slope], axis=-1)
-        covariance = along[..., None, None] ** 2 * direction[..., None] * direction[..., None, :]
-        covariance[..., 1, 1] += at_ends**2
+        covariance = end_covariance_px2(along, at_ends, slope)
     straight_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (straight_x - tracks[:, MIDDLE_X])
 
     def of_lasers(values: Array, fill: float = np.nan) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.image import Frame, Shot
+from ringpose.types.image import Frame, Shot, searched_frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,21 +43,6 @@ def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[L
     """
     frames = searched_frames(shot.lasers.tolist(), count)
     return [_laser_image(shot, number, lasers, also_on, earlier) for number, lasers, also_on in frames]
-
-
-def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[int, ...], int]]:
-    """The frames of a shot that are searched for stripes, such that each of `count` lasers that is on is covered once.
-
-    For each frame its number, the lasers whose stripes are searched in it, and the mask of the others that are on.
-    Frames with fewer lasers on take precedence.
-    """
-    frames, covered = [], 0
-    for number in sorted(range(len(masks)), key=lambda each: (masks[each].bit_count(), each)):
-        mask = masks[number]
-        if new := mask & ~covered & ((1 << count) - 1):
-            frames.append((number, tuple(laser for laser in range(count) if new >> laser & 1), mask & covered))
-            covered |= mask
-    return frames
 
 
 def repeated_image(shot: Shot, images: Sequence[LaserImage]) -> LaserImage | None:

@@ -20,6 +20,7 @@ from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import RingArcs
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
+from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.rig import Rig
 
@@ -183,9 +184,6 @@ OUTSIDE_PX = 3
 ALONG_PX = 4
 """Length of edge over which a profile is averaged: the intensity beyond the edge may change within a few pixels."""
 
-CHANGE = 0.7
-"""Standard deviation of the intensity beyond the edge, per pixel of distance, in sigmas of the surface's noise."""
-
 PLACES = 0.25
 """Spacing of the candidate positions in pixels; a parabola interpolates between them."""
 
@@ -281,7 +279,7 @@ def _templates(reach_px: int, blur_px: float) -> Templates:
     grid, index = np.unique(beyond, return_inverse=True)
     blurred = np.array([0.5 * math.erfc(-u / (blur_px * math.sqrt(2))) for u in grid.tolist()])
     step = blurred[index].reshape(beyond.shape)
-    sigma = np.sqrt(1 + (CHANGE * np.maximum(beyond, 0)) ** 2)  # the intensity beyond the edge is a random walk
+    sigma = noise_across_edge(beyond)
     orthonormal, triangle = np.linalg.qr(np.stack([np.ones_like(step), step], axis=-1) / sigma[..., None])
     basis = orthonormal / sigma[..., None]
     return Templates(
@@ -329,12 +327,6 @@ def _median(values: Float64[Array, "n"]) -> float:
 
 STEP_SIGMA_PX = 0.5
 """Maximum standard deviation of a step's position."""
-
-STEP_SIGMAS = 5.0
-"""Minimum height of a step in standard deviations: with several candidate positions, one of them fits noise well."""
-
-STEP_DN = 2.0
-"""Minimum height of a step in grey values: quantization shifts a smaller one."""
 
 CLUTTER = 2.5
 """Factor on the sigmas of single steps: the intensity beyond the edge is not uniform."""

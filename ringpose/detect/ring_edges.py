@@ -36,6 +36,7 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.rays import intersect, undistorted_rays
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, STEP, TURN, RingArcs, edge_distances
+from ringpose.optics.feature_errors import BLUR_SIGMA_PX, MINIMUM_POINTS, POINT_SIGMA_PX
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import (
@@ -536,9 +537,6 @@ def plausible(arcs: RingArcs) -> bool:
 # The sigma of a single step only ranks it among its neighbours. The actual errors (facets of foil, walls and shadows
 # beside the edge) are estimated from the scatter of neighbouring steps about the fitted ring.
 
-BLUR_SIGMA_PX = 0.03
-"""Standard deviation of a step's position due to the assumed shape of its blur."""
-
 GROUP = 3
 """Neighbouring steps that are averaged into one point: 12 px, about the largest facet of crinkled foil."""
 
@@ -556,12 +554,6 @@ DISPLACED_PX = 0.4
 
 MAX_DISTANCE_PX = 1.5
 """Maximum distance of a step from the ring, whatever the scatter of its neighbours."""
-
-POINT_SIGMA_PX = 0.5
-"""Maximum standard deviation of a point."""
-
-MINIMUM_POINTS = 12
-"""Minimum number of points: fewer may be an accidental alignment."""
 
 
 class _Points(NamedTuple):

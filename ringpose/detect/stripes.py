@@ -21,6 +21,7 @@ import numpy as np
 
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
+from ringpose.optics.feature_errors import BORDER_PX, MIN_PEAK
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.image import full_scale_dn
@@ -46,9 +47,6 @@ FILTER_SIGMA_PX = 2.5
 to 40 px; neighbouring stripes are resolved from a distance of about 2.5 of these sigmas. For the measurement, the
 filter is selected for each piece."""
 
-MIN_PEAK_DN = 3.0
-"""Minimum height above the surroundings, for a saturation value of 255."""
-
 MIN_COLUMNS = 8
 """Minimum length of a piece: noise may link over a few columns by chance."""
 
@@ -66,7 +64,7 @@ def find_stripes(
     the grey value at which a pixel saturates; by default it is estimated from the image.
     """
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
-    min_peak_dn = MIN_PEAK_DN * full_dn / 255
+    min_peak_dn = MIN_PEAK * full_dn
     params = StripeParams(
         min_response=min_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
         coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
@@ -187,10 +185,6 @@ def _derivatives(sigma_px: float, reach: int) -> tuple[Float64[Array, "tap"], Fl
 def _two_sided_norm(taps: Float64[Array, "tap"]) -> float:
     """Standard deviation of the filter's response to white noise of unit variance."""
     return math.sqrt(2 * float(taps @ taps) - float(taps[0]) ** 2)
-
-
-BORDER_PX = 3.0
-"""Distance from the image's left or right border within which a stripe is regarded as truncated by the image."""
 
 
 def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:

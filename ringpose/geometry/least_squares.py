@@ -74,3 +74,21 @@ def damped_solution(
     along_axes = (target[:, None] @ left)[:, 0] * gain
     solution: Float64[Array, "batch column"] = (along_axes[:, None] @ right)[:, 0]
     return solution
+
+
+def influence_on(
+    unknown: int,
+    information: Float64[Array, "*shape unknown unknown"],
+    shapes: Float64[Array, "*shape unknown n"],
+    weight: Float64[Array, "*shape n"],
+) -> Float64[Array, "*shape n"]:
+    """Influence u of each value on one unknown of a weighted linear fit: a row of (A W A^T)^-1 A W.
+
+    The rows of A are `shapes`; `information` is A W A^T, to which a prior may have been added. Values of covariance C
+    give the unknown the variance u^T C u, whatever the weights.
+    """
+    unit = np.zeros((information.shape[-1], 1))
+    unit[unknown] = 1.0
+    row = np.linalg.solve(information, np.broadcast_to(unit, (*information.shape[:-1], 1)))
+    influence: Float64[Array, "*shape n"] = (row * shapes).sum(axis=-2) * weight
+    return influence

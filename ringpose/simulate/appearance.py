@@ -9,25 +9,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.difference_images import searched_frames
-from ringpose.detect.edge_search import STEP_DN, STEP_SIGMAS
-from ringpose.detect.ring_edges import BLUR_SIGMA_PX, MINIMUM_POINTS, POINT_SIGMA_PX
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
-from ringpose.simulate.break_points import inside_image
-from ringpose.simulate.exposure import face_stripe_radiance, view_exposure_s
-from ringpose.simulate.feature_errors import (
+from ringpose.optics.feature_errors import (
+    BLUR_SIGMA_PX,
+    MINIMUM_POINTS,
+    POINT_SIGMA_PX,
+    STEP_DN,
+    STEP_SIGMAS,
     CenterErrors,
     Stripe,
     center_errors,
     edge_step_influence,
     end_errors_px,
-    image_noise,
 )
+from ringpose.optics.image_noise import PIXEL_GRAIN, PIXEL_VARIANCE, ImageNoise
+from ringpose.optics.sensor import electrons_per_radiance, saturation_dn
+from ringpose.simulate.break_points import inside_image
+from ringpose.simulate.exposure import face_stripe_radiance, view_exposure_s
 from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, in_fan, radiance_along
 from ringpose.simulate.pipeline import illuminated_ring
-from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.image import searched_frames
 from ringpose.types.rig import Camera
 from ringpose.types.scene import RingView, Scene
 
@@ -150,6 +153,22 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
         centers=tuple(centers),
         end_sigma_px=end_sigma_px,
         edges=edges,
+    )
+
+
+def image_noise(scene: Scene, *, subtracted: bool) -> ImageNoise:
+    """The noise of a scene's frames; `subtracted` if a frame without the lasers is subtracted."""
+    sensor, frames = scene.sensor, 2 if subtracted else 1
+    gain = sensor.overall_system_gain_dn_per_e
+    full_dn = (saturation_dn(sensor) - sensor.black_level_dn) / gain
+    return ImageNoise(
+        blur_px=scene.lens.blur_px,
+        contrast=scene.speckle.contrast,
+        grain_px=max(scene.speckle.grain_px, 1.0) * PIXEL_GRAIN,
+        dark_e2=frames * (sensor.temporal_dark_noise_e**2 + PIXEL_VARIANCE / gain**2),
+        frames=frames,
+        response=sensor.photo_response_non_uniformity,
+        full_e=min(full_dn, sensor.saturation_capacity_e),
     )
 
 

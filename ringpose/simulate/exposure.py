@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.geometry.rays import project
+from ringpose.optics.sensor import electrons_per_radiance
 from ringpose.simulate.break_points import inside_image, ring_crossings_m
 from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, radiance_along
 from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S
 from ringpose.simulate.renderer import pixel_rays
-from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.target.parts import face_part, target_tables
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.scene import Scene

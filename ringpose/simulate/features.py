@@ -1,8 +1,8 @@
 """Detections drawn from the ring's model instead of from images, about a hundred a second, for Monte-Carlo studies.
 
 Stripes, break points and visible edges are predicted by `ringpose.geometry.ring` at the time of their frame, on a ring
-with the motion, the form and the gaps of the scene. Their errors are those that `ringpose.simulate.feature_errors`
-expects in images of the scene. The truth may deviate from the assumptions of an estimator in known ways (`Deviations`):
+with the motion, the form and the gaps of the scene. Their errors are those that `ringpose.optics` expects in
+images of the scene. The truth may deviate from the assumptions of an estimator in known ways (`Deviations`):
 motion, rig, form of the ring, and outliers.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import EDGE_SIGN, edge_points
-from ringpose.kernels.lines import COLUMNS_PER_CUT, MAX_CUT
+from ringpose.optics.feature_errors import end_covariance_px2, fitted_columns, tilt_sigma_px
 from ringpose.simulate.appearance import (
     EDGE_MARGIN_PX,
     Appearance,
@@ -225,18 +225,16 @@ def _drawn_points(
     lasers, left = np.arange(len(seen)), stripes.edge_at_start
     chord_px = stripes.end_px - stripes.start_px
     columns = chord_px[:, 0]
-    used = columns - 2.0 * np.minimum(np.floor(columns / COLUMNS_PER_CUT), MAX_CUT)
+    fitted = fitted_columns(columns)
     line_sigma_px = np.array(
         [
             np.nan if center is None else center.line_sigma_px(number)
-            for center, number in zip(appearance.centers, used.tolist(), strict=True)
+            for center, number in zip(appearance.centers, fitted.tolist(), strict=True)
         ]
     )
-    # errors of the ordinates at both ends of a line through the used centres: variance (1 + 3 / share^2) s^2
-    tilt_sigma_px = sqrt(3.0) * columns / used * line_sigma_px
-    end_variance_px2 = line_sigma_px**2 + tilt_sigma_px**2
-    middle_px = line_sigma_px * unit[:, 0]
-    tilt_px = tilt_sigma_px * unit[:, 1]
+    slope_sigma_px = tilt_sigma_px(line_sigma_px, columns / 2, fitted)  # of the ordinates at both ends
+    end_sigma_px = np.hypot(line_sigma_px, slope_sigma_px)
+    middle_px, tilt_px = line_sigma_px * unit[:, 0], slope_sigma_px * unit[:, 1]
     start_px, end_px = stripes.start_px.copy(), stripes.end_px.copy()
     start_px[:, 1] += middle_px - tilt_px
     end_px[:, 1] += middle_px + tilt_px
@@ -247,9 +245,8 @@ def _drawn_points(
     direction = np.stack([np.ones(len(seen)), chord_px[:, 1] / chord_px[:, 0]], axis=1)
     position_px = stripes.true_px + along_px[..., None] * direction[:, None]
     position_px[..., 1] += across_px
-    spread = (direction[:, :, None] * direction[:, None])[:, None]
-    covariance_px2 = (appearance.end_sigma_px**2)[..., None, None] * spread
-    covariance_px2[..., 1, 1] += end_variance_px2[:, None]
+    both = np.ones(2)
+    covariance_px2 = end_covariance_px2(appearance.end_sigma_px, end_sigma_px[:, None] * both, direction[:, 1:] * both)
     measured = np.isfinite(stripes.true_px[..., 0]) & seen[:, None]
     saturated = np.array([center is not None and center.saturated for center in appearance.centers])
     flags = np.where(measured & saturated[:, None], int(BreakPointFlag.SATURATED), 0)
@@ -260,7 +257,7 @@ def _drawn_points(
         flags=flags.astype(np.int64),
         face_start_px=np.where(seen[:, None], start_px, np.nan),
         face_end_px=np.where(seen[:, None], end_px, np.nan),
-        face_sigma_px=np.where(seen, np.sqrt(end_variance_px2), np.nan)[:, None] * np.ones(2),
+        face_sigma_px=np.where(seen, end_sigma_px, np.nan)[:, None] * both,
         labelled=True,
     )
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.optics.sensor import saturation_dn
 from ringpose.processes import in_order
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
@@ -15,7 +16,6 @@ from ringpose.simulate.light import IlluminatedTarget
 from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, Placement, board_poses, ring_views, target_placement
 from ringpose.simulate.renderer import TIMES, RenderedView, render_view
-from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.target.board import board_target
 from ringpose.simulate.target.parts import part_around, view_target
 from ringpose.types.arrays import Array, Float64

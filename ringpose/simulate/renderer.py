@@ -16,8 +16,8 @@ import numpy as np
 from ringpose.geometry.rays import project, undistort
 from ringpose.kernels import render
 from ringpose.kernels.render import THIN
+from ringpose.optics.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.light import IlluminatedTarget, caster_view
-from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.types.arrays import Array, Float32, Float64, Int16, UInt8
 from ringpose.types.image import Frame
 from ringpose.types.rig import Camera

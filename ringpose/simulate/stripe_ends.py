@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.stripes import BORDER_PX
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_SHARE, rig_errors
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import LIFT, STEP, Rates, RingArcs, predicted_break_points, rotation_by
 from ringpose.geometry.rotations import cross, tilt_basis, tilted
+from ringpose.optics.feature_errors import BORDER_PX, MIN_COLUMNS
 from ringpose.simulate.appearance import Appearance
 from ringpose.simulate.break_points import form_displacement, in_gap, inside_image
 from ringpose.simulate.motion import velocities
@@ -126,9 +126,6 @@ class StripeEnds(NamedTuple):
     edge_at_start: Int64[Array, "laser"]
     """Edge that the left end belongs to."""
 
-
-MIN_COLUMNS = 10
-"""Minimum length of a stripe that is detected."""
 
 _SAMPLES = 257
 """Points along a stripe by which it is clipped."""

@@ -1,6 +1,6 @@
 """Camera images: a single frame, and a shot, which is a short sequence of frames with different lasers on."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -122,6 +122,21 @@ def shot_with_frames(shot: Shot, chosen: Int64[Array, "chosen"]) -> Shot:
     """The shot with the chosen frames, in the given order."""
     known = {name: getattr(shot, name) for name in ("images", *PER_FRAME)}
     return replace(shot, **{name: values[chosen] for name, values in known.items() if values is not None})
+
+
+def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[int, ...], int]]:
+    """The frames of a shot that are searched for stripes, such that each of `count` lasers that is on is covered once.
+
+    For each frame its number, the lasers whose stripes are searched in it, and the mask of the others that are on.
+    Frames with fewer lasers on take precedence.
+    """
+    frames, covered = [], 0
+    for number in sorted(range(len(masks)), key=lambda each: (masks[each].bit_count(), each)):
+        mask = masks[number]
+        if new := mask & ~covered & ((1 << count) - 1):
+            frames.append((number, tuple(laser for laser in range(count) if new >> laser & 1), mask & covered))
+            covered |= mask
+    return frames
 
 
 def full_scale_dn(images: UInt[Array, "*shape"]) -> int:

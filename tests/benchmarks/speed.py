@@ -42,11 +42,11 @@ from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.scenes.scene import read_scene
 from ringpose.measure.stream import Setup
+from ringpose.optics.sensor import digitised
 from ringpose.pose.pipeline import estimate_pose, pose_line
 from ringpose.simulate.pipeline import illuminated_ring, moving_frame, render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.renderer import layers, pixel_rays
-from ringpose.simulate.sensor import digitised
 from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
 from ringpose.types.arrays import Array, Float32, Float64

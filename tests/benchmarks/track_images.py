@@ -28,10 +28,10 @@ from tracked_rings import DEGREES_OF_FREEDOM, errors_at, nees_at
 from ringpose.cli.main import main as ringpose
 from ringpose.files.scenes.scene import read_scene
 from ringpose.measure.stream import Setup, Stream, track_options
+from ringpose.optics.sensor import digitised
 from ringpose.simulate.motion import velocities
 from ringpose.simulate.pipeline import render_ring_view, simulated_shot
 from ringpose.simulate.placement import ring_views
-from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.genicam import Identity
 from ringpose.simulate.serve.relays import RelayContacts

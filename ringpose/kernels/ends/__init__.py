@@ -11,13 +11,8 @@ import numpy as np
 
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
+from ringpose.optics.feature_errors import INSIDE_COLUMNS, MIN_NOISE, OUTSIDE_COLUMNS, WIDTH_SPREAD
 from ringpose.types.arrays import Array, Float64, UInt
-
-INSIDE_COLUMNS = 24
-"""Columns inside the edge from which the level on the face is estimated."""
-
-OUTSIDE_COLUMNS = 12
-"""Columns beyond the edge from which the level there is estimated."""
 
 FACET_SIGMAS = 6.0
 """Correlation length of the surface texture along a stripe, in sigmas of its cross-section: finer texture averages out
@@ -40,8 +35,7 @@ class EndParams(NamedTuple):
     """A stripe continues while its level stays above this share of the face's: on a wall beyond a kink it is lower."""
     min_headroom: float = 0.05
     """Smallest visible share by which the amplitude of a saturated column is divided."""
-    min_noise: float = 0.01
-    """Minimum noise of a column relative to the stripe's level: glare and the tails of the blur."""
+    min_noise: float = MIN_NOISE
     shape_sigma: float = 0.005
     """Standard deviation, in columns, of the position due to the model of the blur; added to that by noise."""
     texture_factor: float = 1.5
@@ -50,8 +44,7 @@ class EndParams(NamedTuple):
     facet_sigmas: float = FACET_SIGMAS
     near_columns: float = 9.0
     """Columns beyond the edge in which the fitted level is required; farther out a stripe on the body may begin."""
-    width_spread: float = 0.1
-    """Relative standard deviation of the blur between ends: depth of field, pixels."""
+    width_spread: float = WIDTH_SPREAD
     blunt_gain: float = 3.0
     """Gain in log likelihood, over all ends of an edge, by widths larger than the cross-section's, above which ends are
     blunt: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""

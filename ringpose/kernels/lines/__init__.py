@@ -6,6 +6,8 @@ The sources are tracks.c (segmentation and line fits) and rim.c (which segments 
 import math
 from typing import NamedTuple
 
+from ringpose.optics.feature_errors import FIT_DOF_CORRECTION, MIN_COLUMNS, MIN_SEGMENT_COLUMNS
+
 
 class Lens(NamedTuple):
     """Pinhole camera and distortion coefficients, named as in OpenCV."""
@@ -38,19 +40,10 @@ class TrackParams(NamedTuple):
     """Bias correction of the autocorrelations: fitting a line removes a part of those of a short series."""
     on_line_px: float = 2.5
     """A centre belongs to a line if it is closer than this; the nearest body behind a ring is 4 px away at 1 m."""
-    min_columns: float = 10
-    """Minimum length of a track whose direction is usable; 20 mm of ring at 1 m are twice as long."""
+    min_columns: float = MIN_COLUMNS
     max_lag: float = 40
     """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
-
-FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS = 5.0, 0.5
-"""Degrees of freedom, in independent columns, that a line fit removes from a series, and the minimum that remains.
-
-The line absorbs part of the correlated errors, which then show neither in the scatter nor in the autocorrelation:
-without this correction, at 29 columns and a speckle of 4 px (30 mm at 1 m, wide lens), one line in ten was off by three
-sigmas.
-"""
 
 TRACK_COLUMNS = (
     "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
@@ -62,9 +55,6 @@ between 2 px and the track's length (at most 100 px) + 40 px beyond its ends."""
 LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, BEYOND_ENDS = range(
     len(TRACK_COLUMNS)
 )
-
-MAX_CUT, COLUMNS_PER_CUT = 4, 12
-"""Centres at either end of a track that its line does not use (tracks.h): at most so many, one for so many columns."""
 
 
 class UnionParams(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError, UsageError
+from ringpose.optics.sensor import saturation_dn
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import (
     around_camera,
@@ -21,7 +22,6 @@ from ringpose.simulate.pipeline import (
 )
 from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_S, ring_views
 from ringpose.simulate.renderer import RenderedView
-from ringpose.simulate.sensor import saturation_dn
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame
 from ringpose.types.scene import RingView, Scene, Truth

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ringpose.optics.sensor import digitised
 from ringpose.simulate.renderer import RenderedView
-from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.relays import RelayContacts
 from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.options import AdvancePolicy

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.simulate.sensor import digitised, electrons_per_radiance
+from ringpose.optics.sensor import digitised, electrons_per_radiance
 from ringpose.types.scene import Optics, Sensor
 
 EVEN = Sensor(photo_response_non_uniformity=0.0, bits=12, overall_system_gain_dn_per_e=0.3, black_level_dn=20.0)
