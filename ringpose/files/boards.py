@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from ringpose.calibrate.boards.drawing import BoardDrawing
-from ringpose.calibrate.boards.patterns.markers import marker_dictionary
+from ringpose.calibrate.boards.layout import marker_dictionary
 from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras.opencv import storage_values

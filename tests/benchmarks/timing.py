@@ -1,4 +1,4 @@
-"""Times of calls relative to a reference that is timed in turns with them, and the references of OpenCV and of starts."""
+"""Times of calls taken in turns, a call of solvePnP as reference, and starts of the command."""
 
 import os
 import sys

@@ -87,7 +87,7 @@ def _each_board_found_once() -> Iterator[None]:
 
     It takes most of the time of a calibration, and the tests share the carried views.
     """
-    from ringpose.calibrate.boards.search import BoardSearch
+    from ringpose.calibrate.boards.shots import BoardSearch
     from ringpose.calibrate.boards.views import find_board
     from ringpose.types.board import BoardView
 

@@ -18,11 +18,10 @@ from ringpose.files.studies.results import ResultFolder
 from ringpose.processes import cores
 from ringpose.report.page import Picture
 from ringpose.simulate.pipeline import simulated_boards
-from ringpose.types.board import BoardView
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import Rig
-from ringpose.types.scene import BoardSet, Scene, Truth
+from ringpose.types.scene import Scene, Truth
 from ringpose.types.study import Row, Study, StudyMethod
 
 PART_S = (0.5, 10.0)
@@ -78,36 +77,27 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
 
     As by `calibrate-camera` and `calibrate-planes`; the scene has boards. DataError if too few of them are found.
     """
-    from ringpose.calibrate.camera.assessment import camera_assessment
-    from ringpose.calibrate.camera.parameters import CameraModel
-    from ringpose.calibrate.camera.pipeline import calibrate_camera
+    from ringpose.calibrate.boards.diagnostics import NoBoard
+    from ringpose.calibrate.boards.shots import BoardShots
+    from ringpose.calibrate.camera.pipeline import assessed_camera
+    from ringpose.calibrate.planes.pipeline import StripeShots
     from ringpose.calibrate.planes.quality import calibrated_rig as rig_of_planes
-    from ringpose.calibrate.planes.shots import StripeShots
 
     assert scene.camera_boards is not None  # as read_study checks
     assert scene.plane_boards is not None
-    camera, names = scene.rig.camera, scene.rig.lasers.names
-    model, views = CameraModel(), [view for _, view in _board_views(scene, scene.camera_boards, jobs)]
-    found = calibrate_camera(views, camera.image_width, camera.image_height, model, camera.camera_name)
-    calibrated_camera = camera_assessment(found, model).calibration.camera
-    stripes = StripeShots(scene.plane_boards.board, calibrated_camera, ",".join(names), None)
-    for shot, view in _board_views(scene, scene.plane_boards, jobs):
-        stripes.add(shot, view)
+    true = scene.rig
+    with BoardShots(scene.camera_boards.board) as boards:
+        for shot, _ in simulated_boards(scene, scene.camera_boards, jobs=jobs):
+            boards.add(shot)
+    camera = assessed_camera(boards, camera_name=true.camera.camera_name).calibration.camera
+    with BoardShots(scene.plane_boards.board) as boards:
+        stripes = StripeShots(boards, camera, ",".join(true.lasers.names), None)
+        for shot, _ in simulated_boards(scene, scene.plane_boards, jobs=jobs):
+            if not isinstance(view := boards.add(shot), NoBoard):
+                stripes.add(shot, view)
     rig = rig_of_planes(stripes.assessment(PlanesMethod.JOINT).calibration)
     # a calibration does not determine the positions of the projectors, which only the simulation of features needs
-    return replace(rig, lasers=replace(rig.lasers, projector_m=scene.rig.lasers.projector_m))
-
-
-def _board_views(scene: Scene, boards: BoardSet, jobs: int) -> Iterator[tuple[Shot, BoardView]]:
-    from ringpose.calibrate.boards.diagnostics import NoBoard
-    from ringpose.calibrate.boards.search import BoardSearch
-    from ringpose.calibrate.boards.views import board_image
-
-    with BoardSearch() as find_board:
-        for shot, _ in simulated_boards(scene, boards, jobs=jobs):
-            view = find_board(board_image(shot), boards.board, shot.name)
-            if not isinstance(view, NoBoard):
-                yield shot, view
+    return replace(rig, lasers=replace(rig.lasers, projector_m=true.lasers.projector_m))
 
 
 def computed(

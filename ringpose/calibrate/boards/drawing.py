@@ -6,8 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.layout import corner_points, is_white, marker_corners, outline_m
-from ringpose.calibrate.boards.patterns.markers import marker_dictionary
+from ringpose.calibrate.boards.layout import corner_points, is_white, marker_corners, marker_dictionary, outline_m
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.board import Board
 

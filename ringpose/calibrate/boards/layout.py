@@ -1,10 +1,11 @@
-"""Positions of a board's corners and markers in the board frame, and checks of the markers seen against them.
+"""Markers of a board, positions of its corners in the board frame, and checks of the markers seen against them.
 
 The board frame has its origin in the top-left outer corner, x to the right and y down. Corners of a chessboard or
 ChArUco board are numbered as in OpenCV, row by row; a marker's corner has the number 4 * marker + corner, clockwise
 from the marker's top left.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from ringpose.calibrate.acceptance import BOARD_LIMITS, check
 from ringpose.calibrate.boards.patterns.markers import Markers
+from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import Check
@@ -33,6 +35,45 @@ _MIN_MARKERS = 4
 
 _MAX_SQUARES = 40
 """Largest number of columns that is tried when the markers do not fit the board file."""
+
+
+def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
+    """The board's dictionary, predefined in OpenCV or read from a file; it has all the board's markers."""
+    name = board.dictionary or ""
+    if board.marker_bits:
+        dictionary = _custom_dictionary(board.marker_bits)
+    elif name.startswith("DICT_") and hasattr(cv2.aruco, name):
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    else:
+        remedy = "give one of OpenCV's, for example DICT_4X4_50, or a dictionary file"
+        raise DataError("board", f'no dictionary "{name}"', remedy)
+    found, needed = len(dictionary.bytesList), marker_count(board)
+    if found < needed:
+        finding = f'dictionary "{board.dictionary}" has {found} markers, the board has {needed}'
+        raise DataError("board", finding, "give a larger dictionary, or correct the number of squares")
+    return dictionary
+
+
+def _custom_dictionary(marker_bits: tuple[str, ...]) -> cv2.aruco.Dictionary:
+    """A dictionary that corrects up to (d - 1) / 2 wrong bits, d the minimum Hamming distance of its markers."""
+    side = math.isqrt(len(marker_bits[0]))
+    bits = np.array([[int(bit) for bit in marker] for marker in marker_bits], dtype=np.uint8).reshape(-1, side, side)
+    rows = [cv2.aruco.Dictionary.getByteListFromBits(marker) for marker in bits]
+    # The minimum over two markers in any rotation, and over a marker and itself rotated.
+    rotated = np.stack([np.rot90(bits, turns, axes=(1, 2)) for turns in range(4)])
+    distance = np.sum(rotated[:, :, None] != bits, axis=(-2, -1))
+    distance[0][np.diag_indices(len(bits))] = bits[0].size
+    return cv2.aruco.Dictionary(np.concatenate(rows), side, (int(distance.min()) - 1) // 2)
+
+
+def marker_count(board: Board) -> int:
+    """Number of markers on the board; zero for boards without markers."""
+    if board.kind == "four_markers":
+        return 4
+    squares = (board.squares_x or 0) * (board.squares_y or 0)
+    if board.kind == "aruco_grid":
+        return squares
+    return squares // 2 if board.kind == "charuco" else 0
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:

@@ -16,7 +16,14 @@ from ringpose.calibrate.boards.diagnostics import (
     pattern_failure,
     unusable,
 )
-from ringpose.calibrate.boards.layout import corner_points, marker_corners, marker_layout, other_layout
+from ringpose.calibrate.boards.layout import (
+    corner_points,
+    marker_corners,
+    marker_count,
+    marker_dictionary,
+    marker_layout,
+    other_layout,
+)
 from ringpose.calibrate.boards.patterns.chessboard import (
     chessboard_corners,
     largest_grid,
@@ -29,8 +36,6 @@ from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
 from ringpose.calibrate.boards.patterns.markers import (
     Markers,
     find_markers,
-    marker_count,
-    marker_dictionary,
     markers_of,
 )
 from ringpose.errors import DataError

@@ -7,6 +7,8 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, residuals
+from ringpose.calibrate.boards.shots import BoardShots
+from ringpose.calibrate.camera.assessment import DISTANCES_M, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import (
     CameraSolution,
     blank_camera,
@@ -24,13 +26,25 @@ from ringpose.calibrate.camera.outliers import (
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, covariance_of_free, parameter_names
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
-from ringpose.types.calibration import CameraCalibration, CameraView
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView
 from ringpose.types.rig import Camera, ParameterCovariance
 
 MAX_FOCAL_SHARE = 0.1
 """Relative standard deviation of the focal length above which the views do not determine it."""
 
 _MAX_ITERATIONS = 5
+
+
+def assessed_camera(
+    boards: BoardShots,
+    model: CameraModel = PLUMB_BOB,
+    camera_name: str = "camera",
+    distances_m: Sequence[float] = DISTANCES_M,
+    compare: bool = False,
+) -> CameraAssessment:
+    """The camera of the shots of a board, with its covariance as the agreement of the views justifies it."""
+    calibration = calibrate_camera(boards.views, boards.image_width, boards.image_height, model, camera_name)
+    return camera_assessment(calibration, model, distances_m, compare)
 
 
 def calibrate_camera(

@@ -63,12 +63,12 @@ def calibrate_camera(
         printed(print_board, board, "charuco", force=force, quiet=quiet)
         return
 
-    from ringpose.calibrate.camera.assessment import camera_assessment
+    from ringpose.calibrate.boards.shots import BoardShots
     from ringpose.calibrate.camera.parameters import CameraModel
-    from ringpose.calibrate.camera.pipeline import calibrate_camera as calibrated
+    from ringpose.calibrate.camera.pipeline import assessed_camera
     from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibrate.board_views import BoardImages
+    from ringpose.cli.calibrate.board_views import BoardReader
     from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.ros import write_camera
@@ -80,19 +80,18 @@ def calibrate_camera(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
     distances_m = numbers(distances, "--distances", "give metres, as 0.2,0.5,1", DISTANCE_M)
-    images = BoardImages(read_board(board), overlay, channel=channel, force=force)
-    images.outputs = (output, report)
+    boards = BoardShots(read_board(board), names_differ=overlay is not None)
     batch = Batch()
-    images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
+    reader = BoardReader(boards, overlay=overlay, channel=channel, outputs=(output, report), force=force)
+    reader.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
     with batch.guarded():
-        found = calibrated(images.views, images.width, images.height, model, camera_name)
-        assessment = camera_assessment(found, model, distances_m, compare)
-        verdict = camera_verdict(assessment, len(images.views) + len(images.without_board))
-        quality = camera_quality(assessment, verdict, images.without_board)
-        write_camera(output, assessment.calibration.camera, extra=quality, force=force, inputs=[board, *images.paths])
+        assessment = assessed_camera(boards, model, camera_name, distances_m, compare)
+        verdict = camera_verdict(assessment, boards.images)
+        quality = camera_quality(assessment, verdict, boards.without_board)
+        write_camera(output, assessment.calibration.camera, extra=quality, force=force, inputs=[board, *reader.paths])
         if report is not None:
             from ringpose.report.camera import camera_report
 
-            write_page(report, camera_report(assessment, verdict, images.without_board), force=force)
+            write_page(report, camera_report(assessment, verdict, boards.without_board), force=force)
         batch.record_status(report_verdict(verdict, camera_summary(assessment, verdict), quiet=quiet))
     batch.finish()

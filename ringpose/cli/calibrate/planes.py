@@ -1,5 +1,6 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
+from collections.abc import Sequence
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -25,14 +26,12 @@ from ringpose.types.options import PlanesMethod
 from ringpose.types.plausible import EXPECTED_DEG
 
 if TYPE_CHECKING:
-    from ringpose.calibrate.planes.shots import StripeShots
+    from ringpose.calibrate.planes.pipeline import StripeShots
+    from ringpose.calibrate.planes.recheck.update import BoardRecheck, RigRecheck, StreamRecheck
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibrate.board_views import BoardImages
-    from ringpose.pose.drift import RigEvidence
+    from ringpose.types.board import BoardView
+    from ringpose.types.image import Shot
     from ringpose.types.rig import Camera, Rig
-
-USUAL_DISTANCE_M = 0.5
-"""Distance at which motions of planes are given in millimetres where the shots show none."""
 
 BoardFile = Annotated[
     Path | None,
@@ -140,10 +139,10 @@ def calibrate_planes(
     shots = given(inputs, "INPUT", f"give shots of a board and its file (--board){to_compare}")
     options = _Inputs(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
-        _check(shots, check, options, None)
+        _recheck(shots, check, options, None)
         return
     if update is not None:
-        _check(shots, update, options, given(output, "--output"))
+        _recheck(shots, update, options, given(output, "--output"))
         return
     angles_deg = numbers(expected_angles, "--expected-angles", "give degrees, as 10,10", EXPECTED_DEG)
     _calibrate(
@@ -159,8 +158,8 @@ def _calibrate(
     """Estimate the light planes, and write the rig with its mount, and the report."""
     from dataclasses import replace
 
+    from ringpose.calibrate.planes.pipeline import check_method
     from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality, planes_summary
-    from ringpose.calibrate.planes.shots import check_method
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
@@ -173,17 +172,16 @@ def _calibrate(
     reject_existing_outputs(output, report, options.force, files)
     mounting = None if mount is None else read_mount(mount)
     batch = Batch()
-    images, stripes = _sources(options, read_camera(camera))
-    images.outputs = (output, report)
-    check_method(method, free_camera, stripes.board, stripes.camera)
-    _read(shots, options, images, stripes, batch)
+    stripes = _stripe_shots(options, read_camera(camera))
+    check_method(method, free_camera, stripes.boards.board, stripes.camera)
+    paths = _read_shots(shots, stripes, options, batch, (output, report))
     batch.record_status(NO_POSE if stripes.any_without_stripe else 0)
     if not stripes.views and batch.status:
         batch.record_status(DataError.status)
         batch.finish()
     with batch.guarded():
         try:
-            assessment = stripes.assessment(method, free_camera, expected_rad, working_m, images.without_board)
+            assessment = stripes.assessment(method, free_camera, expected_rad, working_m)
         except DataError:  # what each shot lacks is the reason
             for view in stripes.views:
                 for remark in view.remarks:
@@ -194,7 +192,7 @@ def _calibrate(
                 raise DataError(shot, found)  # reported like any other unusable shot
         rig = replace(calibrated_rig(assessment.calibration), mount=mounting)
         quality = planes_quality(assessment)
-        write_rig(output, rig, extra=quality, force=options.force, inputs=[*files, *images.paths])
+        write_rig(output, rig, extra=quality, force=options.force, inputs=[*files, *paths])
         if report is not None:
             from ringpose.report.planes import planes_report
 
@@ -222,92 +220,74 @@ def _report_lasers(stripes: "StripeShots", rig: "Rig", *, quiet: bool) -> None:
         messages.echo(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
 
 
-def _check(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
+def _recheck(inputs: list[str], rig_file: Path, options: _Inputs, output: Path | None) -> None:
     """Compare a rig with shots of a board or the records of a stream; with an output, write the updated rig."""
-    from ringpose.calibrate.planes.recheck.update import checked_shots, evidence_lines, moved_lasers
+    from ringpose.calibrate.planes.recheck.update import BoardRecheck, StreamRecheck
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import reject_existing_outputs
-    from ringpose.errors import NO_POSE, DataError
-    from ringpose.files.rigs import read_rig
+    from ringpose.errors import NO_POSE
+    from ringpose.files.rigs import median_board_rms_px, read_rig
 
     rig = read_rig(rig_file, for_rings=False)
     if output is not None:
         reject_existing_outputs(output, None, options.force, [rig_file])
     batch = Batch()
-    boards = options.board is not None
-    if boards:
-        evidence, files, depth_m = _board_evidence(inputs, rig_file, rig, options, batch, update=output is not None)
+    recheck: RigRecheck
+    if options.board is not None:
+        recheck = BoardRecheck(rig, median_board_rms_px(rig_file))
+        files = _read_views(inputs, recheck, options, batch)
     else:
-        evidence, files, depth_m = _stream_evidence(inputs, rig, batch, quiet=options.quiet)
-    moved: list[int] | None = []
-    with batch.guarded():
-        if output is not None or not boards:
-            checked_shots(evidence, boards=boards)
-            moved = moved_lasers(evidence, boards=boards)
-            for line in evidence_lines(evidence, moved, depth_m) if moved != [] or not options.quiet else ():
-                messages.echo(line)
-        if output is None:
-            batch.record_status(0 if moved == [] else NO_POSE)
-        elif moved is None:
-            found = "the shots contradict it, but not by one light plane alone"
-            raise DataError(str(rig_file), found, "give shots of a board, or calibrate it again")
-        elif moved:
-            _write_update(evidence, moved, output, [rig_file, *files], depth_m, options)
-        else:
-            messages.echo(f"{rig_file}: its light planes hold: nothing to update, {output} is not written")
+        recheck = StreamRecheck(rig)
+        files = _read_lines(inputs, recheck, batch)
+    for line in recheck.summary(good_too=not options.quiet):
+        messages.echo(line)
+    if recheck.contradicted and (output is None or options.board is None):
+        batch.record_status(NO_POSE)
+    if output is not None or options.board is None:  # else each view of a board has been judged by itself
+        with batch.guarded():
+            batch.record_status(_judge_planes(recheck, output, [rig_file, *files], options))
     batch.finish()
 
 
-def _board_evidence(
-    inputs: list[str], rig_file: Path, rig: "Rig", options: _Inputs, batch: "Batch", *, update: bool
-) -> "tuple[RigEvidence, list[Path], float]":
-    """Compare each shot of a board with a rig; for an update, return what all shots together show about its planes."""
-    import numpy as np
-
-    from ringpose.calibrate.planes.recheck.board_check import rig_check, rig_check_lines
-    from ringpose.calibrate.planes.recheck.update import board_evidence
+def _judge_planes(recheck: "RigRecheck", output: Path | None, files: list[Path], options: _Inputs) -> int:
+    """Report which light planes have moved, and with an output update them; the exit status is returned."""
     from ringpose.cli import messages
-    from ringpose.errors import NO_POSE
-    from ringpose.files.rigs import median_board_rms_px
-    from ringpose.pose.drift import RigEvidence
+    from ringpose.errors import NO_POSE, DataError
 
-    usual_px = median_board_rms_px(rig_file)
-    images, stripes = _sources(options._replace(names=",".join(rig.lasers.names)), rig.camera)
-    _read(inputs, options, images, stripes, batch)
-    evidence, depths = RigEvidence(rig, rig.stability, left_out=0), []
+    moved = recheck.moved_lasers()
+    for line in recheck.evidence_lines(moved) if moved != [] or not options.quiet else ():
+        messages.echo(line)
+    if output is None:
+        return 0 if moved == [] else NO_POSE
+    if moved is None:
+        found = "the shots contradict it, but not by one light plane alone"
+        raise DataError(str(files[0]), found, "give shots of a board, or calibrate it again")
+    if moved:
+        _write_update(recheck, moved, output, files, options)
+    else:
+        messages.echo(f"{files[0]}: its light planes hold: nothing to update, {output} is not written")
+    return 0
+
+
+def _read_views(inputs: list[str], recheck: "BoardRecheck", options: _Inputs, batch: "Batch") -> list[Path]:
+    """Add the views of all board shots; the files read are returned."""
+    rig = recheck.rig
+    stripes = _stripe_shots(options._replace(names=",".join(rig.lasers.names)), rig.camera)
+    paths = _read_shots(inputs, stripes, options, batch)
     for view in stripes.views:
-        found = rig_check(view, rig, usual_px)
-        if not found.holds and not update:
-            batch.record_status(NO_POSE)
-        if not (options.quiet and found.holds):
-            for line in rig_check_lines(found):
-                messages.echo(line)
-        if update and found.board_rms_px <= found.board_limit_px:
-            evidence.add(board_evidence(view, rig))
-            depths.append(found.distance_m)
-    return (
-        evidence,
-        [*([options.board] if options.board else []), *images.paths],
-        float(np.median(depths or [USUAL_DISTANCE_M])),
-    )
+        recheck.add(view)
+    return [given(options.board, "--board"), *paths]
 
 
-def _stream_evidence(
-    inputs: list[str], rig: "Rig", batch: "Batch", *, quiet: bool
-) -> "tuple[RigEvidence, list[Path], float]":
-    """What the pose records of a stream show about the rig that took it."""
-    import numpy as np
-
-    from ringpose.cli import messages
-    from ringpose.errors import NO_POSE, UsageError
+def _read_lines(inputs: list[str], recheck: "StreamRecheck", batch: "Batch") -> list[Path]:
+    """Add the pose records of all inputs; the files among these are returned."""
+    from ringpose.errors import UsageError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record, holds_records
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.poses import pose_line_of
-    from ringpose.pose.drift import CONTRADICTORY, RigEvidence, evidence_for_file
     from ringpose.types.rig import reject_other_rig
 
-    evidence, depths, shots, contradictory = RigEvidence(rig, rig.stability), [], 0, 0
     for item in batch.valid_inputs(named(inputs, [RECORDS_SUFFIX])):
         if not isinstance(item, Record):
             raise UsageError(
@@ -315,73 +295,53 @@ def _stream_evidence(
             )
         with batch.guarded():
             line = pose_line_of(item.values, item.location)
-            reject_other_rig(line.rig, rig.sha256, item.location, "give the rig by which the stream was measured")
-            shots += 1
-            contradictory += bool(line.flags & CONTRADICTORY)
-            found = evidence_for_file(line)
-            if found is not None and evidence.add(found):
-                depths.append(float(found.place_m[2]))
-    if not quiet:
-        messages.echo(f"{shots} shots, {evidence.shots} of them show the light planes at different poses of the ring")
-    if contradictory > shots / 2:
-        messages.echo(f"{contradictory} of {shots} shots contradict this rig: check the wiring, or calibrate it again")
-        batch.record_status(NO_POSE)
-    files = [Path(word) for word in inputs if holds_records(Path(word))]
-    return evidence, files, float(np.median(depths or [USUAL_DISTANCE_M]))
+            remedy = "give the rig by which the stream was measured"
+            reject_other_rig(line.rig, recheck.rig.sha256, item.location, remedy)
+            recheck.add(line)
+    return [Path(word) for word in inputs if holds_records(Path(word))]
 
 
-def _write_update(
-    evidence: "RigEvidence", moved: list[int], output: Path, files: list[Path], depth_m: float, options: _Inputs
-) -> None:
+def _write_update(recheck: "RigRecheck", moved: list[int], output: Path, files: list[Path], options: _Inputs) -> None:
     """Write the rig updated by the evidence, with the quality of its calibration and a list of the changes."""
-    from ringpose.calibrate.planes.recheck.update import change_line, updated_rig
     from ringpose.cli import messages
     from ringpose.files.rigs import calibration_quality, write_rig
 
-    planes = [evidence.moved_plane(laser, moved) for laser in moved]
-    names = evidence.rig.lasers.names
-    changes = [
-        {"laser": names[plane.laser], "change": plane.change, "covariance": plane.covariance, "shots": evidence.shots}
-        for plane in planes
-    ]
     quality = dict(calibration_quality(files[0]))
-    quality["updated"] = [*quality.get("updated", ()), *changes]
-    rig = updated_rig(evidence.rig, evidence, moved)
-    write_rig(output, rig, extra={"quality": quality}, force=options.force, inputs=files)
+    quality["updated"] = [*quality.get("updated", ()), *recheck.changes(moved)]
+    write_rig(output, recheck.updated_rig(moved), extra={"quality": quality}, force=options.force, inputs=files)
     if not options.quiet:
-        for plane in planes:
-            messages.echo(f"{output}: {change_line(names[plane.laser], plane, depth_m)}")
+        for line in recheck.change_lines(moved):
+            messages.echo(f"{output}: {line}")
 
 
-def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeShots]":
-    from ringpose.calibrate.planes.shots import StripeShots
-    from ringpose.cli.calibrate.board_views import BoardImages
+def _stripe_shots(options: _Inputs, camera: "Camera") -> "StripeShots":
+    from ringpose.calibrate.boards.shots import BoardShots
+    from ringpose.calibrate.planes.pipeline import StripeShots
     from ringpose.files.boards import read_board
 
-    board = read_board(given(options.board, "--board"))
-    images = BoardImages(board, options.overlay, channel=options.channel, force=options.force)
-    images.luminance_too = True
-    return images, StripeShots(
-        images.board, camera, options.names, options.order, options.surround_m, images.find_board
-    )
+    boards = BoardShots(read_board(given(options.board, "--board")), names_differ=options.overlay is not None)
+    return StripeShots(boards, camera, options.names, options.order, options.surround_m)
 
 
-def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "StripeShots", batch: "Batch") -> None:
-    """Add the views of all shots to `stripes`; report shots without them."""
+def _read_shots(
+    inputs: list[str], stripes: "StripeShots", options: _Inputs, batch: "Batch", outputs: Sequence[Path | None] = ()
+) -> list[Path]:
+    """Add the views of all shots, report shots without board, draw the overlays, and return the files read."""
+    from ringpose.cli.calibrate.board_views import BoardReader
     from ringpose.files.images.codecs import write_image
-    from ringpose.files.inputs import Input
     from ringpose.report.boards import stripe_overlay
 
-    def read(item: Input) -> None:
-        found = images.read(item)
-        if found is None:
-            return
-        shot, board = found
+    def add(shot: "Shot", board: "BoardView") -> str:
         view = stripes.add(shot, board)
-        number = sum(len(px) > 0 for px in (*view.stripes_px, *view.unlabelled_px))
-        images.last += f", {number} stripes" + "".join(f"; {remark}" for remark in view.remarks)
-        if images.overlay is not None:
+        if options.overlay is not None:
             drawn = stripe_overlay(shot.images.max(axis=0), view)
-            write_image(images.overlay / f"{shot.name}.png", drawn, force=True)
+            write_image(options.overlay / f"{shot.name}.png", drawn, force=True)
+        number = sum(len(px) > 0 for px in (*view.stripes_px, *view.unlabelled_px))
+        return "; ".join([f"{len(board.ids)} corners, {number} stripes", *view.remarks])
 
-    images.read_each(shots, batch, read, quiet=options.quiet, verbose=options.verbose)
+    reader = BoardReader(
+        stripes.boards, overlay=options.overlay, channel=options.channel, luminance_too=True, outputs=outputs,
+        force=options.force,
+    )  # fmt: skip
+    reader.read_each(inputs, batch, add, quiet=options.quiet, verbose=options.verbose)
+    return reader.paths

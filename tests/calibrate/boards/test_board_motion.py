@@ -5,8 +5,8 @@ import pytest
 from drawn_boards import FOUR, drawn_board
 from recorded_shots import make_shot
 
+from ringpose.calibrate.boards.shots import STILL_PX, board_shift_px
 from ringpose.calibrate.boards.views import find_board
-from ringpose.calibrate.planes.shots import STILL_PX, board_shift_px
 from ringpose.types.board import BoardView
 from ringpose.types.image import Shot
 

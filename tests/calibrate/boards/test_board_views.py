@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
-from ringpose.calibrate.boards.layout import corner_points, marker_corners
-from ringpose.calibrate.boards.patterns.markers import marker_dictionary
+from ringpose.calibrate.boards.layout import corner_points, marker_corners, marker_dictionary
 from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import DataError
 from ringpose.types.board import Board

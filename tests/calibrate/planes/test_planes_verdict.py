@@ -8,8 +8,7 @@ from known_views import NORMALS, TRUE_CAMERA, stripe_views, true_poses
 
 from ringpose.calibrate.planes.covariance import depth_sd_m
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.quality import plane_angles
-from ringpose.calibrate.planes.verdict import planes_verdict
+from ringpose.calibrate.planes.quality import plane_angles, planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.calibration import Grade

@@ -9,7 +9,7 @@ import pytest
 from known_views import DISTANCES_M, NORMALS, TRUE_CAMERA, stripe_views
 
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.verdict import planes_verdict
+from ringpose.calibrate.planes.quality import planes_verdict
 from ringpose.types.calibration import Grade
 
 MODEL = PlanesModel(names=("left", "middle", "right"))
