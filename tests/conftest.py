@@ -127,6 +127,20 @@ def pytest_xdist_auto_num_workers() -> int:
     return min(8, (os.cpu_count() or 1) + 1)
 
 
+@pytest.hookimpl(trylast=True)  # without those that -m and -k leave out
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let each worker begin with tests of whole jobs: some take minutes, for which the others would wait at the end."""
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    jobs = [item for item in items if item.path.parent == Path(__file__).parent]
+    parts = [item for item in items if item.path.parent != Path(__file__).parent]
+    share = -(-len(parts) // workers)
+    items[:] = [
+        item
+        for worker in range(workers)
+        for item in (*jobs[worker::workers], *parts[worker * share : (worker + 1) * share])
+    ]
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
     """Run before all fixtures of the test."""
