@@ -452,7 +452,7 @@ def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
     certain = np.zeros((len(STEP), len(STEP)))
     tables = []
     for direction, turn_rad in enumerate(TURNS_RAD):
-        trace = edge_trace(arcs.moved(turn_rad * unit_turn), certain, rig, SPACING_PX, np.inf, MAX_NUMBER)
+        trace = edge_trace(arcs.retract(turn_rad * unit_turn), certain, rig, SPACING_PX, np.inf, MAX_NUMBER)
         table = trace.table[np.abs(trace.number) >= MIN_NUMBER]
         table[:, -1] = direction
         tables.append(table)

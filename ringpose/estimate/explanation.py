@@ -198,7 +198,7 @@ def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
         origin=judged.origin_m, axes=judged.axes, curvature=judged.curvature_per_m, half_band_m=judged.half_band_m
     )
     if judged.stamp_s is not None and isfinite(reference_s):
-        arcs = arcs.after(reference_s - judged.stamp_s, judged.velocity_m_s, judged.rate_rad_s)
+        arcs = arcs.predict(reference_s - judged.stamp_s, judged.velocity_m_s, judged.rate_rad_s)
     return MovingRing(arcs, Rates(judged.velocity_m_s, judged.rate_rad_s))
 
 

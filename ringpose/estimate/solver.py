@@ -103,7 +103,7 @@ def estimate_ring(
     prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
     observations = measured.observations
     solve = partial(_solved, observations)
-    with np.errstate(all="ignore"):  # a diverging iteration ends in `moved_ring`
+    with np.errstate(all="ignore"):  # a diverging iteration ends in `retract_ring`
         if isinstance(start, MovingRing):
             estimate = solve(start, prior, tolerance_sigmas)
             if estimate is not None and not poorly_determined(estimate.inverse):
@@ -135,7 +135,7 @@ def _solved(
 ) -> Estimate | None:
     """The ring by an iteration from `start`; None if that diverges."""
     try:
-        return _gauss_newton(_linearized(start, observations, prior), observations, prior, tolerance_sigmas)
+        return _gauss_newton(_linearize(start, observations, prior), observations, prior, tolerance_sigmas)
     except np.linalg.LinAlgError:
         return None
 
@@ -156,7 +156,7 @@ def _gauss_newton(
     prior: Prior,
     tolerance_sigmas: float,
 ) -> Estimate:
-    """Iteratively reweighted Gauss-Newton from `_linearized`; LinAlgError if it diverges.
+    """Iteratively reweighted Gauss-Newton from `_linearize`; LinAlgError if it diverges.
 
     Derivatives with respect to common errors, if not given, are evaluated after the first step; they hardly change
     later.
@@ -173,7 +173,7 @@ def _gauss_newton(
         normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
         factor = steps.factor(step, normal_matrix, extrapolate=robust is not None)
-        arcs, rates = moved_ring(residuals, factor * step, factor * nuisance_step[:count])
+        arcs, rates = retract_ring(residuals, factor * step, factor * nuisance_step[:count])
         residuals = ring_residuals(arcs, observations, prior, rates)
         nuisance = nuisance_columns(residuals, fixed)
         if robust is None and fixed is not None and steps.sigmas < NEAR_SIGMAS:
@@ -208,7 +208,7 @@ def _gauss_newton(
     )
 
 
-def _linearized(
+def _linearize(
     start: RingArcs | MovingRing | Estimate, observations: Observations, prior: Prior
 ) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
     """The residuals at `start`, the fixed columns (None for a mere guess), and the residuals after common errors.
@@ -290,7 +290,7 @@ def refine_ring(
             normal_matrix, step, nuisance_step = solve_normal_equations(
                 residuals, weights, nuisance_columns(residuals, fixed)
             )
-            arcs, rates = moved_ring(residuals, step, nuisance_step[: len(residuals.rate_sds)])
+            arcs, rates = retract_ring(residuals, step, nuisance_step[: len(residuals.rate_sds)])
         return arcs, _inverse(normal_matrix)
     except np.linalg.LinAlgError:
         return None
@@ -557,7 +557,7 @@ def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
     return found
 
 
-def moved_ring(
+def retract_ring(
     residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
 ) -> tuple[RingArcs, Rates]:
     """The ring and its rates after one step; `rate_step` is in standard deviations of the rates' prior.
@@ -567,7 +567,7 @@ def moved_ring(
     """
     arcs, rates = residuals.arcs, residuals.rates
     largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
-    moved = arcs.moved(step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step)
+    moved = arcs.retract(step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step)
     depth_m = -float(arcs.axes[2] @ moved.origin)
     possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
     if not (possible and all(map(isfinite, step.tolist()))):

@@ -28,22 +28,22 @@ def huber_weights(residuals: Float64[Array, "n"], limit: float) -> Float64[Array
 
 
 def gauss_newton(
-    linearised: Callable[[State], tuple[Float64[Array, "row"], Float64[Array, "row parameter"]]],
-    moved: Callable[[State, Float64[Array, "parameter"]], State],
+    linearize: Callable[[State], tuple[Float64[Array, "row"], Float64[Array, "row parameter"]]],
+    retract: Callable[[State, Float64[Array, "parameter"]], State],
     start: State,
     iterations: int,
 ) -> State:
     """The state after this number of undamped Gauss-Newton iterations, for few parameters and a start near the minimum.
 
-    `linearised` returns the residuals r of a state and their Jacobian J with respect to a step, `moved` the state after
-    a step; each step minimises |r + J step|. The iteration ends early at a state whose residuals are not finite.
+    `linearize` returns the residuals r of a state and their Jacobian J with respect to a step, `retract` the state
+    after a step; each step minimises |r + J step|. The iteration ends early at a state whose residuals are not finite.
     """
     state = start
     for _ in range(iterations):
-        residual, jacobian = linearised(state)
+        residual, jacobian = linearize(state)
         if not np.isfinite(residual).all():
             break
-        state = moved(state, np.linalg.lstsq(jacobian, -residual)[0])
+        state = retract(state, np.linalg.lstsq(jacobian, -residual)[0])
     return state
 
 

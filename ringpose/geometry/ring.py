@@ -89,7 +89,7 @@ class RingArcs:
         """Radii of the inner and the outer edge."""
         return self.mean_radius_m + self.half_band_m * np.array(EDGE_SIGN)
 
-    def moved(self, step: Float64[Array, "step=7"]) -> "RingArcs":
+    def retract(self, step: Float64[Array, "step=7"]) -> "RingArcs":
         """The arcs after a step (`STEP`); Cayley's transform keeps the axes orthonormal."""
         tilt_inward, tilt_along, lift_m, shift_m, turn_rad, curvature, half_band_m = step.tolist()
         skew = np.array([[0.0, turn_rad, -tilt_inward], [-turn_rad, 0.0, -tilt_along], [tilt_inward, tilt_along, 0.0]])
@@ -112,7 +112,7 @@ class RingArcs:
             half_band_m=self.half_band_m,
         )
 
-    def after(
+    def predict(
         self,
         time_s: float | Float64[Array, "*instant"],
         velocity_m_s: Float64[Array, "xyz=3"],
@@ -168,7 +168,7 @@ AT_REST = np.eye(len(STEP), len(STEP) + 5)
 def motion_derivatives(
     before: RingArcs, moved: RingArcs, time_s: float | Float64[Array, "*instant"]
 ) -> Float64[Array, "*instant step=7 parameter=12"]:
-    """Derivatives of the increments (`STEP`) of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
+    """Derivatives of the increments (`STEP`) of `moved`, which is `before.predict(time_s, ...)`, Eq. (8.2).
 
     They are taken with respect to the increments of the ring before (7), the velocity x, y, z of the centre, and the
     angular velocities about the inward axis and the axis along the face. The origin moves by o_k = o + v t + l (i -
@@ -481,7 +481,7 @@ def _at_instants(
     They are increments along the ring's own axes, which a motion of the camera leaves as they are.
     """
     velocity_m_s, rate_rad_s = (np.zeros(3), np.zeros(3)) if rates is None else rates
-    rings = arcs.after(view.instant_s, velocity_m_s, rate_rad_s)
+    rings = arcs.predict(view.instant_s, velocity_m_s, rate_rad_s)
     derivatives = motion_derivatives(arcs, rings, view.instant_s)
     derivatives = derivatives[..., : len(STEP)] if rates is None else derivatives
     if view.camera is not None:

@@ -99,13 +99,13 @@ class ShotMotion(NamedTuple):
         """The ring's arcs, and its x, y and z axes as columns, at a time since the beginning of the shot."""
         if self.view.path is None:
             since_s, (velocity_m_s, rate_rad_s) = time_s - self.start_s, self.drawn
-            return self.arcs.after(since_s, velocity_m_s, rate_rad_s), rotation_by(rate_rad_s * since_s) @ self.axes
+            return self.arcs.predict(since_s, velocity_m_s, rate_rad_s), rotation_by(rate_rad_s * since_s) @ self.axes
         placement = target_placement(self.scene, self.view, time_s)
         center_m = placement.points_camera(np.array([0.0, 0.0, self.scene.ring.height_m]))
         turn = cross(self.arcs.normal, placement.rotation[:, 2])
         length = float(np.linalg.norm(turn))
         turn *= np.arctan2(length, self.arcs.normal @ placement.rotation[:, 2]) / length if length > 0 else 0.0
-        return self.arcs.after(1.0, center_m - self.arcs.center, turn), placement.rotation
+        return self.arcs.predict(1.0, center_m - self.arcs.center, turn), placement.rotation
 
     def motion(self, time_s: float) -> Rates:
         """Velocity of the ring's centre, and angular velocity, at a time since the beginning of the shot."""
@@ -149,7 +149,7 @@ def stripe_ends(
     for laser in np.flatnonzero(appearance.lit):
         moved, axes = shot_motion.at(float(time_s[laser]))
         if behind_m[laser]:
-            moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
+            moved = moved.retract(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
         normal = lasers.normal[[laser]]
         one = predicted_break_points(moved, normal, lasers.distance_m[[laser]])
         if common.form.any():

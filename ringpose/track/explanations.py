@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE, STEP, TILT_ALONG, TILT_INWARD
-from ringpose.track.filters import Bank, Innovation, continued, pushed, started
+from ringpose.track.filters import Bank, Innovation, initialize, predict_and_update, predict_and_update_pushed
 from ringpose.track.observation import Observation
-from ringpose.track.states import charted, moved, step_rates
+from ringpose.track.states import local_coordinates, retract, step_rates
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import MotionPrior, motion_prior
 from ringpose.types.pose import RadiusPrior
@@ -114,7 +114,7 @@ class Fusion(NamedTuple):
 
 def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | None, resets: int) -> Track:
     """The track that begins with a measurement: an explanation for each side on which the ring's centre may lie."""
-    banks = tuple(started(observed, side, motion, radius) for side in (1, -1))
+    banks = tuple(initialize(observed, side, motion, radius) for side in (1, -1))
     return _pruned(Track(banks=banks, resets=resets))
 
 
@@ -128,7 +128,7 @@ def track_after(
     if not track.banks:
         return new_track(observed, options.motion, radius, track.resets), Fusion(FusionStatus.FUSED)
     if gap_s < options.lost_after_s:
-        after, ratio = _continued(track, observed)
+        after, ratio = _predict_and_update(track, observed)
         if ratio <= 1.0:
             return _used(track, after, observed, ratio)
     return _contradicted(track, observed, radius, options, ratio)
@@ -143,14 +143,14 @@ def _contradicted(
     """
     gap_s = observed.stamp_s - track.stamp_s
     if gap_s <= options.predict_for_s:
-        anew, its_ratio = _continued(track, observed, pushed_with=options.motion)
+        anew, its_ratio = _predict_and_update(track, observed, pushed_with=options.motion)
         status = FusionStatus.REJECTED_GATE
     else:
         anew, its_ratio = new_track(observed, options.motion, radius, track.resets + 1), 0.0
         status = FusionStatus.PENDING
     pending = track.pending
     if pending is not None and observed.stamp_s - pending.stamp_s <= options.lost_after_s:
-        confirmed, agreement = _continued(pending, observed)
+        confirmed, agreement = _predict_and_update(pending, observed)
         if agreement <= 1.0:
             # A push during the first of the two shots makes that one wrong: it is left out where there is a track.
             after = anew if status is FusionStatus.REJECTED_GATE and its_ratio <= 1.0 else confirmed
@@ -174,14 +174,16 @@ def _bias_sigmas(bank: Bank, observed: Observation) -> float:
     linearised far from the state.
     """
     observed, best = observed.towards(bank.chart.axes[0, 0]), slice(bank.best, bank.best + 1)
-    found = charted(bank.chart, moved(bank.chart, bank.coordinates[best]))
+    found = local_coordinates(bank.chart, retract(bank.chart, bank.coordinates[best]))
     changed = observed.wrt_step @ found.coordinates[0, : len(STEP)]
     changed += observed.wrt_step_rates @ (step_rates(bank.chart, found)[0] - observed.step_rates)
     tilt_rad = np.linalg.norm(found.coordinates[0, [TILT_INWARD, TILT_ALONG]])
     return float(tilt_rad * np.linalg.norm(changed))
 
 
-def _continued(track: Track, observed: Observation, pushed_with: MotionPrior | None = None) -> tuple[Track, float]:
+def _predict_and_update(
+    track: Track, observed: Observation, pushed_with: MotionPrior | None = None
+) -> tuple[Track, float]:
     """The track with the measurement, and the test ratio of the explanation that it fits best.
 
     `pushed_with`: the target was pushed since the measurement before; its motion has this prior.
@@ -189,7 +191,11 @@ def _continued(track: Track, observed: Observation, pushed_with: MotionPrior | N
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        after, found = continued(bank, seen) if pushed_with is None else pushed(bank, seen, pushed_with)
+        after, found = (
+            predict_and_update(bank, seen)
+            if pushed_with is None
+            else predict_and_update_pushed(bank, seen, pushed_with)
+        )
         ratios.append(test_ratio(bank, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
         banks.append(after)
     interval_s = observed.stamp_s - track.stamp_s

@@ -23,13 +23,13 @@ from ringpose.track.states import (
     RATE_INWARD,
     RATE_NORMAL,
     VELOCITY,
-    Charted,
+    LocalCoordinates,
     RingStates,
-    after,
-    charted,
     jacobians,
-    moved,
+    local_coordinates,
     perturbed,
+    predict_states,
+    retract,
     step_rates,
 )
 from ringpose.types.arrays import Array, Float64, Int64
@@ -94,7 +94,7 @@ class Bank:
     @property
     def states(self) -> RingStates:
         """The filters' states."""
-        return moved(self.chart, self.coordinates)
+        return retract(self.chart, self.coordinates)
 
     @property
     def penalized_evidence(self) -> Float64[Array, "filter"]:
@@ -175,7 +175,7 @@ class Innovation(NamedTuple):
     degrees_of_freedom: int
 
 
-def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
+def initialize(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
     """The bank after its first measurement, for an explanation with the ring's centre on side `side` (`Bank.side`)."""
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
@@ -209,7 +209,7 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
         measurements=0,
         side=side,
     )
-    return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
+    return update(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
 
 
 def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, float, Float64[Array, "2 2"]]:
@@ -231,7 +231,7 @@ def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, 
     return 1.0 / mean_m, half_band_m, (wrt_both * np.array([sds_m[edge], HALF_BAND_SD_M]) ** 2) @ wrt_both.T
 
 
-def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
+def predict_and_update(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
     """The bank after a further measurement, and the innovation of the measurement by the bank's prediction.
 
     The first measurements move a state far, and its motion since the last one is not linear in so large a step: the
@@ -239,18 +239,18 @@ def continued(bank: Bank, observed: Observation) -> tuple[Bank, Innovation]:
     corrected by the measurement (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
     """
     bank = _with_common_errors_of(bank, observed)
-    at, transition, found = _ahead(bank, observed, None)
+    at, transition, found = _linearize(bank, observed, None)
     first = found
     for _ in range(SMOOTHED if bank.measurements < ITERATED_UNTIL else 0):
-        found = _iterated(at, observed, found)
+        found = _relinearize(at, observed, found)
         gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=found.jacobian @ transition))
         about = bank.coordinates + (gain @ found.remaining[..., None])[..., 0]
-        at, transition, found = _ahead(bank, observed, about)
-    return updated(at, observed, found), first
+        at, transition, found = _linearize(bank, observed, about)
+    return update(at, observed, found), first
 
 
-def pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank, Innovation]:
-    """As `continued`, for a target that may have been pushed at any time since the last measurement.
+def predict_and_update_pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank, Innovation]:
+    """As `predict_and_update`, for a target that may have been pushed at any time since the last measurement.
 
     Velocities before and after have the prior variance s^2 per axis, so that the change has 2 s^2. At a time that is
     evenly distributed over an interval T, it has the covariance of white acceleration with the density 2 s^2 / T.
@@ -261,8 +261,8 @@ def pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank
         velocity_noise=bank.models.velocity_noise + 2.0 * motion.speed_sd_m_s**2 / interval_s,
         rate_noise=bank.models.rate_noise + 2.0 * motion.rate_sd_rad_s**2 / interval_s,
     )
-    steady, _ = continued(bank, observed)
-    after, found = continued(replace(bank, models=models), observed)
+    steady, _ = predict_and_update(bank, observed)
+    after, found = predict_and_update(replace(bank, models=models), observed)
     evidence = after.log_evidence + PUSH_LOG_ODDS
     keep = steady.log_evidence > evidence
     either = replace(
@@ -275,7 +275,7 @@ def pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank
     return either, found
 
 
-def _ahead(
+def _linearize(
     bank: Bank, observed: Observation, about: Float64[Array, "filter error=14"] | None
 ) -> tuple[Bank, Float64[Array, "filter error=14 error=14"], Innovation]:
     """The bank predicted to the time and chart of a measurement, the transition to it, and the innovation.
@@ -283,19 +283,19 @@ def _ahead(
     Motion and rates are linearised about the coordinates `about` of the bank before; None for the bank's own
     coordinates.
     """
-    transported = _transported(bank, observed.stamp_s, observed.chart, about)
-    count, found, leader_of = len(bank.coordinates), transported.found, transported.leader_of
+    prediction = _predict(bank, observed.stamp_s, observed.chart, about)
+    count, found, leader_of = len(bank.coordinates), prediction.found, prediction.leader_of
     rates = step_rates(observed.chart, found)
     rates_wrt = jacobians(rates[count:])
-    rates_wrt = np.linalg.solve(transported.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    step = None if about is None else found.coordinates[:count] - transported.bank.coordinates
-    predicted_by = innovation(transported.bank, observed, rates[:count], rates_wrt[leader_of], step)
-    return transported.bank, transported.transition[leader_of], predicted_by
+    rates_wrt = np.linalg.solve(prediction.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
+    step = None if about is None else found.coordinates[:count] - prediction.bank.coordinates
+    predicted_by = innovation(prediction.bank, observed, rates[:count], rates_wrt[leader_of], step)
+    return prediction.bank, prediction.transition[leader_of], predicted_by
 
 
-def predicted(bank: Bank, stamp_s: float) -> Bank:
+def predict(bank: Bank, stamp_s: float) -> Bank:
     """The bank predicted to another time, in the chart of its best filter's state."""
-    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None, None).bank
+    return bank if stamp_s == bank.stamp_s else _predict(bank, stamp_s, None, None).bank
 
 
 def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
@@ -310,26 +310,26 @@ def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
     return replace(bank, own=bank.covariance, common=common, common_root=root)
 
 
-class _Transported(NamedTuple):
+class _Prediction(NamedTuple):
     bank: Bank
-    found: Charted
+    found: LocalCoordinates
     """The filters' states, and those perturbed by `perturbed` of the leaders."""
     transition: Float64[Array, "leader error=14 error=14"]
     leader_of: Int64[Array, "filter"]
 
 
-def _transported(
+def _predict(
     bank: Bank, stamp_s: float, chart: RingStates | None, about: Float64[Array, "filter error=14"] | None
-) -> _Transported:
+) -> _Prediction:
     time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
     leaders, leader_of = _leaders(bank)
     linear_at = bank.coordinates if about is None else about
     around = np.concatenate([linear_at, perturbed(linear_at[leaders])])
-    states = after(moved(bank.chart, around), time_s)
+    states = predict_states(retract(bank.chart, around), time_s)
     if chart is None:
         best = slice(bank.best, bank.best + 1)
         chart = RingStates(*(part[best] for part in states))._replace(motion=np.zeros((1, len(MOTION))))
-    found = charted(chart, states)
+    found = local_coordinates(chart, states)
     by_leader = jacobians(found.coordinates[count:])
     transition, coordinates = by_leader[leader_of], found.coordinates[:count]
     if about is not None:
@@ -343,7 +343,7 @@ def _transported(
         own=transition @ bank.own @ transition.swapaxes(1, 2) + noise,
         common=transition @ bank.common,
     )
-    return _Transported(moved_bank, found, by_leader, leader_of)
+    return _Prediction(moved_bank, found, by_leader, leader_of)
 
 
 def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:
@@ -365,7 +365,7 @@ def rates_near(
     count = len(coordinates)
     leaders, leader_of = _leaders(bank)
     around = np.concatenate([coordinates, perturbed(coordinates[leaders])])
-    rates = step_rates(bank.chart, charted(bank.chart, moved(bank.chart, around)))
+    rates = step_rates(bank.chart, local_coordinates(bank.chart, retract(bank.chart, around)))
     return rates[:count], jacobians(rates[count:])[leader_of]
 
 
@@ -410,7 +410,7 @@ def innovation_covariance(
     return covariance
 
 
-def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
+def _relinearize(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
     """The innovation linearised where the measurement moves the states to (iterated filter).
 
     Only the first measurements of a bank are iterated.
@@ -422,9 +422,9 @@ def _iterated(bank: Bank, observed: Observation, found: Innovation) -> Innovatio
     return found
 
 
-def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
+def update(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation."""
-    found = _iterated(bank, observed, found)
+    found = _relinearize(bank, observed, found)
     gain = schmidt_gain(bank.own, bank.common, found)
     own, common = covariances_after(bank.own, bank.common, gain, found)
     _, log_determinant = np.linalg.slogdet(found.covariance)

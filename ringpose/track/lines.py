@@ -17,8 +17,8 @@ from ringpose.geometry.ring import CURVATURE, plane_and_center
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.measure.status import flags_of
 from ringpose.track.explanations import Track, TrackOptions
-from ringpose.track.filters import Bank, mixed, predicted
-from ringpose.track.states import RingStates, center_velocity, jacobians, moved, perturbed
+from ringpose.track.filters import Bank, mixed, predict
+from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed, retract
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.options import PoseFrame
@@ -159,9 +159,9 @@ class _Reported:
     """The reported quantities of an explanation at an instant, with their joint covariance."""
 
     def __init__(self, bank: Bank, stamp_s: float) -> None:
-        at = predicted(bank.probable(), stamp_s)
+        at = predict(bank.probable(), stamp_s)
         mean, self.errors = mixed(at)
-        states = moved(at.chart, np.concatenate([mean[None], perturbed(mean[None])]))
+        states = retract(at.chart, np.concatenate([mean[None], perturbed(mean[None])]))
         values = _quantities(states)
         self.value, self._jacobian = values[0], jacobians(values[1:])[0]
         self.axes, curvature = states.axes[0], float(states.curvature[0])

@@ -30,10 +30,10 @@ from ringpose.track.states import (
     RATE_NORMAL,
     STEPS,
     VELOCITY,
-    Charted,
+    LocalCoordinates,
     RingStates,
     jacobians,
-    moved,
+    retract,
     step_rates,
 )
 from ringpose.types.arrays import Array, Float64
@@ -142,7 +142,7 @@ def _rates_near(
     depend on where the ring is if the motion of a `camera` is added, which the record counts as inertial.
     """
     chart, steps = _chart(arcs), np.concatenate([np.zeros((1, len(ERRORS))), STEPS])
-    rings, velocity, rate = moved(chart, steps), at.velocity_m_s, at.rate_rad_s
+    rings, velocity, rate = retract(chart, steps), at.velocity_m_s, at.rate_rad_s
     if camera is not None:
         center = camera.rotation @ rings.center_m[..., None]
         velocity = velocity + (camera.velocity_m_s + np.cross(camera.rate_rad_s, center[..., 0])) @ camera.rotation
@@ -151,7 +151,7 @@ def _rates_near(
     coordinates[:, RATE_INWARD:RATE_NORMAL] = rings.axes[:, :2] @ rate
     coordinates[:, VELOCITY] = (rings.axes * np.expand_dims(velocity, -2)).sum(axis=-1)
     coordinates[:, VELOCITY.stop - 1] += rings.mean_radius_m * coordinates[:, RATE_ALONG]
-    rates = step_rates(chart, Charted(coordinates, rings.axes @ chart.axes[0].T))
+    rates = step_rates(chart, LocalCoordinates(coordinates, rings.axes @ chart.axes[0].T))
     return rates[0], jacobians(rates[1:])[0, :, : len(STEP)]
 
 

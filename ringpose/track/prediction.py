@@ -8,8 +8,8 @@ from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import STEP, RingArcs, edge_points, predicted_break_points
 from ringpose.pose.visibility import BORDER_PX, break_point_sigmas_px
 from ringpose.track.explanations import Track
-from ringpose.track.filters import mixed, predicted
-from ringpose.track.states import RingStates, after, moved
+from ringpose.track.filters import mixed, predict
+from ringpose.track.states import RingStates, predict_states, retract
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPoints
 from ringpose.types.rig import Rig
@@ -32,9 +32,9 @@ def predicted_ring(track: Track, stamp_s: float, camera: CameraMotion | None = N
     """
     if not track.banks:
         return None
-    at = predicted(track.likeliest.probable(), stamp_s)
+    at = predict(track.likeliest.probable(), stamp_s)
     mean, covariance = mixed(at)
-    arcs = _arcs_of(moved(at.chart, mean[None]), stamp_s, camera)
+    arcs = _arcs_of(retract(at.chart, mean[None]), stamp_s, camera)
     return None if arcs is None else PredictedRing(arcs=arcs, covariance=covariance[: len(STEP), : len(STEP)])
 
 
@@ -112,7 +112,7 @@ def motion_px(track: Track, from_s: float, to_s: float, rig: Rig, camera: Camera
     mean, _ = mixed(bank)
     along_m, sign = np.tile(np.linspace(-SHOWN_M, SHOWN_M, 9), 2), np.repeat([-1.0, 1.0], 9)
     for stamp_s in (from_s, to_s):
-        arcs = _arcs_of(after(moved(bank.chart, mean[None]), stamp_s - bank.stamp_s), stamp_s, camera)
+        arcs = _arcs_of(predict_states(retract(bank.chart, mean[None]), stamp_s - bank.stamp_s), stamp_s, camera)
         if arcs is None:
             return float("inf")
         points_m, outward = edge_points(arcs, along_m, sign)

@@ -34,7 +34,7 @@ MOTION = (
 angular velocity; distance of the centre of mass behind the ring."""
 
 ERRORS = (*STEP, *MOTION)
-"""Components of the error of a state: increments that `moved` applies."""
+"""Components of the error of a state: increments that `retract` applies."""
 
 VELOCITY, RATE, LEVER = slice(7, 10), slice(10, 13), 13
 RATE_INWARD, RATE_ALONG, RATE_NORMAL = 10, 11, 12
@@ -69,8 +69,8 @@ class RingStates(NamedTuple):
         return center_m
 
 
-def moved(states: RingStates, errors: Float64[Array, "state error=14"]) -> RingStates:
-    """The states, or one state, after increments (`ERRORS`); those of the ring as in `RingArcs.moved`."""
+def retract(states: RingStates, errors: Float64[Array, "state error=14"]) -> RingStates:
+    """The states, or one state, after increments (`ERRORS`); those of the ring as in `RingArcs.retract`."""
     k_x, k_y, k_z = errors[:, TILT_ALONG], -errors[:, TILT_INWARD], -errors[:, TURN]
     # Cayley's transform I + (K + K^2 / 2) / (1 + k^2 / 4)
     share = 1.0 / (1.0 + 0.25 * (k_x * k_x + k_y * k_y + k_z * k_z))
@@ -91,7 +91,7 @@ def moved(states: RingStates, errors: Float64[Array, "state error=14"]) -> RingS
     )
 
 
-def after(states: RingStates, time_s: float) -> RingStates:
+def predict_states(states: RingStates, time_s: float) -> RingStates:
     """The states after torque-free motion, Eq. (10.1): C + v_C t, and axes rotated by exp([Omega] t)."""
     if time_s == 0.0:
         return states
@@ -130,8 +130,8 @@ def mass_center_velocity(states: RingStates) -> Float64[Array, "state local=3"]:
     return velocity
 
 
-class Charted(NamedTuple):
-    """States described relative to another state, the chart: `moved(chart, coordinates)` gives the states back."""
+class LocalCoordinates(NamedTuple):
+    """States described relative to another state, the chart: `retract(chart, coordinates)` gives the states back."""
 
     coordinates: Float64[Array, "state error=14"]
     """NaN for a ring that misses the chart's place."""
@@ -139,8 +139,8 @@ class Charted(NamedTuple):
     """Inward, along, normal, along the axes of the chart."""
 
 
-def charted(chart: RingStates, states: RingStates) -> Charted:
-    """The inverse of `moved(chart, ...)` for one chart, whose motion is 0, and rings with an origin anywhere.
+def local_coordinates(chart: RingStates, states: RingStates) -> LocalCoordinates:
+    """The inverse of `retract(chart, ...)` for one chart, whose motion is 0, and rings with an origin anywhere.
 
     A ring's origin moves along its face to the plane through the chart's origin that is perpendicular to `along`.
     """
@@ -180,14 +180,14 @@ def charted(chart: RingStates, states: RingStates) -> Charted:
     coordinates[:, RATE_ALONG] = cosine * rate[:, 4] - sine * rate[:, 3]
     coordinates[:, 9] = velocity[:, 2] + radius_m * coordinates[:, RATE_ALONG]
     coordinates[:, RATE_NORMAL:] = rate[:, 5:]
-    return Charted(coordinates, axes)
+    return LocalCoordinates(coordinates, axes)
 
 
 MOVING = (TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN)
 """Increments (`STEP`) that change by motion."""
 
 
-def step_rates(chart: RingStates, found: Charted) -> Float64[Array, "state 5"]:
+def step_rates(chart: RingStates, found: LocalCoordinates) -> Float64[Array, "state 5"]:
     """Derivatives of the coordinates `MOVING` by time, from the motion of the states.
 
     The place on the face slides along it, so as to stay in the chart's plane, which turns the axes.

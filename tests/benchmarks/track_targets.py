@@ -33,7 +33,7 @@ from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.track.common_errors import common_errors
 from ringpose.track.explanations import Gripper, TrackOptions
-from ringpose.track.filters import continued, predicted
+from ringpose.track.filters import predict, predict_and_update
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import MotionPrior, RigStability
@@ -159,7 +159,7 @@ def precession(rng, runs: int) -> Iterator[Figure]:
         tracker = track_of(stream(motion, 10.0, Shots(), rng, SHOTS_HZ), prior)
         stamp_s = tracker.track.stamp_s + 2.0
         ring, bank = motion.at(stamp_s - START_S), tracker.track.likeliest
-        states = predicted(bank, stamp_s).states
+        states = predict(bank, stamp_s).states
         apart = np.linalg.norm(states.center_m - ring.center_m, axis=1) ** 2
         turned = angle_between(states.axes[:, 2], ring.normal) ** 2
         line = tracker.line_at(stamp_s)
@@ -301,7 +301,7 @@ def _displaced(line, tracker: Tracker, sigmas: float, rng):
     """The record with centre and normal displaced in a random direction."""
     observed = observation(line, line.measurement, common_errors(line, line.measurement, None), 1.0)
     bank = tracker.track.likeliest
-    covariance = continued(bank, observed)[1].covariance[bank.best]
+    covariance = predict_and_update(bank, observed)[1].covariance[bank.best]
     direction = np.concatenate([rng.normal(size=5) * np.array([0.01, 0.01, 1e-3, 0.01, 0.01]), np.zeros(7)])
     rows = line.measurement.square_root[:, :12] @ direction
     shift = sigmas / np.sqrt(rows @ np.linalg.solve(covariance, rows)) * direction

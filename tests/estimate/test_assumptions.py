@@ -75,7 +75,7 @@ def test_the_derivatives_of_a_moved_ring_are_those_of_differences(rng):
     normal /= np.linalg.norm(normal)
     arcs = ring_arcs(np.array([0.5, 0.1, 0.6]), normal, np.array([0.567, 0.597]), np.array([-0.05, 0.0, 0.5]))
     velocity, rate, time_s = np.array([0.05, 0.02, -0.04]), np.array([0.1, -0.08]) @ arcs.axes[:2], 0.1
-    after = arcs.after(time_s, velocity, rate)
+    after = arcs.predict(time_s, velocity, rate)
 
     def increments(other):
         shift = other.origin - after.origin
@@ -86,14 +86,16 @@ def test_the_derivatives_of_a_moved_ring_are_those_of_differences(rng):
     step = 1e-6
     derivatives = motion_derivatives(arcs, after, time_s)
     for column in range(7):
-        ahead, behind = (arcs.moved(sign * step * np.eye(7)[column]).after(time_s, velocity, rate) for sign in (1, -1))
+        ahead, behind = (
+            arcs.retract(sign * step * np.eye(7)[column]).predict(time_s, velocity, rate) for sign in (1, -1)
+        )
         difference = (increments(ahead) - increments(behind)) / (2 * step)
         np.testing.assert_allclose(derivatives[:, column], difference, atol=2e-4)
     axes = [*np.eye(3), *arcs.axes[:2]]
     for column, axis in enumerate(axes):
         by = (axis, np.zeros(3)) if column < 3 else (np.zeros(3), axis)
         ahead, behind = (
-            arcs.after(time_s, velocity + sign * step * by[0], rate + sign * step * by[1]) for sign in (1, -1)
+            arcs.predict(time_s, velocity + sign * step * by[0], rate + sign * step * by[1]) for sign in (1, -1)
         )
         difference = (increments(ahead) - increments(behind)) / (2 * step)
         np.testing.assert_allclose(derivatives[:, 7 + column], difference, atol=2e-4)

@@ -28,7 +28,7 @@ def some_arcs(scene, rng):
     """A ring some way off the true one."""
     ring = scene.ring
     arcs = ring_arcs(ring.center_m, ring.normal, ring.radius_m, scene.points_m.mean(axis=(0, 1)))
-    return arcs.moved(np.array([0.02, 0.02, 0.01, 0.005, 0.05, 0.2, 0.002]) * rng.uniform(-1.0, 1.0, 7))
+    return arcs.retract(np.array([0.02, 0.02, 0.01, 0.005, 0.05, 0.2, 0.002]) * rng.uniform(-1.0, 1.0, 7))
 
 
 def unscaled(residuals, points):
@@ -46,7 +46,7 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
     residuals = ring_residuals(arcs, observations, Prior())
 
     forward, backward = (
-        unscaled(ring_residuals(arcs.moved(sign * step), observations, Prior()), count) for sign in (1, -1)
+        unscaled(ring_residuals(arcs.retract(sign * step), observations, Prior()), count) for sign in (1, -1)
     )
 
     derivative = residuals.jacobian[: len(forward), parameter].copy()
@@ -62,7 +62,7 @@ def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, 
     residuals = ring_residuals(arcs, shot.observations, prior)
 
     forward, backward = (
-        ring_residuals(arcs.moved(sign * STEP * np.eye(7)[parameter]), shot.observations, prior).residual[-2:]
+        ring_residuals(arcs.retract(sign * STEP * np.eye(7)[parameter]), shot.observations, prior).residual[-2:]
         for sign in (1, -1)
     )
 

@@ -43,7 +43,7 @@ def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, ra
     estimate = estimate_ring(measured, prior)
 
     def cost(step):
-        residuals = ring_residuals(estimate.arcs.moved(step), observations, prior)
+        residuals = ring_residuals(estimate.arcs.retract(step), observations, prior)
         residual = residuals.residual.copy()
         points = slice(residuals.ends, residuals.ends + len(residuals.distance_wrt_x))
         # in metres along its circle, the noise of a break point is that at the solution

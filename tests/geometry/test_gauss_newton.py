@@ -9,7 +9,7 @@ TRUE = np.array([2.0, -0.7])
 X = np.linspace(0.0, 3.0, 20)
 
 
-def linearised(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def linearize(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of an exponential a exp(b x) from the true one, and their Jacobian."""
     exponential = np.exp(state[1] * X)
     return state[0] * exponential - TRUE[0] * np.exp(TRUE[1] * X), np.stack(
@@ -18,31 +18,31 @@ def linearised(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_an_exponential_is_fitted_to_exact_values():
-    found = gauss_newton(linearised, lambda state, step: state + step, np.array([1.5, -0.5]), 8)
+    found = gauss_newton(linearize, lambda state, step: state + step, np.array([1.5, -0.5]), 8)
 
     assert found == pytest.approx(TRUE, abs=1e-12)
 
 
 def test_one_iteration_is_the_linear_least_squares_step():
     start = np.array([1.5, -0.5])
-    residual, jacobian = linearised(start)
+    residual, jacobian = linearize(start)
 
-    found = gauss_newton(linearised, lambda state, step: state + step, start, 1)
+    found = gauss_newton(linearize, lambda state, step: state + step, start, 1)
 
     assert jacobian.T @ (residual + jacobian @ (found - start)) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_iteration_ends_at_a_state_without_finite_residuals():
     def leaving(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residual, jacobian = linearised(state)
+        residual, jacobian = linearize(state)
         return np.full_like(residual, np.nan if state[0] != 1.5 else 1.0), jacobian
 
     steps: list[np.ndarray] = []
 
-    def moved(state: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def retract(state: np.ndarray, step: np.ndarray) -> np.ndarray:
         steps.append(step)
         return state + step
 
-    gauss_newton(leaving, moved, np.array([1.5, -0.5]), 8)
+    gauss_newton(leaving, retract, np.array([1.5, -0.5]), 8)
 
     assert len(steps) == 1

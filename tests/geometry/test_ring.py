@@ -54,7 +54,7 @@ def some_light_planes(rng):
 
 
 def moved(arcs, number, size):
-    return arcs.moved(size * np.eye(7)[number])
+    return arcs.retract(size * np.eye(7)[number])
 
 
 def difference(function):
@@ -103,7 +103,7 @@ def test_arcs_of_a_ring_have_its_center_normal_and_radii(near_m):
 
 
 def test_axes_stay_at_right_angles_after_large_steps():
-    axes = some_arcs().moved(np.array([0.5, -0.4, 0.01, 0.02, 0.6, 0.1, 0.001])).axes
+    axes = some_arcs().retract(np.array([0.5, -0.4, 0.01, 0.02, 0.6, 0.1, 0.001])).axes
 
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(axes) > 0
@@ -130,7 +130,7 @@ def test_motion_keeps_distances_and_radii(rng):
     arcs = some_arcs()
     velocity_m_s, rate_rad_s = rng.normal(size=3), rng.normal(size=3)
 
-    after = arcs.after(0.3, velocity_m_s, rate_rad_s)
+    after = arcs.predict(0.3, velocity_m_s, rate_rad_s)
 
     before_m, after_m = (edge_points(each, ALONG_M, EDGE_SIGN)[0] for each in (arcs, after))
     turn = cv2.Rodrigues(0.3 * rate_rad_s)[0]
@@ -143,7 +143,7 @@ def test_a_rotation_about_the_normal_changes_nothing(rng):
     arcs = some_arcs()
     rays = some_rays(arcs, rng)
 
-    after = arcs.after(0.3, np.zeros(3), 0.7 * arcs.normal)
+    after = arcs.predict(0.3, np.zeros(3), 0.7 * arcs.normal)
 
     distances = [edge_distances(each, rays, EDGE_SIGN).distance_m for each in (arcs, after)]
     np.testing.assert_allclose(distances[1], distances[0], atol=1e-14)
@@ -319,7 +319,7 @@ def test_parameters_change_with_time_as_the_motion_says(number):
 
     found = public_wrt_rates(arcs.normal, arcs.center)[:, number]
 
-    expected = difference(lambda time_s: parameters_of(arcs.after(time_s, velocity_m_s, rate_rad_s), arcs.normal))
+    expected = difference(lambda time_s: parameters_of(arcs.predict(time_s, velocity_m_s, rate_rad_s), arcs.normal))
     np.testing.assert_allclose(found, expected, atol=1e-8)
 
 

@@ -31,7 +31,7 @@ def arcs(step=(0.0,) * 7) -> RingArcs:
         curvature=1.7,
         half_band_m=0.015,
     )
-    return facing.moved(np.array(step))
+    return facing.retract(np.array(step))
 
 
 def covariance(sigma: float) -> np.ndarray:
@@ -93,7 +93,7 @@ def test_there_are_no_places_where_the_edge_is_predicted_worse_than_asked_for(pa
     step = np.zeros(7)
     step[parameter] = 1e-3 * np.sqrt(known[parameter, parameter])
     angle = everywhere[:, 12] * PLACES.spacing_px * arcs().origin[2] / LENS.fx
-    there, _ = edge_points(arcs().moved(step), angle, everywhere[:, 6])
+    there, _ = edge_points(arcs().retract(step), angle, everywhere[:, 6])
     beyond = np.sum((imaged(there, LENS) - everywhere[:, 7:9]) * everywhere[:, 9:11], axis=1)
     assert abs(len(found) - np.sum(np.abs(beyond) * 1e3 < PLACES.sigma_px)) <= 4
 

@@ -167,7 +167,7 @@ def test_increments_by_a_displacement_of_the_camera_are_those_of_differences(sce
 
     moved = [displaced(sign * step) for sign in (1, -1)]
     expected = (moved[0].center - moved[1].center) / (2 * step), (moved[0].normal - moved[1].normal) / (2 * step)
-    after = [arcs.moved(sign * step * (displacement_increments(arcs) @ displacement)) for sign in (1, -1)]
+    after = [arcs.retract(sign * step * (displacement_increments(arcs) @ displacement)) for sign in (1, -1)]
 
     np.testing.assert_allclose((after[0].center - after[1].center) / (2 * step), expected[0], atol=1e-8)
     np.testing.assert_allclose((after[0].normal - after[1].normal) / (2 * step), expected[1], atol=1e-8)

@@ -10,11 +10,11 @@ from moving_rings import Shots, drawn_motion, stream
 from needed import needed_module
 
 from ringpose.track.common_errors import common_errors
-from ringpose.track.filters import started
+from ringpose.track.filters import initialize
 from ringpose.track.motion_models import MODELS, process_noise
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
-from ringpose.track.states import ERRORS, after, charted, jacobians, moved, perturbed, step_rates
+from ringpose.track.states import ERRORS, jacobians, local_coordinates, perturbed, predict_states, retract, step_rates
 from ringpose.types.assumptions import motion_prior
 
 gtsam = needed_module("gtsam", "ringpose[dev]")
@@ -62,8 +62,8 @@ def test_a_track_is_that_of_a_smoother_with_the_same_model(rng):
 
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for number, each in enumerate(observed):
-            state = after(moved(chart, found), each.stamp_s - bank.stamp_s)
-            values.insert(number, charted(chart, state).coordinates[0, FREE])
+            state = predict_states(retract(chart, found), each.stamp_s - bank.stamp_s)
+            values.insert(number, local_coordinates(chart, state).coordinates[0, FREE])
             graph.add(factor([number], partial(shown, chart, each)))
         graph.add(factor([0], prior_of(chart, observed[0])))
         for number, (first, second) in enumerate(pairwise(observed)):
@@ -86,7 +86,7 @@ def test_a_track_is_that_of_a_smoother_with_the_same_model(rng):
 
 def shown(chart, observed, coordinates: np.ndarray) -> np.ndarray:
     """Whitened residuals of one shot."""
-    there = charted(observed.chart, moved(chart, whole(coordinates)))
+    there = local_coordinates(observed.chart, retract(chart, whole(coordinates)))
     steps, rates = there.coordinates[0, :7], step_rates(observed.chart, there)[0]
     return observed.target - observed.wrt_step @ steps - observed.wrt_step_rates @ (rates - observed.step_rates)
 
@@ -99,10 +99,14 @@ def prior_of(chart, observed):
         wrt_step_rates=np.zeros_like(observed.wrt_step_rates),
         target=np.zeros_like(observed.target),
     )
-    before = started(blank, 1, motion_prior(), None)
+    before = initialize(blank, 1, motion_prior(), None)
     root = np.linalg.inv(np.linalg.cholesky(before.own[MODEL][FREE, FREE]))
     return lambda x: (
-        root @ (charted(before.chart, moved(chart, whole(x))).coordinates[0, FREE] - before.coordinates[MODEL, FREE])
+        root
+        @ (
+            local_coordinates(before.chart, retract(chart, whole(x))).coordinates[0, FREE]
+            - before.coordinates[MODEL, FREE]
+        )
     )
 
 
@@ -110,9 +114,9 @@ def motion_of(chart, coordinates: np.ndarray, time_s: float):
     """Whitened residuals of two states, by the process noise near the first."""
 
     def following(x: np.ndarray) -> np.ndarray:
-        return charted(chart, after(moved(chart, whole(x)), time_s)).coordinates[0, FREE]
+        return local_coordinates(chart, predict_states(retract(chart, whole(x)), time_s)).coordinates[0, FREE]
 
-    around = charted(chart, after(moved(chart, perturbed(whole(coordinates))), time_s)).coordinates
+    around = local_coordinates(chart, predict_states(retract(chart, perturbed(whole(coordinates))), time_s)).coordinates
     count = len(MODELS.precession)
     each = np.tile(whole(coordinates), (count, 1))
     noise = process_noise(MODELS, chart, each, np.tile(jacobians(around), (count, 1, 1)), time_s)[MODEL]

@@ -17,10 +17,10 @@ from ringpose.track.observation import observation
 from ringpose.track.states import (
     MOVING,
     RingStates,
-    after,
     center_velocity,
-    charted,
-    moved,
+    local_coordinates,
+    predict_states,
+    retract,
     step_rates,
 )
 from ringpose.types.pose import PoseLine
@@ -53,14 +53,14 @@ def ring(rng) -> Ring:
 def states(ring, rng) -> RingStates:
     """Some states near a ring, in motion."""
     one = state_of(ring, np.array([0.03, -0.02, 0.01]), np.array([0.05, 0.03, 0.02]), np.array([0.0, 0.0, 0.5]), 1.2)
-    return moved(one, 0.05 * rng.normal(size=(5, 14)))
+    return retract(one, 0.05 * rng.normal(size=(5, 14)))
 
 
 @pytest.fixture
 def chart(states) -> RingStates:
     """A state near the others."""
     near = RingStates(*(part[:1] for part in states))
-    return moved(near._replace(motion=np.zeros((1, 7))), np.linspace(-0.02, 0.03, 14)[None])._replace(
+    return retract(near._replace(motion=np.zeros((1, 7))), np.linspace(-0.02, 0.03, 14)[None])._replace(
         motion=np.zeros((1, 7))
     )
 
@@ -72,9 +72,9 @@ def test_increments_move_a_state_as_they_move_the_arcs_of_the_ring(states, rng):
         axes=states.axes[2],
         curvature=float(states.curvature[2]),
         half_band_m=float(states.half_band_m[2]),
-    ).moved(step[2, :7])
+    ).retract(step[2, :7])
 
-    found = moved(states, step)
+    found = retract(states, step)
 
     np.testing.assert_allclose(found.axes[2], arcs.axes, atol=1e-14)
     np.testing.assert_allclose(found.center_m[2], arcs.center, atol=1e-14)
@@ -83,18 +83,18 @@ def test_increments_move_a_state_as_they_move_the_arcs_of_the_ring(states, rng):
 def test_the_coordinates_of_a_state_are_the_increments_that_led_to_it(chart, rng):
     step = 0.05 * rng.normal(size=(5, 14))
 
-    np.testing.assert_allclose(charted(chart, moved(chart, step)).coordinates, step, atol=1e-13)
+    np.testing.assert_allclose(local_coordinates(chart, retract(chart, step)).coordinates, step, atol=1e-13)
 
 
 def test_a_ring_described_about_another_place_is_the_same_ring_in_the_same_motion(states, chart):
     shifted = chart._replace(origin=chart.origin + 0.05 * chart.axes[:, 1])
 
-    found = moved(shifted, charted(shifted, states).coordinates)
+    found = retract(shifted, local_coordinates(shifted, states).coordinates)
 
     np.testing.assert_allclose(found.center_m, states.center_m, atol=1e-13)
     np.testing.assert_allclose(found.axes[:, 2], states.axes[:, 2], atol=1e-13)
     np.testing.assert_allclose((found.origin - shifted.origin) @ shifted.axes[0, 1], 0.0, atol=1e-13)
-    later, expected = after(found, 0.7), after(states, 0.7)
+    later, expected = predict_states(found, 0.7), predict_states(states, 0.7)
     np.testing.assert_allclose(later.center_m, expected.center_m, atol=1e-13)
     np.testing.assert_allclose(later.axes[:, 2], expected.axes[:, 2], atol=1e-13)
 
@@ -107,7 +107,7 @@ def test_motion_is_that_of_a_rigid_body_about_its_centre_of_mass(ring, lever_m):
     truth = Motion(ring=ring, velocity_m_s=np.array([0.01, 0.02, -0.03]), rate_rad_s=rate, lever_m=lever_m)
     state = state_of(ring, truth.velocity_at(0.0), rate, np.array([0.0, 0.0, 0.5]), lever_m)
 
-    found = after(state, 1.7)
+    found = predict_states(state, 1.7)
 
     np.testing.assert_allclose(found.center_m[0], truth.at(1.7).center_m, atol=1e-13)
     np.testing.assert_allclose(found.axes[0, 2], truth.at(1.7).normal, atol=1e-13)
@@ -116,9 +116,9 @@ def test_motion_is_that_of_a_rigid_body_about_its_centre_of_mass(ring, lever_m):
 
 def test_rates_of_the_coordinates_are_their_changes_by_motion(states, chart):
     def coordinates(time_s):
-        return charted(chart, after(states, time_s)).coordinates
+        return local_coordinates(chart, predict_states(states, time_s)).coordinates
 
-    rates = step_rates(chart, charted(chart, states))
+    rates = step_rates(chart, local_coordinates(chart, states))
 
     np.testing.assert_allclose(rates, ((coordinates(1e-4) - coordinates(-1e-4)) / 2e-4)[:, list(MOVING)], atol=1e-8)
 
@@ -126,7 +126,7 @@ def test_rates_of_the_coordinates_are_their_changes_by_motion(states, chart):
 def test_a_ring_that_misses_the_place_has_no_coordinates(states, chart):
     far = states._replace(origin=states.origin + 2.0 * chart.axes[:, 1])
 
-    assert np.isnan(charted(chart, far).coordinates).any(axis=1).all()
+    assert np.isnan(local_coordinates(chart, far).coordinates).any(axis=1).all()
 
 
 def test_a_measurement_described_for_the_other_side_predicts_the_same_rows(ring, rng):
@@ -137,12 +137,12 @@ def test_a_measurement_described_for_the_other_side_predicts_the_same_rows(ring,
     other = one.towards(-one.arcs.axes[0])
     step = 1e-3 * rng.normal(size=7)
 
-    there = other.chart, moved(one.chart, np.concatenate([step, np.zeros(7)])[None])
+    there = other.chart, retract(one.chart, np.concatenate([step, np.zeros(7)])[None])
     opposite = there[1]._replace(
         axes=there[1].axes * np.array([-1.0, -1.0, 1.0])[:, None], curvature=-there[1].curvature
     )
 
-    np.testing.assert_allclose(opposite.axes[0], moved(other.chart, _signed(step)).axes[0], atol=1e-14)
+    np.testing.assert_allclose(opposite.axes[0], retract(other.chart, _signed(step)).axes[0], atol=1e-14)
     np.testing.assert_allclose(one.wrt_step @ step, other.wrt_step @ _signed(step)[0, :7], atol=1e-9)
     assert one.towards(one.arcs.axes[0]) is one
 
@@ -165,7 +165,7 @@ def test_a_measurement_of_a_moving_ring_describes_the_same_rows_as_the_record(rn
     for increments in scale * rng.normal(size=(20, 12)):
         center, normal, radius, velocity, rate = (part[0] for part in rings_of(found.linearized_at, increments[None]))
         state = state_of(Ring(center_m=center, normal=normal, radius_m=radius), velocity, rate, observed.arcs.origin)
-        beside = charted(observed.chart, state)
+        beside = local_coordinates(observed.chart, state)
         rates = step_rates(observed.chart, beside)[0] - observed.step_rates
         rows = observed.wrt_step @ beside.coordinates[0, :7] + observed.wrt_step_rates @ rates
         np.testing.assert_allclose(rows, found.square_root[:, :12] @ increments, atol=1e-4)
