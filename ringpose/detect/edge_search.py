@@ -2,8 +2,9 @@
 
 The ring's face has one intensity up to its edge, blurred by the optics; the intensity beyond is unknown and varies more
 the farther it is from the edge. The position of the edge is the most likely one under this model, with sub-pixel
-resolution across the edge. Of places beside a laser stripe no step is used. The loops are compiled:
-kernels/edges/ring_arcs.c predicts the places, kernels/edges/edge_steps.c takes the profiles and finds the steps.
+resolution across the edge. Of places beside a laser stripe no step is used. The ring's model (`geometry.ring`) predicts
+the places; loops over them are compiled: kernels/edges/edge_places.c images them, kernels/edges/edge_steps.c takes the
+profiles and finds the steps.
 """
 
 import math
@@ -17,12 +18,12 @@ import numpy as np
 from ringpose.detect.stripes import lens
 from ringpose.estimate.measurements import Edges
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera
-from ringpose.geometry.ring import RingArcs
+from ringpose.geometry.ring import EDGE_SIGN, TINY, RingArcs, edge_distances, edge_points
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
-from ringpose.types.rig import Rig
+from ringpose.types.rig import Camera, Rig
 
 # The image and the places in it that laser stripes cover
 
@@ -54,29 +55,34 @@ def stripe_mask(
 # Prediction of the edges in the image
 
 
+HALF_TURN_RAD = 2.0
+"""Largest angle on the ring to both sides of the origin that can be in view."""
+
+OBLIQUE = 3.0
+"""Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
+
+DETOUR = 1.3
+"""Upper bound of the length of an arc from the origin to the farthest image corner, divided by their distance."""
+
+MAX_PLACES = 10**5
+"""Largest number of places to each side of the origin."""
+
+
 class PlaceParams(NamedTuple):
-    """Where points of the edges are predicted."""
+    """Which predicted places on the edges are of use."""
 
     image_width: float
     image_height: float
-    spacing_px: float
-    """Distance between neighbouring points, at the arcs' origin."""
-    sigma_px: float
-    """Points with a larger predicted sigma across the edge are left out."""
-    half_turn_rad: float = 2.0
-    """Largest angle on the ring to both sides of the origin that can be in view."""
+    sigma_px: float = math.inf
+    """Places with a larger predicted sigma across the edge are left out."""
+    max_sigma_m: float = math.inf
+    """The same on the ring's plane, which saves imaging places."""
     margin_px: float = 8.0
-    """Points closer than this to the image border are left out."""
+    """Places closer than this to the image border are left out."""
     wider: float = 0.3
     """Upper bound of the distortion at the image border, as a share of the image size."""
-    oblique: float = 3.0
-    """Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
-    detour: float = 1.3
-    """Upper bound of the length of an arc from the origin to the farthest image corner, divided by their distance."""
     nudge_m: float = 1e-4
     """Step off the face of the numerical derivative for metres per pixel."""
-    farthest: float = 1e5
-    """Largest number of points to each side of the origin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,38 +134,59 @@ class EdgeTrace:
 
 def edge_trace(
     arcs: RingArcs,
-    covariance: Float64[Array, "step=7 step=7"],
-    rig: Rig,
+    covariance: Float64[Array, "step=7 step=7"] | None,
+    camera: Camera,
     spacing_px: int | float,
-    sigma_px: float,
-    max_count: int | float = math.inf,
+    sigma_px: float = math.inf,
 ) -> EdgeTrace:
     """Places about `spacing_px` apart along both edges, where these are predicted with a sigma of at most `sigma_px`.
 
-    There are at most `max_count` to each side of the arcs' origin.
+    The covariance is that of the ring's step; None for a ring that counts as known.
     """
+    metres_per_px = float(arcs.origin[2]) / float(camera.camera_matrix[0, 0])
+    count = _places_to_each_side(arcs, camera, spacing_px)
+    number = np.tile(np.arange(-count, count + 1.0), 2)
+    edge_sign = np.repeat(EDGE_SIGN, len(number) // 2)
     params = PlaceParams(
-        image_width=rig.camera.image_width,
-        image_height=rig.camera.image_height,
-        spacing_px=spacing_px,
+        image_width=camera.image_width,
+        image_height=camera.image_height,
         sigma_px=sigma_px,
-        farthest=max_count,
+        max_sigma_m=OBLIQUE * sigma_px * metres_per_px,
     )
-    return EdgeTrace(edge_places(arcs, covariance, lens(rig.camera), params))
+    return edge_places(arcs, number * (spacing_px * metres_per_px), edge_sign, number, lens(camera), params, covariance)
+
+
+def _places_to_each_side(arcs: RingArcs, camera: Camera, spacing_px: int | float) -> int:
+    """Upper bound of the places on one edge to one side of the arcs' origin; -1 if there are none."""
+    x, y, z = arcs.origin.tolist()
+    matrix, size = camera.camera_matrix, (camera.image_width, camera.image_height)
+    if z <= 0.0:
+        return -1
+    at_px = x / z * matrix[0, 0] + matrix[0, 2], y / z * matrix[1, 1] + matrix[1, 2]
+    corner_px = math.hypot(*(abs(at - side / 2) + side / 2 for at, side in zip(at_px, size, strict=True)))
+    turn_rad = max(abs(arcs.curvature) * spacing_px * z / float(matrix[0, 0]), TINY)
+    bound = min(DETOUR * corner_px / spacing_px, HALF_TURN_RAD / turn_rad, MAX_PLACES)
+    return int(bound) if math.isfinite(bound) else -1
 
 
 def edge_places(
-    arcs: RingArcs, covariance: Float64[Array, "step=7 step=7"], lens: Lens, params: PlaceParams
-) -> Float64[Array, "n column=13"]:
-    """Predicted points of the inner edge, then of the outer edge, in the image.
+    arcs: RingArcs,
+    along_m: Float64[Array, "n"],
+    edge_sign: Float64[Array, "n"],
+    number: Float64[Array, "n"],
+    lens: Lens,
+    params: PlaceParams,
+    covariance: Float64[Array, "step=7 step=7"] | None = None,
+) -> EdgeTrace:
+    """The places of edges at these distances along the face (`edge_points`) that lie in the image, with their numbers.
 
-    Columns: the point (3, camera frame, m), the unit vector off the face (3), the edge's sign (-1 inner, 1 outer), the
-    distorted pixel position (2), the edge's unit normal there, off the face (2), metres per pixel along it, and
-    the number of the point along the edge.
+    The arcs are the same for all places, or one for each.
     """
-    numbers = np.concatenate([arcs.origin, arcs.axes.ravel(), (arcs.curvature, arcs.half_band_m)])
-    found = _kernels.edge_places(numbers, np.ascontiguousarray(covariance), lens, params)
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, 13)
+    point, outward = edge_points(arcs, along_m, edge_sign)
+    wrt_step = None if covariance is None else edge_distances(arcs, point, edge_sign).wrt_step.T
+    off_face, normal = edge_sign[:, None] * outward, np.ascontiguousarray(np.atleast_2d(arcs.normal))
+    found = _kernels.edge_places(point, off_face, edge_sign, number, normal, wrt_step, covariance, lens, params)
+    return EdgeTrace(np.frombuffer(found, dtype=np.float64).reshape(-1, 13))
 
 
 def outside_stripes(frame: EdgeImage, trace: EdgeTrace) -> EdgeTrace:

@@ -19,8 +19,10 @@ from ringpose.detect.edge_search import (
     MOSTLY_VISIBLE,
     EdgeImage,
     EdgeTrace,
+    PlaceParams,
     clear_steps,
     edge_observations,
+    edge_places,
     edge_trace,
     outside_stripes,
     rays_beside,
@@ -28,6 +30,7 @@ from ringpose.detect.edge_search import (
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
+from ringpose.detect.stripes import lens
 from ringpose.estimate.explanation import decision
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
@@ -266,7 +269,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     tracked = None if stripes is None else tracked_ring(stripes, frame, rig)
     if stripes is None or tracked is None:
         return None
-    trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
+    trace = outside_stripes(frame, edge_trace(*tracked, rig.camera, ALONG_PX, PREDICTED_SIGMA_PX))
     found = clear_steps(frame, trace, REACH_PX, precise=True)
     refined = stripes.fitted(tracked.arcs, edge_observations(found, rig))
     if refined is None:
@@ -341,7 +344,7 @@ def uncertainty_factor(
     at = edge_distances(arcs, edges.ray, 2.0 * edges.edge - 1.0)
     slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
     information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))
-    trace = outside_stripes(frame, edge_trace(arcs, np.zeros_like(covariance), rig, ALONG_PX, np.inf))
+    trace = outside_stripes(frame, edge_trace(arcs, None, rig.camera, ALONG_PX))
     trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, precise=True)
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
@@ -413,7 +416,7 @@ def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> Pred
             return None
         first = tracked_px < FIRST_PX
         spacing_px, reach_px = (FIRST_SPACING_PX, FIRST_REACH_PX) if first else (WALK_SPACING_PX, WALK_REACH_PX)
-        trace = edge_trace(*ring, rig, spacing_px, PREDICTED_SIGMA_PX)
+        trace = edge_trace(*ring, rig.camera, spacing_px, PREDICTED_SIGMA_PX)
         if len(trace.edge_sign) * spacing_px <= tracked_px * FARTHER:
             break
         tracked_px = len(trace.edge_sign) * spacing_px
@@ -448,18 +451,21 @@ DISTINCT, SIMILAR = 2, 6
 
 def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
     """Steps along the two straight edges through a stripe's ends that the image supports best; empty if none does."""
-    unit_turn = np.eye(len(STEP))[TURN]
-    certain = np.zeros((len(STEP), len(STEP)))
-    tables = []
-    for direction, turn_rad in enumerate(TURNS_RAD):
-        trace = edge_trace(arcs.retract(turn_rad * unit_turn), certain, rig, SPACING_PX, np.inf, MAX_NUMBER)
-        table = trace.table[np.abs(trace.number) >= MIN_NUMBER]
-        table[:, -1] = direction
-        tables.append(table)
-    trace = outside_stripes(frame, EdgeTrace(np.concatenate(tables)))  # its `number` is the candidate direction
+    turned = [arcs.retract(turn_rad * np.eye(len(STEP))[TURN]) for turn_rad in TURNS_RAD]
+    of_directions = replace(
+        arcs, origin=np.stack([each.origin for each in turned]), axes=np.stack([each.axes for each in turned])
+    )
+    to_one_side = np.arange(MIN_NUMBER, MAX_NUMBER + 1)
+    places = np.concatenate([-to_one_side[::-1], to_one_side])
+    direction, edge_sign, number = map(np.ravel, np.meshgrid(range(len(turned)), EDGE_SIGN, places, indexing="ij"))
+    along_m = number * (SPACING_PX * float(arcs.origin[2]) / float(rig.camera.camera_matrix[0, 0]))
+    params = PlaceParams(image_width=rig.camera.image_width, image_height=rig.camera.image_height)
+    labels = direction.astype(np.float64)
+    trace = edge_places(of_directions.at_rows(direction), along_m, edge_sign, labels, lens(rig.camera), params)
+    trace = outside_stripes(frame, trace)  # its `number` is the candidate direction
 
     found = clear_steps(frame, trace, START_REACH_PX)
-    count = np.bincount(found.trace.number.astype(np.int64), minlength=len(tables))
+    count = np.bincount(found.trace.number.astype(np.int64), minlength=len(turned))
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):

@@ -358,15 +358,19 @@ def edge_points(
 ) -> tuple[Float64[Array, "n xyz=3"], Float64[Array, "n xyz=3"]]:
     """Points on the edges, and the unit vectors there that point away from the centre.
 
-    `along_m` is the distance from the origin along the middle of the face.
+    `along_m` is the distance from the origin along the middle of the face. The arcs are the same for all points, or one
+    for each.
     """
-    angle = arcs.curvature * along_m
-    outward = np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
-    middle = np.stack(
-        [angle * along_m / 2 * np.sinc(angle / (2 * np.pi)) ** 2, along_m * np.sinc(angle / np.pi)], axis=-1
-    )
-    flat = middle + (edge_sign * arcs.half_band_m)[:, None] * outward
-    return arcs.origin + flat @ arcs.axes[:2], outward @ arcs.axes[:2]
+    half = (0.5 * arcs.curvature) * along_m  # of the angle about the centre
+    sine, cosine = np.sin(half), np.cos(half)
+    outward = np.stack([2.0 * sine * sine - 1.0, 2.0 * sine * cosine], axis=-1)
+    chord_m = along_m * np.sinc(half / np.pi)
+    flat = np.stack([chord_m * sine, chord_m * cosine], axis=-1) + (edge_sign * arcs.half_band_m)[:, None] * outward
+    if arcs.axes.ndim == 2:
+        in_space = np.stack([flat, outward]) @ arcs.axes[:2]
+        return arcs.origin + in_space[0], in_space[1]
+    in_space = np.stack([flat, outward], axis=1) @ arcs.axes[:, :2]
+    return arcs.origin + in_space[:, 0], in_space[:, 1]
 
 
 # All that one shot sees of a moving ring

@@ -22,7 +22,18 @@ def faces(
     tracks: Array, unlabelled: int, planes: Array, unions: _Numbers, candidates: _Numbers, ring: _Numbers, /
 ) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
 def ends(images: tuple[tuple[Array, Array | None, Array], ...], lens: _Numbers, params: _Numbers, /) -> bytes: ...
-def edge_places(arcs: Array, covariance: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
+def edge_places(
+    point: Array,
+    off_face: Array,
+    sign: Array,
+    number: Array,
+    normal: Array,
+    wrt_step: Array | None,
+    covariance: Array | None,
+    lens: _Numbers,
+    params: _Numbers,
+    /,
+) -> bytes: ...
 def edge_profiles(
     image: Array, place: Array, normal: Array, params: _Numbers, value: Array, saturated: Array, noise: Array, /
 ) -> None: ...

@@ -14,7 +14,7 @@
     KERNEL(tracks, "(position, sigma, piece, laser, lens, params) -> tracks")                                       \
     KERNEL(faces, "(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of 1, 2 and 3)")       \
     KERNEL(ends, "(images: (lit, dark, lines), lens, params) -> ends")                                              \
-    KERNEL(edge_places, "(arcs, covariance, lens, params) -> places")                                               \
+    KERNEL(edge_places, "(point, off_face, sign, number, normal, wrt_step, covariance, lens, params) -> places")              \
     KERNEL(edge_profiles, "(image, place, normal, params, value, saturated, noise): fills the last three")          \
     KERNEL(edge_steps, "(value, saturated, noise, across, place, unit, table, params) -> steps")                    \
     KERNEL(render, "(target tables, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, step, radiance, " \

@@ -19,7 +19,6 @@ FAR_CORNERS = np.array([[-(2**31), 2**31 - 1], [2**31 - 1, -(2**31)]] * 3, np.in
 MASK = np.zeros((5, 9), np.bool_)
 LENS = (900.0, 900.0, 400.0, 300.0, *[0.0] * 8)
 TRACKS = np.zeros((2, 11))
-ARCS = np.array([0.0, 0.0, 0.5, 0, 1, 0, 1, 0, 0, 0, 0, -1, 1.7, 0.015])
 
 
 def numbers(*shape):
@@ -50,7 +49,17 @@ CALLS = {
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
     "ends": (((IMAGE, IMAGE, numbers(2, 5)),), LENS, (1.0,) * 16),
-    "edge_places": (ARCS, np.zeros((7, 7)), LENS, (100.0, 90.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4, 10.0)),
+    "edge_places": (
+        numbers(5, 3),
+        numbers(5, 3),
+        numbers(5),
+        numbers(5),
+        numbers(1, 3),
+        numbers(7, 5),
+        np.zeros((7, 7)),
+        LENS,
+        (100.0, 90.0, 1.3, 1.0, 8.0, 0.3, 1e-4),
+    ),
     "edge_profiles": (
         IMAGE,
         numbers(5, 2),

@@ -10,13 +10,25 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import map_coordinates, uniform_filter1d
 
-from ringpose.detect.edge_search import PlaceParams, edge_places, edge_profiles
+from ringpose.detect.edge_search import EdgeTrace, PlaceParams, edge_profiles, edge_trace
 from ringpose.geometry.ring import RingArcs, edge_points
-from ringpose.kernels.lines import Lens
+from ringpose.types.rig import Camera
 
-LENS = Lens(1778.0, 1781.0, 790.0, 611.0, -0.12, 0.05, 4e-4, -3e-4, 0.01)
-RATIONAL = LENS._replace(k4=0.02, k5=-0.01, k6=0.004)
-PLACES = PlaceParams(image_width=1600, image_height=1200, spacing_px=12.0, sigma_px=1.3)
+LENS = Camera(
+    camera_name="test",
+    image_width=1600,
+    image_height=1200,
+    camera_matrix=np.array([[1778.0, 0, 790.0], [0, 1781.0, 611.0], [0, 0, 1]]),
+    distortion_model="plumb_bob",
+    distortion_coefficients=np.array([-0.12, 0.05, 4e-4, -3e-4, 0.01]),
+)
+RATIONAL = replace(
+    LENS,
+    distortion_model="rational_polynomial",
+    distortion_coefficients=np.append(LENS.distortion_coefficients, [0.02, -0.01, 0.004]),
+)
+SPACING_PX, SIGMA_PX = 12.0, 1.3
+MARGIN_PX = PlaceParams(image_width=1600, image_height=1200).margin_px
 
 steps_of_state = arrays(np.float64, 7, elements=st.floats(-1, 1)).map(
     lambda part: part * [0.4, 0.4, 0.2, 0.1, 0.7, 3.0, 0.01]
@@ -34,19 +46,16 @@ def arcs(step=(0.0,) * 7) -> RingArcs:
     return facing.retract(np.array(step))
 
 
-def covariance(sigma: float) -> np.ndarray:
-    half = np.random.default_rng(1).normal(size=(7, 7))
-    return sigma**2 * half @ half.T
-
-
 def imaged(points, lens):
     """OpenCV's pixels of points in the camera's frame."""
-    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
     if not len(points):
         return np.empty((0, 2))
-    return cv2.projectPoints(np.ascontiguousarray(points), np.zeros(3), np.zeros(3), matrix, np.array(lens[4:12]))[
-        0
-    ].reshape(-1, 2)
+    points, still = np.ascontiguousarray(points), np.zeros(3)
+    return cv2.projectPoints(points, still, still, lens.camera_matrix, lens.distortion_coefficients)[0].reshape(-1, 2)
+
+
+def trace(ring: RingArcs, covariance: np.ndarray | None = None, lens: Camera = LENS) -> EdgeTrace:
+    return edge_trace(ring, covariance, lens, SPACING_PX, SIGMA_PX)
 
 
 @pytest.mark.parametrize("lens", [LENS, RATIONAL])
@@ -54,32 +63,32 @@ def imaged(points, lens):
 def test_places_lie_on_the_edges_where_opencv_sees_them(lens, step):
     ring = arcs(step)
 
-    found = edge_places(ring, covariance(0.0), lens, PLACES)
+    found = trace(ring, lens=lens)
 
-    point, outward, side, place, normal, metres = np.split(found[:, :12], [3, 6, 7, 9, 11], axis=1)
+    point, place, metres = found.point, found.position_px, found.metres_per_px
     center = ring.origin + ring.axes[0] / ring.curvature
-    radius = 1 / ring.curvature + side[:, 0] * ring.half_band_m
+    radius = 1 / ring.curvature + found.edge_sign * ring.half_band_m
     np.testing.assert_allclose((point - ring.origin) @ ring.axes[2], 0, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(point - center, axis=1), np.abs(radius), atol=1e-9)
-    np.testing.assert_allclose(outward * radius[:, None] * side, point - center, atol=1e-9)
-    assert ((place > PLACES.margin_px) & (place < np.array([1600, 1200]) - 1 - PLACES.margin_px)).all()
+    np.testing.assert_allclose(found.outward * (radius * found.edge_sign)[:, None], point - center, atol=1e-9)
+    assert ((place > MARGIN_PX) & (place < np.array([1600, 1200]) - 1 - MARGIN_PX)).all()
     np.testing.assert_allclose(place, imaged(point, lens), atol=1e-6)
-    off_face = (imaged(point + 1e-4 * outward, lens) - place) / 1e-4
-    np.testing.assert_allclose(np.sum(normal * off_face, axis=1) * metres[:, 0], 1.0, rtol=1e-3)
-    along = imaged(point + 1e-4 * np.cross(ring.axes[2], outward), lens) - place
-    np.testing.assert_allclose(np.sum(normal * along, axis=1), 0.0, atol=1e-4)
+    off_face = (imaged(point + 1e-4 * found.outward, lens) - place) / 1e-4
+    np.testing.assert_allclose(np.sum(found.normal * off_face, axis=1) * metres, 1.0, rtol=1e-3)
+    along = imaged(point + 1e-4 * np.cross(ring.axes[2], found.outward), lens) - place
+    np.testing.assert_allclose(np.sum(found.normal * along, axis=1), 0.0, atol=1e-4)
 
 
 def test_places_begin_at_the_origin_and_are_as_far_apart_as_asked_for():
-    found = edge_places(arcs(), covariance(0.0), LENS, PLACES)
+    found = trace(arcs())
 
-    for side in (1.0, -1.0):
-        own = found[found[:, 6] == side]
-        np.testing.assert_array_equal(np.diff(own[:, 12]), 1.0)
-        at_origin = own[own[:, 12] == 0][0]
-        np.testing.assert_allclose(at_origin[:3], arcs().origin - side * 0.015 * arcs().axes[0], atol=1e-12)
-        steps = np.linalg.norm(np.diff(own[:, 7:9], axis=0), axis=1)
-        assert steps == pytest.approx(12.0, rel=0.1)
+    for sign in (1.0, -1.0):
+        own = found.selected(found.edge_sign == sign)
+        np.testing.assert_array_equal(np.diff(own.number), 1.0)
+        at_origin = own.point[own.number == 0][0]
+        np.testing.assert_allclose(at_origin, arcs().origin - sign * 0.015 * arcs().axes[0], atol=1e-12)
+        steps = np.linalg.norm(np.diff(own.position_px, axis=0), axis=1)
+        assert steps == pytest.approx(SPACING_PX, rel=0.1)
 
 
 @pytest.mark.parametrize("parameter", range(7))
@@ -87,37 +96,31 @@ def test_there_are_no_places_where_the_edge_is_predicted_worse_than_asked_for(pa
     known = np.zeros((7, 7))
     known[parameter, parameter] = (0.003, 0.003, 0.02, 3e-4, 0.004, 0.1, 3e-4)[parameter] ** 2
 
-    found = edge_places(arcs(), known, LENS, PLACES)
+    found = trace(arcs(), known)
 
-    everywhere = edge_places(arcs(), covariance(0.0), LENS, PLACES)
+    everywhere = trace(arcs())
     step = np.zeros(7)
     step[parameter] = 1e-3 * np.sqrt(known[parameter, parameter])
-    angle = everywhere[:, 12] * PLACES.spacing_px * arcs().origin[2] / LENS.fx
-    there, _ = edge_points(arcs().retract(step), angle, everywhere[:, 6])
-    beyond = np.sum((imaged(there, LENS) - everywhere[:, 7:9]) * everywhere[:, 9:11], axis=1)
-    assert abs(len(found) - np.sum(np.abs(beyond) * 1e3 < PLACES.sigma_px)) <= 4
+    along_m = everywhere.number * SPACING_PX * arcs().origin[2] / LENS.camera_matrix[0, 0]
+    there, _ = edge_points(arcs().retract(step), along_m, everywhere.edge_sign)
+    beyond = np.sum((imaged(there, LENS) - everywhere.position_px) * everywhere.normal, axis=1)
+    assert abs(len(found.number) - np.sum(np.abs(beyond) * 1e3 < SIGMA_PX)) <= 4
 
 
 def test_a_straight_ring_has_places_on_both_edges():
     straight = replace(arcs(), curvature=0.0)
 
-    found = edge_places(straight, covariance(0.0), LENS, PLACES)
+    found = trace(straight)
 
-    across = (found[:, :3] - straight.origin) @ straight.axes[0]
-    np.testing.assert_allclose(across, -0.015 * found[:, 6], atol=1e-12)
-    assert set(found[:, 6]) == {1.0, -1.0}
-
-
-def test_so_many_places_at_most_are_to_both_sides():
-    found = edge_places(arcs(), covariance(0.0), LENS, PLACES._replace(farthest=3.0))
-
-    assert np.abs(found[:, 12]).max() == 3
+    across = (found.point - straight.origin) @ straight.axes[0]
+    np.testing.assert_allclose(across, -0.015 * found.edge_sign, atol=1e-12)
+    assert set(found.edge_sign) == {1.0, -1.0}
 
 
 def test_a_ring_behind_the_camera_has_no_places():
     behind = replace(arcs(), origin=np.array([0.0, 0.0, -0.5]))
 
-    assert len(edge_places(behind, covariance(0.0), LENS, PLACES)) == 0
+    assert len(trace(behind).number) == 0
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
