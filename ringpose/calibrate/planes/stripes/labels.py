@@ -8,7 +8,7 @@ right; only the other shots contradict it. `exchanged_lasers` therefore estimate
 all shots free, and takes the labels that most shots share as the correct ones.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
 
@@ -36,8 +36,8 @@ MIN_GAIN_M = 5e-4
 MAX_DISTANCE_M = 5e-3
 """Truncation of a stripe's distance from its plane in the score: such a stripe may belong to none of the lasers."""
 
-_ANCHORS, _PARTNERS, _ITERATIONS = 3, 4, 2
-"""The search: number of anchor shots, of shots each is paired with, and of alternations between planes and labels."""
+_DRAWN_SHOTS = 8
+"""Number of shots of which each pair determines candidates for the planes."""
 
 StripeEnds = Float64[Array, "view laser end=2 xyz=3"]
 """Two points of each stripe, one standard deviation of its centres to either side of their mean; NaN for none."""
@@ -146,7 +146,7 @@ def _with_labels(view: StripeView, by_laser: Mapping[int, Float64[Array, "_ xy=2
 def exchanged_lasers(
     points: Sequence[Sequence[Float64[Array, "_ xyz=3"]]], lasers: Sequence[str], shots: Sequence[str]
 ) -> dict[int, str]:
-    """Indices of the shots whose labels contradict those of most shots, with a message for each.
+    """Indices of the shots whose labels contradict the planes of the other shots, with a message for each.
 
     `points` are the stripes' triangulated centres by laser and shot. Raises DataError if two labellings are shared by
     equally many shots.
@@ -155,26 +155,33 @@ def exchanged_lasers(
     usable = np.flatnonzero(np.isfinite(ends[..., 0, 0]).sum(axis=1) > 1)  # one stripe alone cannot be exchanged
     if len(usable) < 2:
         return {}
-    labels, planes = min(_hypotheses(ends, usable), key=lambda hypothesis: _score(ends, *hypothesis))
-    common = _most_common_labels(labels)
-    if len(common) > 1:
-        raise DataError(*_tie_message(labels, common, lasers, shots))
-    plane_of_laser = list(common[0])
-    squares_m2 = _squared_distances_m2(ends, planes[plane_of_laser])  # [view, stripe, laser]
+    planes = _planes_of_most_shots(ends, usable)
+    (labels, _), squares_m2 = _assignment(ends, planes), _squared_distances_m2(ends, planes)
+    agreeing: list[int] = []
+    exchanges: dict[tuple[tuple[int, int], ...], list[int]] = {}  # shots by what is exchanged: laser, and the other one
     messages = {}
     for view in usable.tolist():
-        seen = {laser: plane_of_laser.index(plane) for laser, plane in enumerate(labels[view].tolist()) if plane >= 0}
-        exchanged = {laser: other for laser, other in seen.items() if other != laser}
-        if not exchanged:
-            continue
+        exchanged = {laser: other for laser, other in enumerate(labels[view].tolist()) if other not in (laser, -1)}
         stripes, others = list(exchanged), list(exchanged.values())
-        own_m = float(np.sqrt(squares_m2[view, stripes, stripes].mean()))
-        other_m = float(np.sqrt(squares_m2[view, stripes, others].mean()))
-        if own_m > max(EXCHANGE_RATIO * other_m, MIN_GAIN_M):
-            messages[view] = (
-                f"{_exchange_text(exchanged, lasers)} against the other shots: stripes lie {1e3 * own_m:.3g} mm from "
-                f"their own planes, {1e3 * other_m:.2g} mm from the others'; left out: see how its lasers were switched"
+        own_m, other_m = (
+            float(np.sqrt(squares_m2[view, stripes, at].mean())) if exchanged else 0.0 for at in (stripes, others)
+        )
+        if own_m <= max(EXCHANGE_RATIO * other_m, MIN_GAIN_M):
+            agreeing.append(view)
+            continue
+        exchanges.setdefault(tuple(exchanged.items()), []).append(view)
+        messages[view] = (
+            f"{_exchange_text(exchanged, lasers)} against the other shots: stripes lie {1e3 * own_m:.3g} mm from "
+            f"their own planes, {1e3 * other_m:.2g} mm from the others'; left out: see how its lasers were switched"
+        )
+    for exchange, views in exchanges.items():
+        if len(views) >= len(agreeing):
+            known = ", ".join(shots[view] for view in agreeing)
+            found = f"{_exchange_text(dict(exchange), lasers)} against {known}: as many shots have either labelling"
+            remedy = (
+                "see with --overlay which stripe is whose, and leave out the shots whose lasers were switched wrongly"
             )
+            raise DataError(", ".join(shots[view] for view in views), found, remedy)
     return messages
 
 
@@ -187,31 +194,20 @@ def _stripe_ends(points: Float64[Array, "_ xyz=3"]) -> Float64[Array, "end=2 xyz
     return center + np.outer([-1.0, 1.0], axes[0] * singular[0] / np.sqrt(len(points)))
 
 
-def _hypotheses(ends: StripeEnds, usable: Int64[Array, "usable"]) -> Iterator[tuple[Labels, Planes]]:
-    """Candidate labels and planes, from pairs of shots and permutations between the two, each refined on all shots.
+def _planes_of_most_shots(ends: StripeEnds, usable: Int64[Array, "usable"]) -> Planes:
+    """The light planes with which the labels of most shots agree.
 
-    Two stripes at different depths determine a plane; labels and planes are then improved in turn, as in k-means.
+    The stripes of two shots determine candidates for all planes, also if the lasers of the second are exchanged.
     """
-    lasers = ends.shape[1]
-    anchors = usable[np.linspace(0, len(usable) - 1, min(_ANCHORS, len(usable))).astype(int)]
-    for first in anchors.tolist():
-        for second in _farthest_shots(ends, first, usable).tolist():
-            for permutation in _permutations(lasers):
-                pairs = np.concatenate([ends[first], ends[second][list(permutation)]], axis=1)
-                planes = np.array([_plane(pair[np.isfinite(pair[:, 0])]) for pair in pairs])
-                labels = _nearest_labels(ends, planes)
-                for _ in range(_ITERATIONS):
-                    planes = _refitted(ends, labels, planes)
-                    labels = _nearest_labels(ends, planes)
-                yield labels, planes
-
-
-def _farthest_shots(ends: StripeEnds, first: int, usable: Int64[Array, "usable"]) -> Int64[Array, "partner"]:
-    """The shots whose stripes lie farthest from those of the first; these determine the planes best."""
-    with np.errstate(invalid="ignore"):
-        distance_m = np.linalg.norm(ends[usable].mean(axis=2) - ends[first].mean(axis=1), axis=-1)
-    farthest = usable[np.argsort(-np.nan_to_num(distance_m).max(axis=1))]
-    return farthest[farthest != first][:_PARTNERS]
+    drawn = usable[np.unique(np.linspace(0, len(usable) - 1, _DRAWN_SHOTS).astype(int))]
+    candidates = (
+        np.array([_plane(stripes[np.isfinite(stripes[:, 0])]) for stripes in both])
+        for first, second in combinations(drawn.tolist(), 2)
+        for permutation in _permutations(ends.shape[1])
+        for both in [np.concatenate([ends[first], ends[second, permutation]], axis=1)]
+    )
+    planes = min(candidates, key=lambda planes: _assignment(ends, planes)[1])
+    return _refitted(ends, _assignment(ends, planes)[0], planes)
 
 
 def _permutations(lasers: int) -> list[tuple[int, ...]]:
@@ -251,45 +247,21 @@ def _squared_distances_m2(ends: StripeEnds, planes: Planes) -> Float64[Array, "v
     return np.nan_to_num(np.mean(distance_m**2, axis=-2), nan=np.inf)
 
 
-def _nearest_labels(ends: StripeEnds, planes: Planes) -> Labels:
-    """The assignment of each shot's stripes to planes, one to one, with the smallest sum of squared distances."""
+def _assignment(ends: StripeEnds, planes: Planes) -> tuple[Labels, float]:
+    """The assignment of each shot's stripes to planes, one to one, with the smallest cost, and its cost.
+
+    The cost is the truncated squared distance, and MIN_GAIN_M^2 for each stripe on the plane of another laser.
+    """
     from scipy.optimize import linear_sum_assignment
 
-    labels = np.full(ends.shape[:2], -1)
-    finite = np.minimum(_squared_distances_m2(ends, planes), 1.0)
-    for view, squares in enumerate(finite):
+    labels, total = np.full(ends.shape[:2], -1), 0.0
+    own = np.eye(len(planes), dtype=bool)
+    costs = np.minimum(_squared_distances_m2(ends, planes), MAX_DISTANCE_M**2) + MIN_GAIN_M**2 * ~own
+    for view, cost in enumerate(costs):
         seen = np.flatnonzero(np.isfinite(ends[view, :, 0, 0]))
-        labels[view, seen] = linear_sum_assignment(squares[seen])[1]
-    return labels
-
-
-def _score(ends: StripeEnds, labels: Labels, planes: Planes) -> float:
-    """Truncated sum of squared distances, plus MIN_GAIN_M^2 for each label that differs from the most common one."""
-    seen = labels >= 0
-    squares = _squared_distances_m2(ends, planes)
-    own = np.take_along_axis(squares, np.maximum(labels, 0)[..., None], axis=-1)[..., 0]
-    uncommon = int(np.sum(seen & (labels != np.array(_most_common_labels(labels)[0]))))
-    return float(np.minimum(own, MAX_DISTANCE_M**2)[seen].sum()) + uncommon * MIN_GAIN_M**2
-
-
-def _most_common_labels(labels: Labels) -> list[tuple[int, ...]]:
-    """The permutation (plane by laser) that most shots agree with; several permutations if equally many shots agree.
-
-    Candidates are the labels of the shots that show most stripes; lasers without a stripe get the planes that are left
-    over.
-    """
-    number = (labels >= 0).sum(axis=1)
-    candidates = set()
-    for shot in labels[number == number.max()].tolist():
-        unused = iter(sorted(set(range(len(shot))) - set(shot)))
-        candidates.add(tuple(plane if plane >= 0 else next(unused) for plane in shot))
-    votes = {candidate: int(_agrees(labels, candidate).sum()) for candidate in sorted(candidates)}
-    return [candidate for candidate, count in votes.items() if count == max(votes.values())]
-
-
-def _agrees(labels: Labels, permutation: Sequence[int]) -> np.ndarray:
-    """For each shot, whether all its stripes have the labels of the permutation."""
-    return np.all((labels == np.array(permutation)) | (labels < 0), axis=1)
+        labels[view, seen] = linear_sum_assignment(cost[seen])[1]
+        total += float(cost[seen, labels[view, seen]].sum())
+    return labels, total
 
 
 def _exchange_text(exchanged: Mapping[int, int], lasers: Sequence[str]) -> str:
@@ -298,17 +270,3 @@ def _exchange_text(exchanged: Mapping[int, int], lasers: Sequence[str]) -> str:
         return f"{' and '.join(lasers[laser] for laser in exchanged)} are exchanged"
     pairs = ", ".join(f"{lasers[laser]} shows the stripe of {lasers[other]}" for laser, other in exchanged.items())
     return f"lasers are exchanged ({pairs})"
-
-
-def _tie_message(
-    labels: Labels, common: Sequence[tuple[int, ...]], lasers: Sequence[str], shots: Sequence[str]
-) -> tuple[str, str, str]:
-    """Place, finding and remedy if equally many shots have either labelling."""
-    first, second = common[:2]
-    groups = [[shot for shot, agrees in zip(shots, _agrees(labels, own), strict=True) if agrees] for own in common[:2]]
-    exchanged = {laser: first.index(plane) for laser, plane in enumerate(second) if plane != first[laser]}
-    return (
-        ", ".join(groups[1]),
-        f"{_exchange_text(exchanged, lasers)} against {', '.join(groups[0])}: as many shots have either labelling",
-        "see with --overlay which stripe is whose, and leave out the shots whose lasers were switched wrongly",
-    )
