@@ -34,8 +34,8 @@ TOLERANCE = 1e-6
 DIGITS, PRECISE_DIGITS = 9, 13
 """Significant digits that are stored: 9, and more where a millionth of the standard deviation needs them."""
 
-TIMES = ("latency_s", "stage_s")
-"""Keys that differ in every run."""
+LEFT_OUT = ("latency_s", "stage_s", "software")
+"""Keys that differ in every run, or in every version."""
 
 SETS = ("rig_a", "rig_b", "variants_a", "variants_b", "sizes_b", "surfaces_b", "moving_b")
 
@@ -49,7 +49,9 @@ def pose_lines(folder: Path, pattern: str = "*", *options: str) -> list[Record]:
     """The lines of `ringpose pose` for the shots of a data set, measured as one stream."""
     shots = sorted(map(str, (folder / "shots").glob(f"{pattern}.npz")))
     lines = written(["pose", *shots, "--rig", str(folder / "rig.yaml"), "--quiet", *options])
-    return [{key: value for key, value in json.loads(line).items() if key not in TIMES} for line in lines.splitlines()]
+    return [
+        {key: value for key, value in json.loads(line).items() if key not in LEFT_OUT} for line in lines.splitlines()
+    ]
 
 
 def calibrations(boards: Path) -> list[Record]:

@@ -1,4 +1,4 @@
-"""The tables of the manual that are made from the code: the flags of a line (`ringpose.measure.status`).
+"""The tables of the manual that are made from the code: flags of a line, and the keys of records.
 
     python tests/manual_tables.py    write them into man/
 
@@ -6,11 +6,15 @@ A table stands between two comment lines of the page that have its name.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
+from ringpose.files.records.codec import Choice, Numbers, definition_of
+from ringpose.files.schemas import RECORDS
 from ringpose.measure.status import RULES, FlagRule
-from ringpose.types.pose import HARMLESS_FLAGS
+from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
+from ringpose.types.track import TrackLine
 
 MAN = Path(__file__).parents[1] / "man"
 
@@ -50,10 +54,55 @@ def _usable(rule: FlagRule, quantity: str) -> str:
     return "no (*)" if rule.unless else "no"
 
 
+PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine)
+"""Classes whose keys have a table of their own."""
+
+
+def keys(cls: type) -> Iterator[str]:
+    """The keys of a record, or of a part of one; those of a part without a table of its own stand below its key."""
+    attributes = definition_of(cls).attributes
+    if not any(each.key.description for each in attributes):
+        yield f".Va {' , '.join(each.name for each in attributes)} ."
+        return
+    yield f".Bl -tag -width {max((each.name for each in attributes), key=len)}"
+    for record in RECORDS.values():
+        if record.cls is cls and record.version:
+            yield from (".It Va schema", f".Li {record.version}")
+    for each in attributes:
+        value, parts = each.slot.value, each.slot.value.parts
+        yield f".It Va {each.name}{_axes(value.axes) if isinstance(value, Numbers) else ''}"
+        yield from mdoc(each.key.description)
+        if isinstance(value, Choice) and not all(f"`{word}`" in each.key.description for word in value.words):
+            yield f".Cm {' , '.join(value.words)} ."
+        if parts is not None and parts.cls not in PARTS:
+            yield from keys(parts.cls)
+    yield ".El"
+
+
+def _axes(axes: Sequence[str]) -> str:
+    """The shape of an array: `[point][x, y]`, or `7 x 7`."""
+    names = [axis.partition("=")[0] for axis in axes]
+    if names[0] in ("row", "parameter"):
+        return ""
+    if all(name.isdigit() for name in names):
+        return f" No ({' x '.join(names)})"
+    return " No " + "".join(f"[{', '.join(name) if name in ('xy', 'xyz', 'xyzw') else name}]" for name in names)
+
+
+def _names(cls: type) -> Iterator[str]:
+    for each in definition_of(cls).attributes:
+        yield each.name
+        if (parts := each.slot.value.parts) is not None:
+            yield from _names(parts.cls)
+
+
+KEYS = {name for record in RECORDS.values() for name in _names(record.cls)}
+
+
 def mdoc(text: str) -> Iterator[str]:
     """Lines of mdoc: a sentence begins on a line of its own; what is in backticks is a flag, an option or a key."""
     for sentence in re.split(r"(?<=[.:]) (?=[A-Z])", text):
-        for plain, name, after in re.findall(r"([^`]*)(?:`([^`]+)`([.,;)]*))?", sentence):
+        for plain, name, after in re.findall(r"([^`]*)(?:`([^`]+)`([.,:;)]*))?", sentence):
             if plain.strip():
                 yield plain.strip()
             if name:
@@ -68,12 +117,13 @@ def _macro(name: str) -> str:
         return f".Fl Fl {name[2:]}"
     if name.startswith("ringpose "):
         return f".Nm {name}"
-    return f".Cm {name}" if name in FLAGS or name == "ok" else f".Va {name}"
+    return f".Va {name}" if name in KEYS else f".Cm {name}"
 
 
 TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
     ("ringpose-records.5", "flags"): flags,
     ("ringpose-records.5", "usable"): usable,
+    **{("ringpose-records.5", f"keys of {cls.__name__}"): partial(keys, cls) for cls in PARTS},
 }
 
 

@@ -1,13 +1,10 @@
 """JSON Schemas of the package, and records that are checked against them."""
 
-import json
-from importlib.resources import files
-
 import jsonschema
 
-from ringpose.cli.schema import NAMES
+from ringpose.files.schemas import NAMES, schema
 
-SCHEMAS = {name: json.loads(files("ringpose.files").joinpath(f"{name}.schema.json").read_text()) for name in NAMES}
+SCHEMAS = {name: schema(name) for name in NAMES}
 _VALIDATORS = {name: jsonschema.Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
 
 

@@ -21,6 +21,17 @@ from ringpose.types.pose import (
     RingVelocity,
 )
 from ringpose.types.rig import PlaneCorrection
+from ringpose.types.track import (
+    Attempt,
+    FusionStatus,
+    GraspState,
+    MotionModel,
+    NextTick,
+    ProcessNoise,
+    SideHypothesis,
+    TrackLine,
+    Validity,
+)
 
 
 def record_of(values: dict[str, Any]) -> dict[str, Any]:
@@ -103,14 +114,56 @@ def complete_line(rng: np.random.Generator) -> PoseLine:
         rig_health={"left": 0.9, "middle": math.nan, "right": 1.1},
         shots_dropped=2,
         stage_s={"detect": 0.01, "pose": 0.004},
+        lines_skipped=0,
     )
 
 
 def line(pose: RingPose | None, **changes: Any) -> PoseLine:
     """A line with this pose, in which little else is known."""
     flags = PoseFlag(0) if pose is None else pose.flags
-    given = {"shot": "a", "stamp_s": 1.7e9, "pose": pose, "flags": flags, "latency_s": 0.02, "rig": "0" * 64}
+    given = {
+        "software": "ringpose 0.1.0",
+        "shot": "a",
+        "stamp_s": 1.7e9,
+        "pose": pose,
+        "flags": flags,
+        "latency_s": 0.02,
+        "rig": "0" * 64,
+    }
     return PoseLine(**(given | changes))
+
+
+def complete_track(rng: np.random.Generator) -> TrackLine:
+    """A track line in which everything is known."""
+    attempts = (
+        Attempt(shot="a", stamp_s=1.7e9, fusion_status=FusionStatus.FUSED, test_ratio=0.3),
+        Attempt(shot="b", stamp_s=math.nan, fusion_status=FusionStatus.TOO_OLD, test_ratio=math.nan, reason="too old"),
+    )
+    pose = complete_pose(rng)
+    return TrackLine(
+        software="ringpose 0.1.0",
+        stamp_s=1.7e9 + 0.2,
+        attempts=attempts,
+        measurement_stamp_s=1.7e9,
+        validity=Validity.PREDICTED,
+        frame="base",
+        pose=pose,
+        flags=pose.flags,
+        velocity=RingVelocity(center_m_s=rng.normal(size=3), rate_rad_s=rng.normal(size=3), covariance=square(rng, 5)),
+        grasp=GraspState(point_m=rng.normal(size=3), velocity_m_s=rng.normal(size=3), covariance=square(rng, 6)),
+        next_tick=NextTick(
+            stamp_s=1.7e9 + 0.4, grasp_m=rng.normal(size=3), normal=pose.normal, covariance=square(rng, 5)
+        ),
+        hypotheses=(SideHypothesis(side=-1, weight=0.9, center_m=rng.normal(size=3)),),
+        model=MotionModel.PRECESSION,
+        process_noise=ProcessNoise(velocity_m2_s3=1e-6, rate_rad2_s3=1e-5),
+        log_evidence={MotionModel.CONSTANT_VELOCITY: -80.0, MotionModel.PRECESSION: -73.5},
+        camera="robot_poses",
+        capture_probability=0.9,
+        resets=2,
+        lines_skipped=1,
+        rig="0" * 64,
+    )
 
 
 VERSION_1 = {

@@ -14,9 +14,9 @@ from ringpose.bench.assumptions import (
 from ringpose.bench.score import QUANTITIES, Judgement, Matching, Outcome, Score
 from ringpose.bench.summary import Summary
 from ringpose.errors import DataError
-from ringpose.files.records.poses import motion_prior
-from ringpose.files.rigs import rig_stability
+from ringpose.files.records.codec import definition_of
 from ringpose.files.schema import Fields
+from ringpose.types.pose import Priors, RigPriors
 
 SCHEMA = "bench/3"
 
@@ -128,8 +128,8 @@ def _assumptions(fields: Fields) -> StatedAssumptions | None:
         source = cast(Literal["given", "catalogue"], known.choice("source", ("given", "catalogue")))
         radii = AssumedRadii(source=source, **numbers)
     return StatedAssumptions(
-        motion=motion_prior(values),
+        motion=definition_of(Priors).value("motion", values),
         radii=radii,
         ring_tolerance_m=values.number("ring_tolerance_m", least=0),
-        stability=rig_stability(values.fields("stability")),
+        stability=definition_of(RigPriors).value("stability", values),
     )

@@ -482,7 +482,7 @@ class ConsolePage:
         self._result.show(jpeg, f"newest measurement: {stamp}")
         self._show_text()
         if track is not None:
-            status = f"{track.validity}, {track.attempt.fusion_status}"
+            status = f"{track.validity}, {track.fusion_status}"
             text = track_text(track.pose, track.velocity, status, picture.track_error_m)
             self._details.content = (
                 f"{text}  \nrings: pose blue, track orange, pale if outdated; the target shows the truth"

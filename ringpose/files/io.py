@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -92,12 +93,23 @@ def write_page(path: Path, html: str, *, force: bool = False) -> None:
         stream.write(html.encode(errors="backslashreplace"))  # file names may contain bytes that are not UTF-8
 
 
+@lru_cache
+def software() -> str:
+    """Program and version, as records have them: `ringpose 0.2.0`."""
+    return f"ringpose {_version()}"
+
+
+@lru_cache
+def _version() -> str:
+    from importlib.metadata import version  # slow to import, and many commands do not need it
+
+    return version("ringpose")
+
+
 def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
     """The `provenance` entry of an output file: version, command line, time, and hashes of the inputs."""
-    from importlib.metadata import version  # slow to import, and most commands write no provenance
-
     return {
-        "version": version("ringpose"),
+        "version": _version(),
         "command": shlex.join(["ringpose", *sys.argv[1:]]),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "inputs": {str(path): sha256(path) for path in inputs},

@@ -1,6 +1,5 @@
 """rig.yaml: the camera, the light planes, their covariance, the mount."""
 
-import dataclasses
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from ringpose.files.cameras.ros import (
 )
 from ringpose.files.io import provenance, read_bytes
 from ringpose.files.records import plain
+from ringpose.files.records.codec import OF_FILE, definition_of
 from ringpose.files.schema import ROUNDED, Fields, checked_covariance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
@@ -29,21 +29,11 @@ from ringpose.types.plausible import (
     DELAY_SD_S,
     MOUNT_M,
     PLANE_DISTANCE_M,
-    STABILITY_DISTANCE_M,
-    STABILITY_FOCAL,
-    STABILITY_TILT_RAD,
 )
 from ringpose.types.rig import LaserPlanes, Mount, Rig, camera_parameters, laser_parameters
 from ringpose.types.session import MAX_LASERS
 
 SCHEMA = "rig/1"
-
-STABILITY = {
-    "plane_tilt_rad": STABILITY_TILT_RAD,
-    "plane_distance_m": STABILITY_DISTANCE_M,
-    "focal_ratio": STABILITY_FOCAL,
-}
-"""Plausible ranges of a rig's stability."""
 
 MIN_DISTANCE_M = 1e-6
 """Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
@@ -53,7 +43,7 @@ MAX_STRIPE_ANGLE_DEG = 30.0
 the detector finds no ring on steeper ones; above 15 degrees it finds fewer."""
 
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "stability", "quality")
-_STABILITY_KEYS = tuple(each.name for each in dataclasses.fields(RigStability))
+_STABILITY = definition_of(RigStability)
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
 
@@ -81,14 +71,15 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
     fields.choice("ringpose", (SCHEMA,))
     camera = camera_of(fields.fields("camera", CAMERA_KEYS))
     lasers = _lasers(fields)
-    stability = fields.fields("stability", _STABILITY_KEYS) if fields.has("stability") else None
     known = camera_parameters(len(camera.distortion_coefficients)) + laser_parameters(lasers.names)
     return Rig(
         camera=camera,
         lasers=lasers,
         covariance=read_covariance(fields, known),
         mount=_mount(fields) if fields.has("mount") else None,
-        stability=TYPICAL_STABILITY if stability is None else rig_stability(stability),
+        stability=_STABILITY.read(fields.fields("stability"), OF_FILE)
+        if fields.has("stability")
+        else TYPICAL_STABILITY,
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},
         sha256=sha256,
     )
@@ -175,17 +166,12 @@ def rig_values(rig: Rig) -> dict[str, Any]:
     if rig.covariance is not None:
         values["covariance"] = covariance_values(rig.covariance)
     if rig.stability != TYPICAL_STABILITY:
-        values["stability"] = dataclasses.asdict(rig.stability)
+        values["stability"] = _STABILITY.write(rig.stability)
     if rig.mount is not None:
         errors = {"covariance": rig.mount.root @ rig.mount.root.T} if rig.mount.root.any() else {}
         delay = {name: getattr(rig.mount, name) for name in ("delay_s", "delay_sd_s") if getattr(rig.mount, name)}
         values["mount"] = {"tool_from_camera": rig.mount.tool_from_camera, **errors, **delay}
     return values
-
-
-def rig_stability(fields: Fields) -> RigStability:
-    """The key `stability` of a rig or a pose record."""
-    return RigStability(**{key: fields.quantity(key, plausible) for key, plausible in STABILITY.items()})
 
 
 def _lasers(fields: Fields) -> LaserPlanes:

@@ -100,6 +100,13 @@ class Fields:
             raise self.problem(key, f"is {kind(value)}, must be true or false")
         return value
 
+    def scalar(self, key: str) -> str | float | int | bool:
+        """A text, a number, true or false."""
+        value = self.values[key]
+        if not isinstance(value, str | float | int):
+            raise self.problem(key, f"is {kind(value)}, must be a text, a number, true or false")
+        return value
+
     def integer(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> int:
         """A whole number between two bounds, both included."""
         value = self.raw(key)

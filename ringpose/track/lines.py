@@ -21,14 +21,13 @@ from ringpose.track.filters import Bank, mixed, predict
 from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed, retract
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.finding import NOTHING, Finding
-from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, RingPose, RingVelocity
 from ringpose.types.track import (
     Attempt,
-    FusionStatus,
     GraspState,
     MotionModel,
     NextTick,
+    ProcessNoise,
     SideHypothesis,
     TrackLine,
     Validity,
@@ -53,10 +52,6 @@ _CENTER, _NORMAL, _RADII, _VELOCITY, _RATES, _GRASP, _GRASP_VELOCITY = (
 )  # fmt: skip
 
 
-NO_ATTEMPT = Attempt(shot="", stamp_s=nan, fusion_status=FusionStatus.NONE, test_ratio=nan)
-"""Stands for the newest measurement where there was none since the last line."""
-
-
 def track_line(
     track: Track,
     stamp_s: float,
@@ -77,12 +72,11 @@ def track_line(
     stamp_s = max(track.stamp_s, stamp_s) if track.banks else stamp_s  # that of the track if the instant is unknown
     lost = TrackLine(
         stamp_s=stamp_s,
-        attempt=attempts[-1] if attempts else NO_ATTEMPT,
         attempts=attempts,
         measurement_stamp_s=track.stamp_s,
         validity=validity(track, stamp_s, options),
-        frame="base" if in_base else PoseFrame.CAMERA,
-        log_evidence=log_evidence(track.likeliest) if track.banks else {},
+        frame="base" if in_base else "camera",
+        log_evidence=log_evidence(track.likeliest) if track.banks else dict.fromkeys(MotionModel, nan),
         camera="robot_poses" if in_base else "inertial_assumed",
         resets=track.resets,
         rig=rig,
@@ -127,7 +121,9 @@ def track_line(
         ),
         flags=flags,
         model=MotionModel.PRECESSION if models.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
-        process_noise=(float(models.velocity_noise[chosen]), float(models.rate_noise[chosen])),
+        process_noise=ProcessNoise(
+            velocity_m2_s3=float(models.velocity_noise[chosen]), rate_rad2_s3=float(models.rate_noise[chosen])
+        ),
         capture_probability=None
         if gripper is None
         else capture_probability(found.capture_covariance(), gripper.radial_m, gripper.tilt_rad),

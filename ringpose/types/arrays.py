@@ -5,6 +5,7 @@ order of `EDGES`, `xy` and `xyz` of length two and three, `frame`, `row`, `colum
 """
 
 import sys
+from types import GenericAlias
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,12 +28,25 @@ else:
         """Replaces jaxtyping's element types unless shapes are checked: importing jaxtyping takes as long as NumPy."""
 
         def __class_getitem__(cls, array_and_shape: tuple[Any, str]) -> Any:
-            return array_and_shape[0]
+            return GenericAlias(np.ndarray, ((cls.__name__, array_and_shape[1]),))
 
-    Bool = Complex64 = Float32 = Float64 = Int8 = Int16 = Int32 = Int64 = UInt = UInt8 = UInt16 = _Unchecked
+    Bool, Float64, Int64 = (type(name, (_Unchecked,), {}) for name in ("Bool", "Float64", "Int64"))
+
+    Complex64 = Float32 = Int8 = Int16 = Int32 = UInt = UInt8 = UInt16 = _Unchecked
 
 Array = np.ndarray[Any, np.dtype[Any]]
 """A NumPy array; element type and shape are added as in `Float64[Array, "laser xyz=3"]` (jaxtyping's notation)."""
+
+
+def element_and_axes(annotation: Any) -> tuple[str, tuple[str, ...]] | None:
+    """Element type and axes of an array's annotation: `("Float64", ("laser", "xyz=3"))`; None if it is not one."""
+    if hasattr(annotation, "dim_str"):  # a type of jaxtyping
+        return annotation.__name__.partition("[")[0], tuple(annotation.dim_str.split())
+    if isinstance(annotation, GenericAlias) and annotation.__origin__ is np.ndarray:
+        (element_and_shape,) = annotation.__args__
+        return element_and_shape[0], tuple(element_and_shape[1].split())
+    return None
+
 
 EDGES = ("inner", "outer")
 """Order of the axis `edge`."""

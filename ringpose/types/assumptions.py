@@ -2,23 +2,33 @@
 
 from dataclasses import dataclass
 from math import radians
+from typing import Annotated
+
+from ringpose.types import plausible
+from ringpose.types.record import Key
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionPrior:
     """Standard deviations per axis of the ring centre's velocity and of its angular velocity."""
 
-    speed_sd_m_s: float
-    rate_sd_rad_s: float
+    speed_sd_m_s: Annotated[float, Key("Of the velocity of the ring's centre.", least=0.0)]
+    rate_sd_rad_s: Annotated[float, Key("Of its angular velocity.", least=0.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigStability:
     """Standard deviations of the rig's parameters since its calibration (ringpose-method(7), section 11)."""
 
-    plane_tilt_rad: float = 0.0
-    plane_distance_m: float = 0.0
-    focal_ratio: float = 0.0
+    plane_tilt_rad: Annotated[
+        float, Key("Of the tilts of a light plane.", plausible=plausible.STABILITY_TILT_RAD, needed=True)
+    ] = 0.0
+    plane_distance_m: Annotated[
+        float, Key("Of its distance.", plausible=plausible.STABILITY_DISTANCE_M, needed=True)
+    ] = 0.0
+    focal_ratio: Annotated[
+        float, Key("Of the focal length, as a share.", plausible=plausible.STABILITY_FOCAL, needed=True)
+    ] = 0.0
 
     def scaled(self, factor: float) -> "RigStability":
         """The standard deviations times a factor."""

@@ -7,11 +7,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntFlag
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.record import Key
 
 MAX_SIGMA_PX = 1e4
 """Largest standard deviation of a detected point: larger than an image, it is not a measurement. The detector does not
@@ -194,11 +195,12 @@ class JudgedRing:
 class Rejection:
     """A measurement that was not used because it contradicts the others."""
 
-    what: Literal["point", "stripe", "edge", "assignment", "radius"]
-    laser: str | None = None
-    edge: Literal["inner", "outer"] | None = None
-    chi2: float = math.nan
-    """Decrease of chi-squared by this rejection."""
+    what: Annotated[Literal["point", "stripe", "edge", "assignment", "radius"], Key("What was rejected.", grows=True)]
+    laser: Annotated[str | None, Key("Null where it does not apply.")] = None
+    edge: Annotated[Literal["inner", "outer"] | None, Key("Null where it does not apply.")] = None
+    chi2: Annotated[float, Key("By how much it reduces chi-squared; null if that was not computed.", null=math.nan)] = (
+        math.nan
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

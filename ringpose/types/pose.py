@@ -4,18 +4,19 @@ Also the prior radii of its edges, the triangulated break points, and the eviden
 planes.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntFlag, StrEnum
-from typing import Literal
+from math import atan2, hypot, inf, nan
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.assumptions import Assumptions
+from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
 from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
+from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import PlaneCorrection
 
 
@@ -87,40 +88,99 @@ HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
 class PlaneEvidence:
     """What one shot shows about the rig's parameters: rows A q = y with noise of unit variance."""
 
-    parameters: tuple[str, ...]
-    rows: Float64[Array, "row column"]
-    """[A, y], in the parameters' own units."""
-    normal: Float64[Array, "xyz=3"]
-    """Normal of the ring, by which shots of the same pose are recognized ..."""
-    place_m: Float64[Array, "xyz=3"]
-    """... and a point of its face."""
+    parameters: Annotated[
+        tuple[str, ...],
+        Key("Names of the errors q of the rig; the ring and its motion are eliminated.", form=Form.DISTINCT),
+    ]
+    rows: Annotated[
+        Float64[Array, "row column"],
+        Key("Rows [A, y] of A q = y with noise of unit variance, in the parameters' own units."),
+    ]
+    normal: Annotated[
+        Float64[Array, "xyz=3"],
+        Key("Normal of the ring.", form=Form.UNIT_VECTOR),
+    ]
+    place_m: Annotated[Float64[Array, "xyz=3"], Key("A point of its face; both distinguish shots at different poses.")]
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of values that contradict each other; None if they do not."""
+        return _other_columns("rows", self.rows, len(self.parameters) + 1)
+
+
+def _other_columns(key: str, rows: Float64[Array, "row column"], columns: int) -> tuple[str, str] | None:
+    """The finding that rows do not have this number of columns."""
+    if rows.shape[1] == columns:
+        return None
+    return key, f"has {rows.shape[0]} x {rows.shape[1]} numbers, must have n x {columns}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseCovariance:
+    """Covariances of a pose; None if they are not known."""
+
+    full: Annotated[
+        Float64[Array, "7 7"] | None,
+        Key(
+            "Of tilt_1, tilt_2, offset_m (of the plane normal . point = offset_m), center_1_m, center_2_m (along the "
+            "tilt basis), radius_inner_m, radius_outer_m; null in the rows and columns of what is not determined.",
+            gaps=True,
+            form=Form.COVARIANCE,
+        ),
+    ]
+    center: Annotated[Float64[Array, "3 3"] | None, Key("Of the centre's coordinates.", form=Form.COVARIANCE)]
+    grasp: Annotated[Float64[Array, "3 3"] | None, Key("Of the grasp point's coordinates.", form=Form.COVARIANCE)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingPose:
     """Pose of the ring in the camera frame, in metres."""
 
-    center_m: Float64[Array, "xyz=3"]
-    """NaN if not determined."""
-    normal: Float64[Array, "xyz=3"]
-    """Unit normal of the ring's plane, towards the camera (the paper's Z_b); NaN if not determined."""
-    radius_inner_m: float
-    radius_outer_m: float
-    """NaN if that edge was not observed."""
-    grasp_m: Float64[Array, "xyz=3"]
-    """Grasp point: on the middle of the band, at the centre of the observations (method(7), section 5).
-
-    In `paper` the mean of the break points. NaN if an edge was not observed, so that the middle is not known.
-    """
-    method: str
-    condition_number: float
-    """Condition number of the equations: in `ml` of all, columns scaled to unit length; else of the centre's, rows
-    scaled."""
-    residual_rms_px: float
-    """Root mean square reprojection error of the break points."""
+    center_m: Annotated[Float64[Array, "xyz=3"], Key("Centre of the ring; null if it is not determined.", null=nan)]
+    normal: Annotated[
+        Float64[Array, "xyz=3"],
+        Key(
+            "Unit normal of the ring's plane, towards the camera (the paper's Z_b); null if it is not determined.",
+            null=nan,
+            form=Form.UNIT_VECTOR,
+        ),
+    ]
+    radius_inner_m: Annotated[float, Key("Radius of the inner edge; null if it is not determined.", null=nan)]
+    radius_outer_m: Annotated[float, Key("Radius of the outer edge; null if it is not determined.", null=nan)]
+    grasp_m: Annotated[
+        Float64[Array, "xyz=3"],
+        Key(
+            "Grasp point, in the middle of the ring's band where it was seen; null if one of the edges was not seen "
+            "and the middle is unknown.",
+            null=nan,
+        ),
+    ]
+    """In `ml` at the centre of the observations (method(7), section 5), in `paper` the mean of the break points."""
+    ring_posterior: Annotated[
+        Mapping[str, Annotated[float, Key(least=0.0, most=1.0, null=nan)]] | None,
+        Key("Probability of each ring of a catalogue, and of `none of these`; null without a catalogue."),
+    ] = None
+    method: Annotated[str, Key("Estimation method of the pose.")]
+    residual_rms_px: Annotated[
+        float,
+        Key(
+            "Root mean square distance between the measured break points and those predicted from the pose.",
+            null=nan,
+            least=0.0,
+        ),
+    ]
+    condition_number: Annotated[
+        float,
+        Key(
+            "Condition number of the system of equations: for `ml` that of all parameters, with columns scaled to unit "
+            "length; for the other methods that of the centre, with scaled rows; null if it is singular.",
+            null=inf,
+            least=0.0,
+            earlier="condition",
+        ),
+    ]
     covariance: Float64[Array, "7 7"] | None = None
-    """Covariance of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN in the rows
-    and columns of what is not determined.
+    """See `PoseCovariance`; NaN in the rows and columns of what is not determined.
 
     Plane: normal(tilt) . point = offset_m (`ringpose.geometry.rotations.tilted`); centre c = offset_m n + center_1_m e1
     + center_2_m e2, where the tilt basis e1, e2 tilts with the normal (method(7), section 8).
@@ -130,30 +190,50 @@ class RingPose:
     flags: PoseFlag = PoseFlag(0)
     remark: str = ""
     """Warning in words; empty if there is none."""
-    ring_posterior: Mapping[str, float] | None = None
-    """Posterior probability of each ring of a catalogue and of `none of these`; None without a catalogue."""
+
+    @classmethod
+    def from_record(cls, covariances: PoseCovariance | None, **keys: Any) -> "RingPose":
+        """The pose of a record; its flags are those of its line."""
+        known = covariances or PoseCovariance(full=None, center=None, grasp=None)
+        return cls(
+            **keys,
+            covariance=known.full,
+            covariance_center_m2=known.center,
+            covariance_grasp_m2=known.grasp,
+        )
 
     @property
-    def pitch_rad(self) -> float:
+    def covariances(self) -> Annotated[PoseCovariance | None, Key(name="covariance", after="grasp_m", is_read=True)]:
+        """All covariances; None if none is known."""
+        full, center, grasp = self.covariance, self.covariance_center_m2, self.covariance_grasp_m2
+        known = [each for each in (full, center, grasp) if each is not None]
+        return PoseCovariance(full=full, center=center, grasp=grasp) if known else None
+
+    @property
+    def pitch_rad(
+        self,
+    ) -> Annotated[float, Key("The paper's pitch of the normal, null with it.", after="normal", null=nan)]:
         """The paper's pitch: asin(w_y) of w = -normal, zero when the ring faces the camera (method(7), section 4)."""
-        return float(np.arctan2(-self.normal[1], np.hypot(self.normal[0], self.normal[2])))
+        x, y, z = self.normal.tolist()
+        return atan2(-y, hypot(x, z))
 
     @property
-    def yaw_rad(self) -> float:
+    def yaw_rad(self) -> Annotated[float, Key("The paper's yaw of the normal.", after="pitch_rad", null=nan)]:
         """The paper's yaw: atan2(w_x, w_z) of w = -normal (method(7), section 4)."""
-        return float(np.arctan2(-self.normal[0], -self.normal[2]))
+        x, _, z = self.normal.tolist()
+        return atan2(-x, -z)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearizationPoint:
     """The ring about which a measurement is linearised, in the camera frame."""
 
-    center_m: Float64[Array, "xyz=3"]
-    normal: Float64[Array, "xyz=3"]
-    radius_inner_m: float
-    radius_outer_m: float
-    velocity_m_s: Float64[Array, "xyz=3"]
-    rate_rad_s: Float64[Array, "xyz=3"]
+    center_m: Annotated[Float64[Array, "xyz=3"], Key()]
+    normal: Annotated[Float64[Array, "xyz=3"], Key(form=Form.UNIT_VECTOR)]
+    radius_inner_m: Annotated[float, Key(null=nan)]
+    radius_outer_m: Annotated[float, Key(null=nan)]
+    velocity_m_s: Annotated[Float64[Array, "xyz=3"], Key()]
+    rate_rad_s: Annotated[Float64[Array, "xyz=3"], Key()]
 
 
 MEASURED_PARAMETERS = (
@@ -170,32 +250,96 @@ c = offset_m n + center_1_m e1 + center_2_m e2, where e1 and e2 tilt with n (met
 class RingMeasurement:
     """The information of one shot alone, without any prior (ringpose-method(7), section 9); always camera frame."""
 
-    linearized_at: LinearizationPoint
-    nuisance_parameters: tuple[str, ...]
-    """Common errors that several shots share: parameters of rig, ring form and mount, in their own units."""
-    square_root: Float64[Array, "row column"]
-    """Upper-trapezoidal QR factor of the whitened rows [J, J_q, z - h]; columns: `MEASURED_PARAMETERS`,
-    `nuisance_parameters`, residual."""
-    degrees_of_freedom: int
-    chi2: float
-    camera_motion: Literal["none", "robot_poses"] = "none"
+    linearized_at: Annotated[LinearizationPoint, Key("The ring about which the equations are linearised.")]
+    nuisance_parameters: Annotated[
+        tuple[str, ...],
+        Key(
+            "Names of the n errors q that shots have in common, in their own units: parameters of the rig, and the "
+            "amplitudes of the ring's form `form.inner.a2` to `form.axial.b4` in metres (a of the cosine, b of the "
+            "sine of the order, with the angle from the middle of the arc that was seen); with robot poses also "
+            "`mount.rotation_x` to `mount.translation_z` and `mount.delay`, those that have a variance.",
+            form=Form.DISTINCT,
+        ),
+    ]
+    square_root: Annotated[
+        Float64[Array, "row column"],
+        Key(
+            "The upper-trapezoidal QR factor R of the whitened rows [J, J_q, z - h], 12 + n + 1 columns, so that R^T R "
+            "has all blocks of the normal equations.",
+            form=Form.UPPER_TRAPEZOIDAL,
+        ),
+    ]
+    degrees_of_freedom: Annotated[int, Key("Of the fit to this shot.")]
+    chi2: Annotated[float, Key("Of the fit to this shot.", least=0.0)]
+    camera_motion: Annotated[
+        Literal["none", "robot_poses"],
+        Key("`none`, or `robot_poses` if the camera's motion was known and removed.", needed=True),
+    ] = "none"
+
+    @property
+    def parameters(
+        self,
+    ) -> Annotated[
+        tuple[str, ...],
+        Key(
+            "Names of the 12 increments x, in the tilt basis of the normal at the linearisation point: tilt_1, tilt_2, "
+            "offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m, velocity_x_m_s, velocity_y_m_s, "
+            "velocity_z_m_s, rate_1_rad_s, rate_2_rad_s.",
+            after="linearized_at",
+            constant=MEASURED_PARAMETERS,
+        ),
+    ]:
+        """See `MEASURED_PARAMETERS`."""
+        return MEASURED_PARAMETERS
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of values that contradict each other; None if they do not."""
+        columns = len(MEASURED_PARAMETERS) + len(self.nuisance_parameters) + 1
+        return _other_columns("square_root", self.square_root, columns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadiusPrior:
     """Assumed edge radii; NaN for an edge without a prior."""
 
-    inner_m: float
-    outer_m: float
-    inner_sd_m: float
-    outer_sd_m: float
-    source: str
-    """`given`, or the name of the catalogue's ring."""
+    inner_m: Annotated[float, Key("Radius of the inner edge; null if none is assumed.", null=nan)]
+    outer_m: Annotated[float, Key("Radius of the outer edge; null if none is assumed.", null=nan)]
+    inner_sd_m: Annotated[float, Key("Standard deviation of `inner_m`.", null=nan, added=True)]
+    outer_sd_m: Annotated[float, Key("Standard deviation of `outer_m`.", null=nan, added=True)]
+    source: Annotated[str, Key("`given`, or the name of the catalogue's ring.")]
+
+    @classmethod
+    def from_record(cls, sd_m: float, **keys: Any) -> "RadiusPrior":
+        """The prior of a record; older ones have one standard deviation for both edges."""
+        for edge in ("inner", "outer"):
+            if keys[f"{edge}_m"] == keys[f"{edge}_m"] and keys[f"{edge}_sd_m"] != keys[f"{edge}_sd_m"]:
+                keys[f"{edge}_sd_m"] = sd_m
+        return cls(**keys)
 
     @property
-    def sd_m(self) -> float:
+    def sd_m(self) -> Annotated[float, Key("The larger standard deviation.", after="source", is_read=True, least=0.0)]:
         """The larger standard deviation."""
         return max(sd for sd in (self.inner_sd_m, self.outer_sd_m, 0.0) if sd == sd)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigPriors:
+    """What a pose assumes about the rig."""
+
+    covariance: Annotated[
+        bool,
+        Key(
+            "Whether the covariance of the rig file was used: `rig.yaml`, or `none`; without one the calibration "
+            "counts as exact.",
+            words={True: "rig.yaml", False: "none"},
+        ),
+    ]
+    stability: Annotated[RigStability, Key("Standard deviations since the calibration.")]
+    moved: Annotated[
+        Mapping[str, PlaneCorrection],
+        Key("After a drift: each light plane that was corrected.", presence=Presence.IF_KNOWN),
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,14 +347,48 @@ class Priors:
     """Prior assumptions of a pose."""
 
     assumptions: Assumptions = Assumptions()
-    radius: RadiusPrior | None = None
+    radius: Annotated[RadiusPrior | None, Key("Assumed radii of the edges; null if none is assumed.")] = None
     rig_covariance: bool = False
     """Whether the covariance of rig.yaml was used; without one the calibration counts as exact."""
     moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
     """The corrections of light planes, by the laser's name."""
-    regularization: Float64[Array, "row column"] | None = None
-    """Rows [J, z - h] in units of their standard deviations, columns `MEASURED_PARAMETERS` and residual: weak priors
-    that hold the parameters which the shot leaves open; None if it leaves none open."""
+    regularization: Annotated[
+        Float64[Array, "row column=13"] | None,
+        Key(
+            "Rows [J, z - h] with 12 + 1 columns: weak priors in units of their standard deviations, for parameters "
+            "that the shot leaves open; null if it leaves none open."
+        ),
+    ] = None
+
+    @classmethod
+    def from_record(cls, motion: MotionPrior | None, ring_tolerance_m: float, rig: RigPriors, **keys: Any) -> "Priors":
+        """The priors of a record."""
+        assumptions = Assumptions(motion=motion, ring_tolerance_m=ring_tolerance_m, stability=rig.stability)
+        return cls(assumptions=assumptions, rig_covariance=rig.covariance, moved_planes=rig.moved, **keys)
+
+    @property
+    def motion(
+        self,
+    ) -> Annotated[
+        MotionPrior | None,
+        Key("`still`, or the standard deviations per axis of the ring's motion.", is_read=True, words={None: "still"}),
+    ]:
+        """None if the target is assumed to be still."""
+        return self.assumptions.motion
+
+    @property
+    def ring_tolerance_m(
+        self,
+    ) -> Annotated[float, Key("Standard deviation of the ring's form.", after="radius", is_read=True, least=0.0)]:
+        """Standard deviation of the edges from circles, and of the face from a plane."""
+        return self.assumptions.ring_tolerance_m
+
+    @property
+    def rig(
+        self,
+    ) -> Annotated[RigPriors, Key("What is assumed about the rig.", after="ring_tolerance_m", is_read=True)]:
+        """What is assumed about the rig."""
+        return RigPriors(covariance=self.rig_covariance, stability=self.assumptions.stability, moved=self.moved_planes)
 
 
 class LaserState(StrEnum):
@@ -235,7 +413,7 @@ class PoseResult:
     """Flags of the pose, if there is one."""
     remark: str = ""
     """What contradicts the pose, in words; empty if nothing does."""
-    stamp_s: float = math.nan
+    stamp_s: float = nan
     """The instant at which the pose holds; NaN if the features' stamps are unknown."""
     velocity: "RingVelocity | None" = None
     """None if the target is assumed to be still."""
@@ -252,11 +430,15 @@ class PoseResult:
 class RingVelocity:
     """Velocity of the ring's centre and its angular velocity across the normal, camera frame."""
 
-    center_m_s: Float64[Array, "xyz=3"]
-    rate_rad_s: Float64[Array, "xyz=3"]
-    """Perpendicular to the normal; the spin about the normal is not observable."""
-    covariance: Float64[Array, "5 5"]
-    """Covariance of velocity x, y, z, rate_1, rate_2."""
+    center_m_s: Annotated[Float64[Array, "xyz=3"], Key("Of the ring's centre.")]
+    rate_rad_s: Annotated[
+        Float64[Array, "xyz=3"],
+        Key("Angular velocity, perpendicular to the normal; the spin about the normal is not observable."),
+    ]
+    covariance: Annotated[
+        Float64[Array, "5 5"],
+        Key("Of velocity x, y, z, rate_1, rate_2; rates along the tilt basis.", form=Form.COVARIANCE),
+    ]
 
 
 Status = Literal["ok", "degraded", "none"]
@@ -266,45 +448,127 @@ def status_of(pose: RingPose | None, flags: PoseFlag) -> Status:
     """The status of a line: `none`, `degraded` (a pose with flags other than `HARMLESS_FLAGS`) or `ok`."""
     if pose is None:
         return "none"
-    return "degraded" if flags & ~HARMLESS_FLAGS else "ok"
+    return "degraded" if int(flags) & ~int(HARMLESS_FLAGS) else "ok"  # a tenth of the time of operations on flags
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseLine:
     """Record of one shot: its pose or the reason why it has none, and the provenance."""
 
-    shot: str
-    stamp_s: float
-    """Mid exposure of the first frame with a laser on."""
-    pose: RingPose | None
-    pose_stamp_s: float = math.nan
-    """The instant at which pose and velocity hold."""
-    flags: PoseFlag = PoseFlag(0)
-    reason: str | None = None
-    """Reason why there is no pose; with a pose, what contradicts it, or None."""
-    frame: PoseFrame = PoseFrame.CAMERA
-    """Frame in which the pose is expressed."""
-    velocity: RingVelocity | None = None
-    """None if the target is assumed to be still."""
-    measurement: RingMeasurement | None = None
-    priors: Priors | None = None
-    lasers: Mapping[str, LaserState] = field(default_factory=dict)
-    rejected: tuple[Rejection, ...] = ()
-    plane_evidence: PlaneEvidence | None = None
-    """See `PoseResult`."""
-    rig_health: Mapping[str, float] = field(default_factory=dict)
-    """Normalised error of each laser's light plane; empty where it was not measured."""
-    shots_dropped: int = 0
-    """Number of shots that were lost since the previous one."""
-    latency_s: float = math.nan
-    """Time from the shot in memory to its pose; NaN where it was not measured."""
-    stage_s: Mapping[str, float] = field(default_factory=dict)
-    """Time that each stage of the computation took."""
-    rig: str = ""
-    """SHA-256 of the rig file."""
+    software: Annotated[str, Key("Program and version that wrote the line.", null="", added=True)] = ""
+    shot: Annotated[str, Key("Name of the shot: its file name without suffix.")]
+    stamp_s: Annotated[
+        float,
+        Key(
+            "Time of the shot (Unix time): mid exposure of its first frame with a laser on; for a plain image, the "
+            "modification time of the file.",
+            null=nan,
+        ),
+    ]
+    pose_stamp_s: Annotated[
+        float,
+        Key("The instant at which pose and velocity hold; null without a pose, or if it was not determined.", null=nan),
+    ] = nan
+    frame: Annotated[
+        PoseFrame,
+        Key("The frame of the vectors, angles and covariances in `pose` and `velocity`.", needed=True),
+    ] = PoseFrame.CAMERA
+    reason: Annotated[
+        str | None,
+        Key("Why there is no pose, or which measurement of a pose contradicts the others, as a sentence; else null."),
+    ] = None
+    flags: Annotated[PoseFlag, Key("Limitations, with any status; see below.", needed=True)] = PoseFlag(0)
+    pose: Annotated[
+        RingPose | None, Key("See below; null if not even the ring's plane and a grasp point are determined.")
+    ]
+    velocity: Annotated[
+        RingVelocity | None, Key("Velocity of the ring; null if the target is assumed to be still.")
+    ] = None
+    measurement: Annotated[
+        RingMeasurement | None,
+        Key(
+            "The information of this shot alone, see below; null if there is none, missing with `--brief`.",
+            presence=Presence.NOT_BRIEF,
+        ),
+    ] = None
+    plane_evidence: Annotated[
+        PlaneEvidence | None,
+        Key(
+            "What the shot shows about errors of the rig, also where its stripes contradict one ring; null where it "
+            "shows nothing, missing with `--brief`.",
+            presence=Presence.NOT_BRIEF,
+        ),
+    ] = None
+    priors: Annotated[
+        Priors | None, Key("What the pose assumes besides the shot, see below; null if nothing was estimated.")
+    ] = None
+    lasers: Annotated[
+        Mapping[str, Annotated[LaserState, Key(grows=True)]],
+        Key(
+            "For each laser, by name, what its stripe contributed: `used`; `partly` (a break point that should be in "
+            "view was rejected or not found); `rejected`; `not_seen` (the stripe should be in view but was not found); "
+            "`out_of_view` (by rig and ring it lies outside the image, which is no fault).",
+        ),
+    ] = field(default_factory=dict)
+    rejected: Annotated[
+        tuple[Rejection, ...],
+        Key("Measurements that contradict the others and were not used."),
+    ] = ()
+    rig_health: Annotated[
+        Mapping[str, Annotated[float, Key(null=nan)]],
+        Key(
+            "For each laser, by name, the estimated error of its light plane over about the last fifty shots, in "
+            "standard deviations of the estimate from one shot; null where the shots do not determine it, empty for "
+            "methods that do not estimate it. Values up to about 1 are normal; over 3, the plane or the camera has "
+            "moved.",
+            earlier="laser_health",
+        ),
+    ] = field(default_factory=dict)
+    shots_dropped: Annotated[
+        int,
+        Key(
+            "Number of shots that were dropped between the previous pose line and this one, because a newer shot was "
+            "available; 0 if shots are read from files.",
+            least=0,
+            earlier="dropped",
+        ),
+    ] = 0
+    latency_s: Annotated[
+        float,
+        Key(
+            "Time from the shot (or detection) in memory to its pose; for a live camera it includes the time spent "
+            "waiting.",
+            null=nan,
+            least=0.0,
+        ),
+    ] = nan
+    stage_s: Annotated[
+        Mapping[str, Annotated[float, Key(null=nan, least=0.0)]],
+        Key("Duration of each stage of the computation, by name."),
+    ] = field(default_factory=dict)
+    lines_skipped: Annotated[
+        int | None,
+        Key(
+            "With `--newest`: number of lines between the previous one and this one that were not written, because the "
+            "reader was slow.",
+            least=0,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    rig: Annotated[str, Key("SHA-256 of the rig file.", null="", pattern="^[0-9a-f]{64}$")] = ""
 
     @property
-    def status(self) -> Status:
+    def status(
+        self,
+    ) -> Annotated[
+        Status,
+        Key(
+            "`none`: no pose; `ok`: a pose for which every stripe, break point and visible edge that should be in "
+            "view was used and agreed, with no flag but `radius_unverified` and `rig_unchecked`; `degraded`: any "
+            "other pose.",
+            after="frame",
+        ),
+    ]:
         """See `status_of`."""
         return status_of(self.pose, self.flags)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.options import DistortionModel
+from ringpose.types.record import Form, Key
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """Parameters in the order of OpenCV's Jacobian; a camera with fewer distortion coefficients has the first of them."""
@@ -132,10 +133,15 @@ class LaserPlanes:
 class PlaneCorrection:
     """Correction of a light plane that a stream of shots has shown to have moved."""
 
-    change: Float64[Array, "parameter=3"]
-    """Tilts in radians and distance in metres, relative to the rig's file."""
-    covariance: Float64[Array, "parameter=3 parameter=3"]
-    """Covariance of the corrected plane: replaces that of the calibration and the stability."""
+    change: Annotated[Float64[Array, "parameter=3"], Key("Of its tilts and its distance, relative to the rig file.")]
+    covariance: Annotated[
+        Float64[Array, "parameter=3 parameter=3"],
+        Key(
+            "Of the corrected plane: it replaces that of the calibration and the stability; `nuisance_parameters` of "
+            "that plane are increments about the corrected one.",
+            form=Form.COVARIANCE,
+        ),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -78,6 +78,7 @@ def sections(seeds: int, rounds: int) -> Iterator[tuple[str, list[Figure]]]:
         yield "segments of the paper's detector, full frame", segment_figures(rounds)
         yield "image to break points and pose record", chain_figures(rounds)
         yield "break points to pose", pose_figures(rounds)
+        yield "pose record to JSON", record_figures(rounds)
         yield "last frame read to record written", latency_figures(rounds)
         yield "rendered frame", rendering_figures(rounds)
     with TemporaryDirectory() as folder:
@@ -210,6 +211,16 @@ def pose_figures(rounds: int) -> list[Figure]:
             for name, time_s in times_s.items()
         ),
     ]
+
+
+def record_figures(rounds: int) -> list[Figure]:
+    """A full pose record to its line: all that a line has with the usual assumptions."""
+    image = stripe_image(Kind.DARK, 0)
+    line = Setup(rig=image.rig).measure(shot_of(image))
+    calls: dict[str, Callable[[], object]] = {"full": lambda: line_of(pose_record(line))}
+    calls["brief"] = lambda: line_of(pose_record(line, brief=True))
+    times_s = median_times_s(calls, rounds * POSES_PER_ROUND)
+    return [Figure(name=name, measured=time_s * 1e3, unit="ms", max_value=0.1) for name, time_s in times_s.items()]
 
 
 def _ml(points: BreakPoints, rig: Rig) -> Callable[[], object]:

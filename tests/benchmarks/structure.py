@@ -143,19 +143,41 @@ def decides_flags(tree: ast.Module) -> bool:
 
 
 def print_record_keys() -> None:
-    """In how many places a key of the pose record is written: type, writer and reader, schema, manual."""
-    keys = set(_schema_keys(json.loads((PACKAGE / "files" / "pose.schema.json").read_text())))
-    sources = [*(PACKAGE / "types").glob("*.py"), PACKAGE / "files" / "records" / "poses.py"]
-    nodes = [node for path in sources for node in ast.walk(ast.parse(path.read_text()))]
-    fields = Counter(
-        node.target.id for node in nodes if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    """In how many places a key of a record is written: its definition, reader and writer, schema, list in the manual.
+
+    Counted are the annotations with a `Key`, texts equal to the key in the modules that read and write records and in
+    JSON Schemas by hand, and items of lists in the manual that are not made from the code.
+    """
+    from ringpose.files.records.codec import definition_of
+    from ringpose.files.schemas import RECORDS
+
+    defined, waiting = Counter[str](), [record.cls for record in RECORDS.values()]
+    seen: set[type] = set()
+    while waiting:
+        cls = waiting.pop()
+        if cls in seen:
+            continue
+        seen.add(cls)
+        for each in definition_of(cls).attributes:
+            defined[each.name] += 1
+            waiting += [] if each.slot.value.parts is None else [each.slot.value.parts.cls]
+    records = [path for path in (PACKAGE / "files" / "records").glob("*.py") if path.name != "ros.py"]
+    nodes = [node for path in records for node in ast.walk(ast.parse(path.read_text()))]
+    others = Counter(node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    for schema in (PACKAGE / "files").glob("*.schema.json"):
+        others.update(_schema_keys(json.loads(schema.read_text())))
+    page = (ROOT / "man" / "ringpose-records.5").read_text()
+    by_hand = re.sub(r"beginning of the table.*?end of the table", "", page, flags=re.DOTALL)
+    others.update(
+        name for items in re.findall(r"^\.It Va (.*)", by_hand, re.MULTILINE) for name in items.split(" , Va ")
     )
-    texts = Counter(node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str))
-    manual = (ROOT / "man" / "ringpose-records.5").read_text()
-    places = sorted((fields[key] > 0) + texts[key] + 1 + (key in manual) for key in keys)
+    places = sorted(1 + others[name] for name, classes in defined.items() for _ in range(classes))
+    more = ", ".join(f"{name} {1 + others[name]}" for name in sorted(defined) if others[name])
     print(
-        f"\nplaces of a key of the pose record: median {places[len(places) // 2]}, most {places[-1]} ({len(keys)} keys)"
+        f"\nplaces of a key of a record: median {places[len(places) // 2]}, most {places[-1]} ({len(places)} keys",
+        end="",
     )
+    print(f"; in more than one: {more})" if more else ")")
 
 
 def _schema_keys(schema: object) -> Iterator[str]:

@@ -125,7 +125,7 @@ BAD = {
     "another rig": (lambda line: line.replace("a" * 64, "b" * 64), "rig"),
     "repeated": (lambda _: None, "repeats"),
     "no schema": (lambda line: without(line, "schema"), "schema"),
-    "needs a rig file": (lambda line: line.replace('"covariance": "none"', '"covariance": "rig.yaml"'), "--rig"),
+    "needs a rig file": (lambda line: line.replace('"covariance":"none"', '"covariance":"rig.yaml"'), "--rig"),
 }
 
 

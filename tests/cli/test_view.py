@@ -121,7 +121,7 @@ def test_what_cannot_be_shown_is_reported(rig, picture, tmp_path, monkeypatch, c
     (tmp_path / "rig.jsonl").write_text(json.dumps(record))
     (tmp_path / "poses.jsonl").write_text('{"schema": "ringpose/pose/2", "shot": "dark"}\n')
     track = {"schema": "ringpose/track/1", "shot": "other", "stamp_s": 0.0, "validity": "lost", "fusion_status": "none"}
-    (tmp_path / "tracks.jsonl").write_text(json.dumps(track | {"frame": "camera", "pose": None, "velocity": None}))
+    (tmp_path / "tracks.jsonl").write_text(json.dumps(track | {"frame": "camera", "camera": "inertial_assumed"}))
     (tmp_path / "other.jsonl").write_text('{"shot": "other", "expect": "no_target"}\n')
 
     assert main(["view", str(dark), "--rig", str(rig), *words]) == status

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from golden_lines import TIMES, differences
+from golden_lines import LEFT_OUT, differences
 from moving_cameras import robot
 from moving_rings import START_S
 
@@ -92,7 +92,7 @@ def expected(folder, shots) -> dict[str, list]:
 def recorded(record) -> dict:
     """A record as it is read, without times, and without the hash of the rig's file."""
     record = records.plain(record)
-    return {key: value for key, value in record.items() if key not in (*TIMES, "rig")}
+    return {key: value for key, value in record.items() if key not in (*LEFT_OUT, "rig")}
 
 
 def assert_same(found, expected) -> None:
@@ -157,7 +157,7 @@ def test_a_data_set_is_scored_by_the_lines_of_the_command(folder, tmp_path, caps
     def scores(*words) -> list[dict]:
         assert main(["bench", *map(str, words), "--quiet", "--csv", "-"]) == 0
         rows = csv.DictReader(capsys.readouterr().out.splitlines())
-        return [{key: value for key, value in row.items() if key not in TIMES} for row in rows]
+        return [{key: value for key, value in row.items() if key not in LEFT_OUT} for row in rows]
 
     of_folder = scores(folder, "--method", "ml")
 

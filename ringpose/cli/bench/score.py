@@ -249,7 +249,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Bat
         with batch.guarded():
             if not isinstance(item, Record):
                 raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose or track")
-            tracked = item.values.get("schema") == tracks.SCHEMA
+            tracked = item.values.get("schema") == tracks.RECORD.version
             line = (tracks.pose_line_of_track if tracked else pose_line_of)(item.values, item.location)
             if tracked and item.values.get("frame") != "camera":
                 raise DataError(item.location, "is in the base frame", "give a track without robot poses")

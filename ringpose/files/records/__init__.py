@@ -7,12 +7,16 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ringpose.errors import DataError, InputOutputError, SignalReceived
+
+if TYPE_CHECKING:
+    import msgspec
 
 STDOUT = "-"
 """Argument that stands for standard output instead of a file."""
@@ -21,8 +25,26 @@ _LOCATION = "standard output"
 
 
 def line_of(record: Mapping[str, Any]) -> str:
-    """The record as strict JSON on one line; numbers that are not finite become null."""
-    return json.dumps(plain(record), allow_nan=False, separators=(", ", ": ")) + "\n"
+    """The record as strict JSON on one line, in ASCII; numbers that are not finite become null.
+
+    There is a space behind the commas and colons of the record's own keys, for those who search lines for `"key": `.
+    """
+    return f"{{{', '.join([f'{_encoded(str(key))}: {_encoded(value)}' for key, value in record.items()])}}}\n"
+
+
+def _encoded(value: Any) -> str:
+    try:
+        text = _encoder().encode(value).decode()
+    except (ValueError, OverflowError):  # a name of a file that is not UTF-8, or a number of more than 64 bits
+        text = "\xff"
+    return text if text.isascii() else json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
+
+
+@lru_cache
+def _encoder() -> "msgspec.json.Encoder":
+    import msgspec  # as slow to import as JSON lines are to be written by a short command
+
+    return msgspec.json.Encoder(enc_hook=plain)
 
 
 def write(record: Mapping[str, Any]) -> None:

@@ -27,7 +27,7 @@ def ros_messages(line: PoseLine | TrackLine) -> dict[str, Any]:
     """
     if isinstance(line, TrackLine):
         stamp_s = line.stamp_s
-        beside: dict[str, str] = {"validity": line.validity, "fusion_status": line.attempt.fusion_status}
+        beside: dict[str, str] = {"validity": line.validity, "fusion_status": line.fusion_status}
         grasp_m = np.full(3, nan) if line.grasp is None else line.grasp.point_m
     else:
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s

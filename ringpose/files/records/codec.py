@@ -1,0 +1,629 @@
+"""Reading, writing and describing records by their one definition: a data class whose fields have a `Key`.
+
+`definition_of(cls)` has a kind of value for each key; each kind reads, writes and describes its values. Messages are
+those of `Fields`: place, finding and remedy.
+
+msgspec writes the JSON (`ringpose.files.records`), but does not read it: of an error below a free key, such as
+`rig_health.left`, it does not name the key, and it accepts a key that occurs twice.
+"""
+
+import types
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import Enum, IntFlag, StrEnum
+from functools import cached_property
+from math import inf, isfinite
+from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ringpose.files.kinds import Kind
+from ringpose.files.records.arrays import Axes, checked_array, fixed_length
+from ringpose.files.schema import Fields
+from ringpose.types.arrays import element_and_axes
+from ringpose.types.record import REQUIRED, Form, Key, Presence
+
+T = TypeVar("T")
+
+Flag = TypeVar("Flag", bound=IntFlag)
+
+Schema = dict[str, Any]
+
+
+class Unknown(Exception):
+    """A word of a later version; the entry of a list or mapping that has it is ignored."""
+
+
+class Context(NamedTuple):
+    """What reading depends on beside the definition."""
+
+    unchanged: str = ""
+    """Remedy for a record that contradicts itself."""
+    strict: bool = False
+    """Whether unknown keys are rejected."""
+
+
+OF_FILE = Context(strict=True)
+"""For a file, whose unknown keys are rejected."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A kind of value, with what its key states."""
+
+    key: Key
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        """The value of a key that is there and not null."""
+        raise NotImplementedError
+
+    def unknown(self, null: Any) -> Any:
+        """The value for null, which stands for `null`."""
+        return null
+
+    def write(self, value: Any) -> Any:
+        """The value in types of JSON; numbers that are not finite become null when they are encoded."""
+        return value
+
+    def schema(self, definitions: Schema) -> Schema:
+        """JSON Schema of a value that is not null; `definitions` receives those of data classes."""
+        raise NotImplementedError
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether values are written as they are."""
+        return type(self).write is Value.write
+
+    @property
+    def parts(self) -> "Definition[Any] | None":
+        """The definition of the data class that the value is, or whose objects it lists."""
+        return None
+
+
+@dataclass(frozen=True)
+class Text(Value):
+    """A text, not empty unless it may be `blank`."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> str:
+        return str(fields.raw(name)) if self.key.blank else fields.text(name)
+
+    def write(self, value: str) -> str | None:
+        return None if value == self.key.null else value
+
+    @property
+    def is_plain(self) -> bool:
+        return self.key.null is REQUIRED
+
+    def schema(self, definitions: Schema) -> Schema:
+        found: Schema = {"type": "string"} if self.key.blank else {"type": "string", "minLength": 1}
+        return found | ({"pattern": self.key.pattern} if self.key.pattern else {})
+
+
+@dataclass(frozen=True)
+class Number(Value):
+    """A real or a whole number."""
+
+    whole: bool = False
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> float | int:
+        key = self.key
+        if self.whole:
+            return fields.integer(name, key.least, key.most)
+        if key.plausible is not None:
+            return fields.quantity(name, key.plausible)
+        return fields.number(name, key.least, key.most)
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": "integer" if self.whole else "number", **_limits(self.key.least, self.key.most)}
+
+
+def _limits(least: float, most: float) -> Schema:
+    return ({"minimum": least} if least > -inf else {}) | ({"maximum": most} if most < inf else {})
+
+
+@dataclass(frozen=True)
+class Boolean(Value):
+    """True or false."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> bool:
+        return fields.boolean(name)
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": "boolean"}
+
+
+@dataclass(frozen=True)
+class Anything(Value):
+    """A text, a number, true or false."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> str | float | int | bool:
+        return fields.scalar(name)
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": ["string", "number", "boolean"]}
+
+
+@dataclass(frozen=True)
+class Worded(Value):
+    """A value of which some, or all, are written as words."""
+
+    rest: Value | None = None
+    """Of the values without a word; None if all have one."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        if self.rest is not None and not isinstance(fields.raw(name), str):
+            return self.rest.read(fields, name, context, axes)
+        word = fields.choice(name, self.key.words.values())
+        return next(value for value, each in self.key.words.items() if each == word)
+
+    def write(self, value: Any) -> Any:
+        return self.key.words[value] if self.rest is None or value is None else self.rest.write(value)
+
+    def schema(self, definitions: Schema) -> Schema:
+        words: Schema = {"enum": list(self.key.words.values())}
+        return words if self.rest is None else {"anyOf": [words, self.rest.schema(definitions)]}
+
+    @property
+    def parts(self) -> "Definition[Any] | None":
+        return None if self.rest is None else self.rest.parts
+
+
+@dataclass(frozen=True)
+class Choice(Value):
+    """One of some words or numbers: an enumeration, or literals."""
+
+    words: tuple[Any, ...] = ()
+    meaning: Callable[[Any], Any] = str
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        if isinstance(self.words[0], int):
+            number = fields.integer(name)
+            if number not in self.words:
+                raise fields.problem(name, f"is {number}, must be {' or '.join(map(str, self.words))}")
+            return number
+        if self.key.grows and fields.text(name) not in self.words:
+            raise Unknown
+        return self.meaning(fields.choice(name, self.words))
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"enum": list(self.words)}
+
+
+def flags_by_name(kind: type[Flag]) -> Mapping[str, Flag]:
+    """The flags of a kind by their names in lower case."""
+    return {str(flag.name).lower(): flag for flag in kind}
+
+
+@dataclass(frozen=True)
+class Flags(Value):
+    """Names of flags in lower case; those of later versions are ignored."""
+
+    kind: type[IntFlag] = IntFlag
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> IntFlag:
+        known, found = flags_by_name(self.kind), self.kind(0)
+        for each in fields.texts(name):
+            found |= known.get(each, self.kind(0))
+        return found
+
+    def write(self, value: IntFlag) -> list[str]:
+        return [name for name, bit in self._bits if bit & int(value)]
+
+    @cached_property
+    def _bits(self) -> list[tuple[str, int]]:
+        return [(name, int(flag)) for name, flag in flags_by_name(self.kind).items()]
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": "array", "uniqueItems": True, "items": {"type": "string", "minLength": 1}}
+
+
+@dataclass(frozen=True)
+class Numbers(Value):
+    """An array, as nested lists."""
+
+    element: str = "Float64"
+    axes: tuple[str, ...] = ()
+    whole_or_null: bool = False
+    """Whether an array of which some numbers are not finite is null."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        return checked_array(self.key, self.element, self.axes, fields, name, axes, context.unchanged)
+
+    def unknown(self, null: Any) -> Any:
+        return null if null is None else np.full([fixed_length(axis) or 0 for axis in self.axes], null)
+
+    def write(self, value: Any) -> Any:
+        numbers = value.tolist()
+        if self.key.null_points:
+            return _with_null_points(numbers)
+        return None if self.whole_or_null and not _all_finite(numbers) else numbers
+
+    def schema(self, definitions: Schema) -> Schema:
+        kind = {"Float64": "number", "Int64": "integer", "Bool": "boolean"}[self.element]
+        least = max(self.key.least, 0.0) if self.key.form is Form.SIGMAS else self.key.least
+        found: Schema = {"type": [kind, "null"] if self.key.gaps else kind, **_limits(least, self.key.most)}
+        for axis in reversed(self.axes):
+            length = fixed_length(axis)
+            found = {"type": "array", "items": found}
+            found |= {} if length is None else {"minItems": length, "maxItems": length}
+            if axis.startswith("xy=") and self.key.null_points:
+                found = {"anyOf": [{"type": "null"}, found]}
+        return found
+
+
+def _all_finite(numbers: Any) -> bool:
+    """Whether all numbers of nested lists are finite, by their sum: for small ones a tenth of the time NumPy takes."""
+    while numbers and isinstance(numbers[0], list):
+        numbers = [number for row in numbers for number in row]
+    return isfinite(sum(numbers))
+
+
+def _with_null_points(numbers: Any) -> Any:
+    if numbers and not isinstance(numbers[0], list):
+        return None if numbers[0] != numbers[0] else numbers
+    return [_with_null_points(each) for each in numbers]
+
+
+@dataclass(frozen=True)
+class Texts(Value):
+    """A list of texts."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> tuple[str, ...]:
+        texts = fields.texts(name)
+        if self.key.constant is not None and texts != self.key.constant:
+            raise fields.problem(name, f"must be {', '.join(self.key.constant)}", context.unchanged)
+        if self.key.form is Form.DISTINCT and ("" in texts or len(set(texts)) < len(texts)):
+            raise fields.problem(name, "has an empty name, or one that occurs twice", context.unchanged)
+        return texts
+
+    def schema(self, definitions: Schema) -> Schema:
+        if self.key.constant is not None:
+            return {"const": list(self.key.constant)}
+        if self.key.form is Form.DISTINCT:
+            return {"type": "array", "uniqueItems": True, "items": {"type": "string", "minLength": 1}}
+        return {"type": "array", "items": {"type": "string"}}
+
+
+@dataclass(frozen=True)
+class Objects(Value):
+    """A list of objects of a data class."""
+
+    of: "Definition[Any]"
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> tuple[Any, ...]:
+        return tuple(self._known(fields.each(name), context))
+
+    def _known(self, items: Iterator[Fields], context: Context) -> Iterator[Any]:
+        for item in items:
+            try:
+                yield self.of.read(item, context)
+            except Unknown:
+                continue
+
+    def write(self, value: tuple[Any, ...]) -> list[Any]:
+        return [self.of.write(each) for each in value]
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": "array", "items": self.of.reference(definitions)}
+
+    @property
+    def parts(self) -> "Definition[Any]":
+        return self.of
+
+
+@dataclass(frozen=True)
+class Object(Value):
+    """An object of a data class."""
+
+    of: "Definition[Any]"
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        return self.of.read(fields.fields(name), context)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return self.of.write(value)
+
+    def schema(self, definitions: Schema) -> Schema:
+        return self.of.reference(definitions)
+
+    @property
+    def parts(self) -> "Definition[Any]":
+        return self.of
+
+
+@dataclass(frozen=True)
+class ByName(Value):
+    """A mapping of free names to values of one kind."""
+
+    of: "Slot"
+    names: type[StrEnum] | None = None
+    """The names that there are; None if they are free. Others are of a later version and are ignored."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> dict[str, Any]:
+        values, found = fields.fields(name), {}
+        for each in values.values:
+            if self.names is None or each in tuple(self.names):
+                with suppress(Unknown):
+                    found[self.names(each) if self.names else each] = self.of.read(values, each, context, {})
+        return found
+
+    def write(self, value: Mapping[Any, Any]) -> dict[str, Any]:
+        return {str(name): self.of.write(each) for name, each in value.items()}
+
+    def schema(self, definitions: Schema) -> Schema:
+        of = self.of.schema(definitions)
+        required = {} if self.names is None else {"required": [str(each) for each in self.names]}
+        return {"type": "object", **required, "additionalProperties": of}
+
+    @property
+    def parts(self) -> "Definition[Any] | None":
+        return self.of.value.parts
+
+
+class Slot(NamedTuple):
+    """A value that may be null."""
+
+    value: Value
+    null: Any
+    """What null stands for; `REQUIRED` if it is an error."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        """The value of a key; what null stands for if it is null or missing."""
+        if self.null is not REQUIRED and not fields.has(name):
+            return self.value.unknown(self.null)
+        return self.value.read(fields, name, context, axes)
+
+    def write(self, value: Any) -> Any:
+        """The value in types of JSON."""
+        return None if value is None and self.null is None else self.value.write(value)
+
+    def schema(self, definitions: Schema) -> Schema:
+        """JSON Schema of a value or null."""
+        found = self.value.schema(definitions)
+        if self.null is REQUIRED:
+            return found
+        if set(found) == {"enum"}:
+            return {"enum": [*found["enum"], None]}
+        if found.get("type") in ("string", "number", "integer", "boolean"):
+            return found | {"type": [found["type"], "null"]}
+        return {"anyOf": [{"type": "null"}, found]}
+
+
+def slot_of(annotation: Any, key: Key) -> Slot:
+    """The kind of value of a type; `key` states what holds for it."""
+    if get_origin(annotation) is Annotated:
+        annotation, *more = get_args(annotation)
+        key = next((each for each in more if isinstance(each, Key)), key)
+    members = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+    null = None if type(None) in members and key.null is REQUIRED else key.null
+    value = value_of([each for each in members if each is not type(None)], key, null is not REQUIRED)
+    return Slot(Worded(key, value if null is None else None), REQUIRED) if key.words else Slot(value, null)
+
+
+def value_of(members: list[Any], key: Key, can_be_null: bool) -> Value:
+    """The kind of value of a type, or of a union of types."""
+    if len(members) > 1:
+        return Anything(key)
+    (annotation,) = members
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if (array := element_and_axes(annotation)) is not None:
+        return Numbers(key, *array, whole_or_null=can_be_null and not key.gaps)
+    if origin is tuple:
+        return Texts(key) if arguments[0] is str else Objects(key, definition_of(arguments[0]))
+    if origin is Literal:
+        return Choice(key, arguments)
+    if origin is not None:
+        return ByName(key, slot_of(arguments[1], Key()), None if arguments[0] is str else arguments[0])
+    return _of_class(annotation, key)
+
+
+def _of_class(cls: type, key: Key) -> Value:
+    if is_dataclass(cls):
+        return Object(key, definition_of(cls))
+    if issubclass(cls, IntFlag):
+        return Flags(key, cls)
+    if issubclass(cls, Enum):
+        return Choice(key, tuple(each.value for each in cls), cls)
+    kinds: Mapping[type, Callable[[Key], Value]] = {str: Text, bool: Boolean, float: Number, int: _whole_number}
+    return kinds[cls](key)
+
+
+def _whole_number(key: Key) -> Number:
+    return Number(key, whole=True)
+
+
+class Attribute(NamedTuple):
+    """A key of a data class."""
+
+    attribute: str
+    """Name of the field or property ..."""
+    name: str
+    """... and in the record."""
+    slot: Slot
+    default: Callable[[], Any] | None
+    """Makes the value of a missing key; None if it must be there."""
+    is_read: bool
+    is_argument: bool
+    """Whether the object is made of it."""
+
+    @property
+    def key(self) -> Key:
+        """What its annotation states."""
+        return self.slot.value.key
+
+    def read(self, fields: Fields, context: Context, axes: Axes) -> Any:
+        """The value in a mapping."""
+        given, earlier = fields.values, self.key.earlier
+        name = earlier if earlier in given and self.name not in given else self.name
+        if self.default is not None and (name not in given or (given[name] is None and self.slot.null is REQUIRED)):
+            return self.default()
+        return self.slot.read(fields, name, context, axes)
+
+
+@dataclass(frozen=True, eq=False)
+class Definition(Generic[T]):
+    """The keys of a data class in the order of the record."""
+
+    cls: type[T]
+    attributes: tuple[Attribute, ...]
+
+    def read(self, fields: Fields, context: Context) -> T:
+        """The object in a mapping; `from_record` of its class makes it, if there is one.
+
+        `contradiction` of its class, if there is one, is the key and the finding of values that contradict each other.
+        """
+        if context.strict:
+            fields.reject_unknown(tuple(each.name for each in self.attributes))
+        axes: Axes = {}
+        values = {}
+        for each in self.attributes:
+            if each.is_read:
+                value = each.read(fields, context, axes)
+                if each.is_argument:
+                    values[each.attribute] = value
+        make: Callable[..., T] = getattr(self.cls, "from_record", self.cls)
+        found = make(**values)
+        contradiction: tuple[str, str] | None = getattr(found, "contradiction", None)
+        if contradiction is not None:
+            key, finding = contradiction
+            raise fields.problem(key, finding, context.unchanged)
+        return found
+
+    def value(self, name: str, fields: Fields) -> Any:
+        """The value of one key, in another mapping that has it."""
+        return next(each for each in self.attributes if each.name == name).read(fields, Context(), {})
+
+    def write(self, found: T, brief: bool = False) -> dict[str, Any]:
+        """The mapping of an object; with `brief`, without the keys that are then left out."""
+        record: dict[str, Any] = {}
+        for attribute, name, presence, write in self.writers:
+            if brief and presence is Presence.NOT_BRIEF:
+                continue
+            value = getattr(found, attribute)
+            if presence is Presence.IF_KNOWN and (value is None or (isinstance(value, tuple | Mapping) and not value)):
+                continue
+            record[name] = value if write is None else write(value)
+        return record
+
+    @cached_property
+    def writers(self) -> list[tuple[str, str, Presence, Callable[[Any], Any] | None]]:
+        """Attribute, key, presence and `Slot.write` of each key; None for what is written as it is."""
+        return [
+            (each.attribute, each.name, each.key.presence, None if each.slot.value.is_plain else each.slot.write)
+            for each in self.attributes
+        ]
+
+    def reference(self, definitions: Schema) -> Schema:
+        """Reference to the JSON Schema of an object, which is added to `definitions`."""
+        name = self.cls.__name__
+        if name not in definitions:
+            definitions[name] = self.schema(definitions)
+        return {"$ref": f"#/$defs/{name}"}
+
+    def schema(self, definitions: Schema) -> Schema:
+        """JSON Schema of a mapping."""
+        properties = {}
+        for each in self.attributes:
+            description = each.key.description.replace("`", "")
+            if isinstance(each.slot.value, Flags):
+                description += f" {' '.join(flags_by_name(each.slot.value.kind))}."
+            properties[each.name] = each.slot.schema(definitions) | (
+                {"description": description} if description else {}
+            )
+        always = [each for each in self.attributes if each.key.presence is Presence.ALWAYS and not each.key.added]
+        return {"type": "object", "required": [each.name for each in always], "properties": properties}
+
+
+_DEFINITIONS: dict[type, Definition[Any]] = {}
+
+
+def definition_of(cls: type[T]) -> Definition[T]:
+    """The definition of a record, or of a part of one."""
+    if cls not in _DEFINITIONS:
+        _DEFINITIONS[cls] = Definition(cls, _attributes_of(cls))
+    return _DEFINITIONS[cls]
+
+
+def _attributes_of(cls: type) -> tuple[Attribute, ...]:
+    """The fields and properties that are keys, in the order of the record."""
+    found = list(_fields_of(cls))
+    for name, member in vars(cls).items():
+        if isinstance(member, property):
+            hint = get_type_hints(member.fget, include_extras=True).get("return")
+            key = _key_in(hint)
+            if key is not None:
+                place = 0 if not key.after else 1 + [each.name for each in found].index(key.after)
+                is_read = key.is_read or key.constant is not None
+                slot = slot_of(hint, key)
+                found.insert(place, Attribute(name, key.name or name, slot, None, is_read, key.is_read))
+    return tuple(found)
+
+
+def _fields_of(cls: type) -> Iterator[Attribute]:
+    hints = get_type_hints(cls, include_extras=True)
+    for each in fields(cls):
+        key = _key_in(hints[each.name])
+        if key is not None:
+            default = None if each.default_factory is MISSING else each.default_factory
+            if each.default is not MISSING:
+                default = lambda value=each.default: value  # noqa: E731
+            slot = slot_of(hints[each.name], key)
+            yield Attribute(each.name, key.name or each.name, slot, None if key.needed else default, True, True)
+
+
+def _key_in(hint: Any) -> Key | None:
+    arguments = get_args(hint) if get_origin(hint) is Annotated else ()
+    return next((each for each in arguments if isinstance(each, Key)), None)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Record(Generic[T]):
+    """A kind of record, or of file, that is an object of a data class."""
+
+    cls: type[T]
+    kind: Kind
+    version: str = ""
+    """Value of the key `schema`; empty for a record without one."""
+    earlier: tuple[str, ...] = ()
+    """Versions that are read but not written."""
+    description: str
+    rules: Schema | None = None
+    """What the schema states about several keys together."""
+    strict: bool = False
+    """Whether unknown keys are rejected."""
+
+    def write(self, found: T, brief: bool = False) -> dict[str, Any]:
+        """The mapping of an object."""
+        head = {"schema": self.version} if self.version else {}
+        return head | definition_of(self.cls).write(found, brief)
+
+    def read(self, record: Mapping[str, Any], location: str) -> T:
+        """The object in a record; `location` is used in messages."""
+        fields = Fields(location, record)
+        if self.version:
+            fields.schema((self.version, *self.earlier), self.kind)
+        return definition_of(self.cls).read(fields, self.context)
+
+    @property
+    def context(self) -> Context:
+        """What its parts are read with."""
+        return Context(f"{self.kind.remedy} unchanged", self.strict)
+
+    def schema(self) -> Schema:
+        """JSON Schema (draft 2020-12)."""
+        definitions: Schema = {}
+        found = definition_of(self.cls).schema(definitions)
+        name = self.version or self.cls.__name__.lower()
+        if self.version:
+            found["required"].insert(0, "schema")
+            found["properties"] = {"schema": {"const": self.version}, **found["properties"]}
+        return {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "$id": f"urn:{name.replace('/', ':')}",
+            "title": name,
+            "description": self.description,
+            **found,
+            **(self.rules or {}),
+            "$defs": definitions,
+        }
