@@ -8,6 +8,8 @@ LOWEST := .venv-lowest
 PORTABLE := build/portable
 IN_PARALLEL := -n auto --dist worksteal $(PYTEST_FLAGS)
 PYTEST := $(BIN)/python -m pytest $(IN_PARALLEL)
+# Checks of shapes take a sixth of the tests' time. One run of the numeric tests, the slow tests and plain pytest have them.
+UNCHECKED := --jaxtyping-packages=
 # Whose results depend on how a processor rounds; the commands and devices above them add no arithmetic.
 NUMERIC := $(addprefix tests/,kernels geometry types estimate detect pose track files simulate calibrate)
 KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
@@ -83,7 +85,7 @@ golden: $(STAMP)
 	$(BIN)/python tests/golden_lines.py --renew
 
 test: $(STAMP)
-	$(PYTEST) -m "not slow"
+	$(PYTEST) $(UNCHECKED) -m "not slow"
 
 test-slow: $(STAMP)
 	$(PYTEST) -m slow
@@ -120,7 +122,7 @@ test-baseline-cpu: $(PORTABLE)/.installed
 	  $(BIN)/python tests/processors.py baseline $(IN_PARALLEL) -m "not slow" $(NUMERIC)
 
 test-other-cpu: $(STAMP)
-	$(BIN)/python tests/processors.py other $(IN_PARALLEL) -m "not slow" $(NUMERIC)
+	$(BIN)/python tests/processors.py other $(IN_PARALLEL) $(UNCHECKED) -m "not slow" $(NUMERIC)
 
 check: lint types layers man
 

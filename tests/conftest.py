@@ -1,5 +1,6 @@
 """Fixtures for all tests: seeded generators, the shared data, floating-point traps."""
 
+import gc
 import os
 import shutil
 import signal
@@ -139,6 +140,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for worker in range(workers)
         for item in (*jobs[worker::workers], *parts[worker * share : (worker + 1) * share])
     ]
+
+
+def pytest_collection_finish() -> None:
+    """Let no later garbage collection go through what the test modules hold: a million objects, for good."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -39,6 +39,7 @@ def carry_out(job, out, said):
     os.environ.update(job["environment"])
     sys.argv[1:] = job["words"]
     sys.dont_write_bytecode = True  # it would be cut off where a test limits the size of files
+    os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # the same for its own processes
     exec(job["before"], {"__name__": "before"})
     run()
 

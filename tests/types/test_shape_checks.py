@@ -11,6 +11,12 @@ from ringpose.types.rig import LaserPlanes, ParameterCovariance
 UP = np.array([0.0, 0.0, 1.0])
 
 
+@pytest.fixture(autouse=True)
+def _checked(pytestconfig: pytest.Config) -> None:
+    if not pytestconfig.getoption("jaxtyping_packages"):
+        pytest.skip("shapes are not checked in this run (make test-baseline-cpu checks them)")
+
+
 def called_until_believed() -> None:
     for _ in range(shape_checks.CALLS):
         tilted(UP, np.zeros(2))
