@@ -1,10 +1,11 @@
 """A ring's face between two surfaces, drawn from formulas, and the distance of detected edges from the true ones."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from drawn_scene import RADII_M, DrawnScene, line_of, true_break_points
+from drawn_scene import RADII_M, DrawnScene, exposed, line_of, noise, true_break_points
 from ring_scenes import break_points_of, with_lines
 
 from ringpose.detect.edge_search import EdgeImage
@@ -50,16 +51,26 @@ def all_radii_m(scene: DrawnScene, rig: Rig) -> np.ndarray:
 
 def picture(scene: DrawnScene, rig: Rig, around: Surroundings, rng: np.random.Generator) -> np.ndarray:
     """The face between two surfaces of even or uneven brightness, its edges covering pixels in part."""
+    inside, outside = _beside_face(scene, rig)
+    image = np.full_like(inside, around.face_dn)
+    image += inside * np.float32(around.inside_dn - around.face_dn)
+    image += outside * np.float32(around.outside_dn - around.face_dn)
+    if around.clutter_dn:
+        uneven = cv2.GaussianBlur(noise(image.shape, rng), (0, 0), 3.0)
+        image += (inside + outside) * uneven * (around.clutter_dn / uneven.std())
+    image = cv2.GaussianBlur(image, (0, 0), around.blur_px)
+    image += np.float32(around.noise_dn) * noise(image.shape, rng)
+    return exposed(image)
+
+
+@functools.lru_cache(maxsize=4)
+def _beside_face(scene: DrawnScene, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """The shares of each pixel that lie inside of the face and outside of it."""
     radius = all_radii_m(scene, rig)
     width = np.hypot(*np.gradient(radius))
-    inside = np.clip((RADII_M[0] - radius) / width + 0.5, 0, 1)
-    outside = np.clip((radius - RADII_M[1]) / width + 0.5, 0, 1)
-    uneven = cv2.GaussianBlur(rng.normal(size=radius.shape), (0, 0), 3.0)
-    uneven *= around.clutter_dn / uneven.std()
-    image = around.face_dn * (1 - inside - outside)
-    image += inside * (around.inside_dn + uneven) + outside * (around.outside_dn + uneven)
-    image = cv2.GaussianBlur(image, (0, 0), around.blur_px) + rng.normal(0, around.noise_dn, radius.shape)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    shares = (RADII_M[0] - radius) / width + 0.5, (radius - RADII_M[1]) / width + 0.5
+    inside, outside = (np.clip(share, 0, 1).astype(np.float32) for share in shares)
+    return inside, outside
 
 
 def lit(image: np.ndarray) -> EdgeImage:

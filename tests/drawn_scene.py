@@ -1,5 +1,6 @@
 """Stripes drawn from formulas: a flat ring before a flat body, lit by three light planes, seen through a lens."""
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -81,18 +82,41 @@ def light(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
 
 def draw_shot(scene: DrawnScene, rig: Rig, masks: list[int], rng: np.random.Generator) -> Shot:
     """A shot with a frame for each mask."""
-    lights = [light(scene, rig, laser) for laser in range(len(rig.lasers.names))]
+    lights = [light(scene, rig, laser).astype(np.float32) for laser in range(len(rig.lasers.names))]
     if scene.speckle:
         lights = [each * speckle(each.shape, scene.speckle, rng) for each in lights]
     frames = []
     for mask in masks:
-        clean = scene.ambient_dn + sum(each for laser, each in enumerate(lights) if mask >> laser & 1)
-        noisy = clean + rng.normal(0, scene.noise_dn, (rig.camera.image_height, rig.camera.image_width))
-        frames.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+        image = np.float32(scene.noise_dn) * noise(lights[0].shape, rng)
+        image += np.float32(scene.ambient_dn)
+        for laser, each in enumerate(lights):
+            if mask >> laser & 1:
+                image += each
+        frames.append(exposed(image))
     return make_shot(np.array(frames), masks, name="drawn", exposure_s=0.001)
+
+
+def exposed(image: np.ndarray) -> np.ndarray:
+    """The whole grey values of an image."""
+    return cv2.convertScaleAbs(np.maximum(image, 0))  # rounds, and clips at 255
+
+
+def noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Standard normal values: an excerpt, at a random place, of a series drawn once.
+
+    To draw them for each picture would take longer than all the rest of it.
+    """
+    count = shape[0] * shape[1]
+    start = int(rng.integers(_normal_values().size - count))
+    return _normal_values()[start : start + count].reshape(shape)
+
+
+@functools.cache
+def _normal_values() -> np.ndarray:
+    return np.random.default_rng(1).standard_normal(1 << 22, dtype=np.float32)
 
 
 def speckle(shape: tuple[int, int], contrast: float, rng: np.random.Generator) -> np.ndarray:
     """Multiplicative noise of mean one with grains of about three pixels."""
-    grains = cv2.GaussianBlur(rng.normal(0, 1, shape), (0, 0), 1.0)
+    grains = cv2.GaussianBlur(noise(shape, rng), (0, 0), 1.0)
     return np.maximum(1 + contrast * grains / grains.std(), 0)

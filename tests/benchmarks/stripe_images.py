@@ -5,6 +5,7 @@ one on the body at each side of it. Stripes have Gaussian cross-sections with a 
 end in an edge blurred by 1 px, and pixels are noisy (`noise_variance`). The truth is computed in closed form.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -93,6 +94,7 @@ def stripe_rig(scale: float = 1.0, lens: bool = True) -> Rig:
     )
 
 
+@functools.lru_cache(maxsize=16)
 def stripe_image(kind: Kind, seed: int, rig: Rig | None = None) -> StripeImage:
     """One image of a kind with all lasers on; the same seed gives the same ring for every kind."""
     return _image_and_frames(kind, seed, rig, ((0, 1, 2),))[0]

@@ -16,7 +16,7 @@ from drawn_edges import (
     picture,
     radius_m,
 )
-from drawn_scene import RADII_M, DrawnScene, drawn_rig, light
+from drawn_scene import RADII_M, DrawnScene, drawn_rig, exposed, light, noise
 from ring_scenes import with_stripes
 from true_edges import edge_errors_px
 
@@ -93,14 +93,18 @@ def test_sigmas_explain_the_errors_beside_clutter(rig, rng, clutter_dn):
 
 
 def test_sigmas_explain_the_errors_beside_foil_as_bright_as_the_face(rig, rng):
+    """The edges do not show in a quarter of such pictures."""
     scene = DrawnScene()
     around = Surroundings(inside_dn=45.0, outside_dn=45.0, clutter_dn=15.0, noise_dn=0.0)
-    highlights = np.maximum(picture(scene, rig, around, rng), around.face_dn)
-    image = np.rint(highlights + rng.normal(0, 1.0, highlights.shape)).astype(np.uint8)
+    squares = []
+    for _ in range(6):
+        highlights = np.maximum(picture(scene, rig, around, rng), around.face_dn).astype(np.float32)
+        edges = found_edges(measured(scene, rig, rng), lit(exposed(highlights + noise(highlights.shape, rng))), rig)
+        if edges is not None:
+            squares.append(np.mean((off_edge_px(edges.points, scene, rig) / edges.points.sigma_px) ** 2))
 
-    points = seen_edges(measured(scene, rig, rng), lit(image), rig)
-
-    assert np.mean((off_edge_px(points, scene, rig) / points.sigma_px) ** 2) < 1.0
+    assert len(squares) >= 2
+    assert max(squares) < 1.0
 
 
 @pytest.mark.parametrize("blur_px", [0.5, 0.9, 1.5])
