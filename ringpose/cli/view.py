@@ -14,7 +14,7 @@ from ringpose.cli.progress import with_progress
 from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:
-    from ringpose.report.replay import ReplayShot
+    from ringpose.console.replay import ReplayShot
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
@@ -39,6 +39,7 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """Show recorded shots in the browser: pictures, poses, tracks, errors, a timeline and a three-dimensional view."""
+    from ringpose.console.replay import replay_page
     from ringpose.files import atomic
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
@@ -47,7 +48,6 @@ def view(
     from ringpose.files.records.tracks import pose_line_of_track
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
-    from ringpose.report.replay import replay_page
 
     if html is not None:
         atomic.reject_existing(html, force)
@@ -111,10 +111,10 @@ def _lines_by_shot(
 def _replay_shot(shot: "Shot", rig: "Rig", line: "PoseLine | None", truth: "Truth | None") -> "ReplayShot":
     """The picture of a shot, and the errors of its pose, which must be in the camera frame to be compared."""
     from ringpose.bench.score import estimate_of, score
+    from ringpose.console.replay import ReplayShot, replay_picture
     from ringpose.estimate.pose_errors import truth_at
     from ringpose.measure.stream import Setup
     from ringpose.report.overlay import overlay, picture_of
-    from ringpose.report.replay import ReplayShot, replay_picture
 
     picture = overlay(picture_of(shot), Setup(rig=rig).detection(shot), line, rig, with_numbers=False)
     errors: Mapping[str, float] = {}

@@ -1,1 +1,1 @@
-"""The simulation platform in the browser (extra `console`)."""
+"""The browser: the simulation platform (extra `console`), and recorded shots, live or as one file."""

@@ -1,27 +1,18 @@
-"""What the pages of the console and of recorded data have in common: controls, the scene, text and plots."""
+"""What the pages of the console and of recorded data have in common: controls, pictures, text and plots."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
-import cv2
 import numpy as np
 import viser
-import viser.transforms
 from viser import uplot
 
 from ringpose.console.controls import Choice, Control, Number, Switch, Value
-from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.advice import remarks_on
-from ringpose.report.overlay import color_of, pose_texts
-from ringpose.simulate.target.parts import body_part, ring_part
-from ringpose.types.arrays import Array, Float64
+from ringpose.report.overlay import pose_texts
 from ringpose.types.pose import PoseLine, RingPose, RingVelocity
-from ringpose.types.rig import Camera, Rig
-from ringpose.types.scene import Scene, Truth
-from ringpose.types.target import MATERIALS, Box, Part
 
 PLOTS = (
     ("error of the centre (mm)", "center_m", 1e3),
@@ -29,26 +20,6 @@ PLOTS = (
     ("error of the grasp point (mm)", "grasp_m", 1e3),
 )
 """Title, error, and factor of its unit."""
-
-RING_POINTS = 90
-"""Vertices of a circle in the scene."""
-
-RING_COLORS = (31, 95, 191), (70, 160, 60), (225, 120, 0)
-"""Colours of the estimate, the truth and the track."""
-
-COLORS = {"foil": (180, 150, 90), "white": (225, 225, 220), "black": (50, 50, 55), "solar-cells": (40, 50, 100)}
-"""Colours of the target's materials; others are grey."""
-
-FRUSTUM_PX = 160
-"""Width of the picture in the frustum; without a GPU, that of the panel would take as long as the rest of the scene."""
-
-CHEAP: Any = {"material": "toon3", "cast_shadow": False, "receive_shadow": False}
-"""Material of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
-
-PALE = 0.4
-"""Share of its color that a ring keeps, the rest is grey, and opacity of the ellipsoid, once they are outdated."""
-
-GREY = 110
 
 
 class Field:
@@ -129,96 +100,6 @@ class ImagePanel:
         self._handle._data = jpeg  # the setter of `image` would encode again, and once for each place
         if label is not None:
             self._handle.label = encodable(label)
-
-
-class SceneView:
-    """Camera, light planes and rings in three dimensions; the frame is that of the camera."""
-
-    def __init__(self, server: viser.ViserServer, rig: Rig, target_m: Float64[Array, "xyz=3"]) -> None:
-        self._server, self._rig = server, rig
-        distance_m = max(float(np.linalg.norm(target_m)), 0.5)
-        server.initial_camera.position = tuple(np.array([-1.7, -1.1, -1.5]) * distance_m)
-        server.initial_camera.look_at = tuple(0.8 * target_m)
-        self._frustum = server.scene.add_camera_frustum(
-            "/camera", *_field_of_view(rig.camera), scale=0.12, color=(200, 200, 200), thickness=2.0,
-            thickness_units="screen",
-        )  # fmt: skip
-        both_sides = np.array([[0, 1, 2], [0, 2, 1]])  # side="double" would draw a transparent mesh twice
-        self._planes = [
-            server.scene.add_mesh_simple(
-                f"/light/{name}", np.zeros((3, 3)), both_sides, color=color_of(laser)[::-1], opacity=0.35, **CHEAP
-            )
-            for laser, name in enumerate(rig.lasers.names)
-        ]  # fmt: skip
-        self._center = server.scene.add_icosphere("/estimate/center", 1.0, (176, 48, 144), visible=False, **CHEAP)
-        self._lines: dict[str, viser.LineSegmentsHandle] = {}
-
-    def show_image(self, jpeg: bytes) -> None:
-        """Show the image of the measurement camera in its frustum, in the size in which it is seen there."""
-        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_COLOR_4)
-        assert image is not None
-        size = FRUSTUM_PX, round(FRUSTUM_PX * image.shape[0] / image.shape[1])
-        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        self._frustum.image = small[:, :, ::-1]
-
-    def show_rig(self, rig: Rig, mask: int, depth_m: float) -> None:
-        """The frustum, and the light planes of the lasers of the mask up to a depth."""
-        self._frustum.fov, self._frustum.aspect = _field_of_view(rig.camera)
-        for laser, plane in enumerate(self._planes):
-            plane.vertices, plane.visible = _light_plane(rig, laser, depth_m), bool(mask >> laser & 1)
-
-    def show_stripes(self, segments: Float64[Array, "laser 2 xyz=3"], mask: int) -> None:
-        """Where the light planes of the lasers of the mask meet the ring's face; NaN where they do not."""
-        seen = np.isfinite(segments).all(axis=(1, 2)) & np.array([mask >> k & 1 == 1 for k in range(len(segments))])
-        self._show_lines("/stripes", segments[seen], [color_of(int(each))[::-1] for each in np.flatnonzero(seen)], 5.0)
-
-    def show_rings(
-        self, pose: RingPose | None, truth: Truth | None, track: RingPose | None, *, is_outdated: bool = False
-    ) -> None:
-        """The estimated ring with the error ellipsoid of its centre, the true one and that of the track.
-
-        Outdated ones are pale.
-        """
-        segments = [_ring_segments(ring) for ring in (pose, truth, track)]
-        share = PALE if is_outdated else 1.0
-        shades = [tuple(round(share * part + (1 - share) * GREY) for part in color) for color in RING_COLORS]
-        colors = [color for each, color in zip(segments, shades, strict=True) for _ in each]
-        self._center.opacity = share
-        self._show_lines("/rings", np.concatenate(segments), colors, 2.0)
-        covariance = None if pose is None else pose.covariance_center_m2
-        self._center.visible = is_known = covariance is not None and bool(np.isfinite(covariance).all())
-        if is_known and pose is not None and covariance is not None:
-            variance, axes = np.linalg.eigh(covariance)
-            first, second, third = (3 * np.sqrt(np.maximum(variance, 1e-12))).tolist()
-            self._center.scale = (first, second, third)
-            self._center.wxyz = viser.transforms.SO3.from_matrix(axes * np.sign(np.linalg.det(axes))).wxyz
-            self._center.position = pose.center_m
-
-    def _show_lines(
-        self, name: str, segments: Float64[Array, "n 2 xyz=3"], colors: Sequence[tuple[int, ...]], thickness_px: float
-    ) -> None:
-        """Replace the line segments of a name, with a color each; none hides them."""
-        if name not in self._lines:
-            blank = np.zeros((1, 2, 3))
-            self._lines[name] = self._server.scene.add_line_segments(
-                name, blank, blank.astype(np.uint8), thickness=thickness_px, thickness_units="screen"
-            )
-        lines = self._lines[name]
-        lines.visible = len(segments) > 0
-        if len(segments):
-            linear = 255 * (np.array(colors) / 255) ** 2.2  # viser takes the colors of lines for linear ones
-            lines.colors = np.repeat(linear.astype(np.uint8)[:, None], 2, axis=1)
-            lines.points = segments
-
-
-def _ring_segments(ring: RingPose | Truth | None) -> Float64[Array, "n 2 xyz=3"]:
-    """Both edges and the normal, as far as they are known."""
-    center_m, normal = (None, None) if ring is None else (ring.center_m, ring.normal)
-    if ring is None or center_m is None or normal is None or not np.isfinite([*center_m, *normal]).all():
-        return np.empty((0, 2, 3))
-    radii = [each for each in (ring.radius_inner_m, ring.radius_outer_m) if each is not None and np.isfinite(each)]
-    circles = [_circle(center_m, normal, radius) for radius in radii]
-    return np.concatenate([*circles, np.array([[center_m, center_m + 0.15 * normal]])])
 
 
 class Plots:
@@ -305,71 +186,3 @@ def track_text(pose: RingPose | None, velocity: RingVelocity | None, status: str
     if np.isfinite(error_m):
         parts.append(f"error of the centre {1e3 * error_m:.3f} mm")
     return ", ".join(parts)
-
-
-def _field_of_view(camera: Camera) -> tuple[float, float]:
-    """Vertical angle of view (rad), and ratio of width to height."""
-    angle_rad = 2 * np.arctan(camera.image_height / 2 / camera.camera_matrix[1, 1])
-    return float(angle_rad), camera.image_width / camera.image_height
-
-
-def _circle(center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m: float) -> Float64[Array, "n 2 3"]:
-    angle = np.linspace(0.0, 2 * np.pi, RING_POINTS + 1)
-    first, second = tilt_basis(normal)
-    points = center_m + radius_m * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
-    segments: Float64[Array, "n 2 3"] = np.stack([points[:-1], points[1:]], axis=1)
-    return segments
-
-
-def target_surfaces(scene: Scene) -> dict[tuple[int, int, int], tuple[Float64[Array, "n xyz=3"], Any]]:
-    """Vertices in the target frame, and triangles, of all parts of a color: few meshes are drawn faster than many."""
-    body = () if scene.body is None else (body_part(scene.body),)
-    meshes: dict[tuple[int, int, int], list[tuple[Any, Any]]] = {}
-    for part in (*body, *scene.parts, ring_part(scene.ring)):
-        vertices_m, faces = _box(part.shape) if isinstance(part.shape, Box) else _revolution(part.shape.profile_m)
-        found = meshes.setdefault(_color(part), [])
-        known = sum(len(each) for each, _ in found)
-        found.append((vertices_m @ part.rotation.T + part.translation_m, faces + known))
-    return {
-        color: (np.concatenate([each for each, _ in found]), np.concatenate([each for _, each in found]))
-        for color, found in meshes.items()
-    }
-
-
-def _color(part: Part) -> tuple[int, int, int]:
-    return next((COLORS[name] for name in COLORS if MATERIALS[name] == part.materials[0]), (150, 155, 165))
-
-
-def _box(box: Box) -> tuple[Any, Any]:
-    """Vertices and triangles; each side has vertices of its own, and so a sharp edge."""
-    corners_m = np.array(list(product(*zip(box.low_m, box.high_m, strict=True))))
-    sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    first = 4 * np.arange(6)[:, None]
-    return corners_m[sides.ravel()], np.concatenate([first + np.array(each) for each in ((0, 1, 2), (0, 2, 3))])
-
-
-def _revolution(profile_m: Float64[Array, "point 2"]) -> tuple[Any, Any]:
-    """Vertices and triangles; each segment of the profile has vertices of its own, and so a sharp edge."""
-    angle = np.linspace(0.0, 2 * np.pi, RING_POINTS, endpoint=False)[:, None]
-    radius, height = np.repeat(profile_m, 2, axis=0)[1:-1].T
-    vertices = np.stack(
-        [np.cos(angle) * radius, np.sin(angle) * radius, np.broadcast_to(height, (RING_POINTS, len(height)))], -1
-    )
-    here = np.arange(RING_POINTS * len(height)).reshape(RING_POINTS, -1, 2)
-    onward = np.roll(here, -1, axis=0)
-    quads = [(here[..., 0], here[..., 1], onward[..., 1]), (here[..., 0], onward[..., 1], onward[..., 0])]
-    return vertices.reshape(-1, 3), np.concatenate([np.stack(each, axis=-1).reshape(-1, 3) for each in quads])
-
-
-def _light_plane(rig: Rig, laser: int, depth_m: float) -> Float64[Array, "3 3"]:
-    """A triangle in a light plane: the projector, and the ends of its line across the view at a depth."""
-    camera, lasers = rig.camera, rig.lasers
-    normal, distance_m = lasers.normal[laser], lasers.distance_m[laser]
-    half_m = camera.image_width / 2 / camera.camera_matrix[0, 0] * depth_m
-    if abs(normal[1]) > abs(normal[0]):
-        ends = [[x, (distance_m - normal[0] * x - normal[2] * depth_m) / normal[1], depth_m] for x in (-half_m, half_m)]
-    else:
-        ends = [[(distance_m - normal[1] * y - normal[2] * depth_m) / normal[0], y, depth_m] for y in (-half_m, half_m)]
-    projector = lasers.projector_m[laser]
-    start = projector if np.isfinite(projector).all() else np.zeros(3)
-    return np.array([start, *ends])

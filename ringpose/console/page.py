@@ -14,10 +14,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import viser.transforms
 
 from ringpose.console.controls import (
-    EARTH,
     END_S,
     Number,
     Value,
@@ -28,26 +26,24 @@ from ringpose.console.controls import (
     view_values,
 )
 from ringpose.console.display import (
-    CHEAP,
     Field,
     ImagePanel,
     Plots,
-    SceneView,
     line_text,
     plain,
     plotted,
-    target_surfaces,
     track_text,
 )
+from ringpose.console.drawing import rig_elements, ring_words, rings, sky, stripes, target_surfaces
 from ringpose.console.engine import ConsolePicture, Engine, Stage
+from ringpose.console.live_scene import LiveScene
 from ringpose.console.playback import IN_STEP, STEP_S, Playback
 from ringpose.console.server import opened_server
 from ringpose.console.state import ConsoleState, Trajectory, first_state
 from ringpose.errors import DataError, RingposeError
-from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.simulate.placement import ring_views, target_placement
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Earth, Scene
+from ringpose.types.scene import Scene
 
 PERIOD_S = 0.07
 """Time between two states while the motion plays."""
@@ -63,9 +59,6 @@ PANEL_FIRST_S = 0.05
 
 SHOWN_MEASUREMENTS = 300
 """Measurements in the plots."""
-
-EARTH_MARGIN_M = 0.5
-"""Gap between the target and the Earth, which is drawn beyond all parts, as large as it appears from the ring."""
 
 MIN_END_S = 0.1
 """End of a trajectory of one pose."""
@@ -121,9 +114,9 @@ class ConsolePage:
         )
 
     def __enter__(self) -> "ConsolePage":
-        self._view3d = SceneView(self._server, self._scene.rig, self._state.center_m)
-        self._add_target()
-        self._add_sky()
+        self._view3d = LiveScene(self._server, self._state.center_m)
+        self._view3d.place("target", np.eye(3), self._state.center_m)
+        self._view3d.show("target", target_surfaces(self._scene))
         self._add_gui()
         self._orbit.start()
         self._engine.__enter__()
@@ -362,50 +355,17 @@ class ConsolePage:
 
     # The scene in three dimensions
 
-    def _add_target(self) -> None:
-        """The parts of the target, in its frame."""
-        server = self._server.scene
-        self._target = server.add_frame("/target", show_axes=False)
-        for number, (color, (vertices, faces)) in enumerate(target_surfaces(self._scene).items()):
-            server.add_mesh_simple(f"/target/{number}", vertices, faces, color=color, side="double", **CHEAP)
-
-    def _place_target(self, picture: ConsolePicture) -> None:
-        """Move target, light planes, sun and Earth to where they are in this state."""
-        state, rig = picture.state, picture.rig
-        view = state.view(self._scene)
+    def _show_scene(self, picture: ConsolePicture) -> None:
+        """Show target, rig, stripes, sun and Earth where they are in this state."""
+        state, rig, view = picture.state, picture.rig, picture.state.view(self._scene)
         placement = target_placement(self._scene, view)
-        self._target.wxyz = viser.transforms.SO3.from_matrix(placement.rotation).wxyz
-        self._target.position = placement.translation_m
+        self._view3d.place("target", placement.rotation, placement.translation_m)
         if self._drawn_since != state.since:
             self._drawn_since = state.since
-            self._view3d.show_rig(rig, state.mask, 1.1 * float(np.linalg.norm(view.center_m)))
-            self._show_sky(state)
-        radii_m = np.array([self._scene.ring.radius_inner_m, self._scene.ring.radius_outer_m])
-        near = np.array([0.0, 0.0, float(view.center_m[2])])
-        arcs = ring_arcs(view.center_m, view.normal, radii_m, near)
-        points = predicted_break_points(arcs, rig.lasers.normal, rig.lasers.distance_m)
-        self._view3d.show_stripes(points, state.mask)
-
-    def _add_sky(self) -> None:
-        server = self._server.scene
-        self._sun_arrow = server.add_arrows(
-            "/sun", np.zeros((1, 2, 3)), (240, 180, 40), shaft_radius=0.008, head_radius=0.02, head_length=0.05
-        )
-        self._sun_name = server.add_label("/sun/name", "sun")
-        self._earth_ball = server.add_icosphere("/earth", 1.0, (70, 110, 180), subdivisions=4, **CHEAP)
-        server.add_label("/earth/name", "Earth")  # its position is relative to the Earth
-
-    def _show_sky(self, state: ConsoleState) -> None:
-        """Draw an arrow from the sun, and the Earth in its direction from the ring, beyond all parts of the target."""
-        light = state.light
-        sun_m = state.center_m + 0.8 * light.sun_direction
-        self._sun_arrow.points = np.array([[sun_m, sun_m - 0.4 * light.sun_direction]])
-        self._sun_name.position = sun_m
-        self._sun_arrow.visible = self._sun_name.visible = light.sun_w_m2 > 0
-        earth = light.earth or EARTH
-        distance_m, self._earth_ball.radius = drawn_earth_m(self._scene, earth)
-        self._earth_ball.position = state.center_m + distance_m * earth.direction / np.linalg.norm(earth.direction)
-        self._earth_ball.visible = light.earth is not None
+            self._view3d.show("rig", rig_elements(rig, state.mask, view.center_m))
+            self._view3d.show("sky", sky(self._scene, state.center_m, state.light))
+        radii_m = (self._scene.ring.radius_inner_m, self._scene.ring.radius_outer_m)
+        self._view3d.show("ring", [stripes(rig, state.mask, view.center_m, view.normal, radii_m)])
 
     # Pictures
 
@@ -467,13 +427,13 @@ class ConsolePage:
         with self._lock:
             measured = self._measurement
         with self._server.atomic():
-            self._place_target(picture)
-            self._view3d.show_image(jpeg)
+            self._show_scene(picture)
+            self._view3d.show_image("/rig/camera", jpeg)
             if measured is not None and measured.line is not None:
                 track = measured.track
                 is_outdated = not measured.state.shows_target_of(picture.state)
                 track_pose = None if track is None else track.pose
-                self._view3d.show_rings(measured.line.pose, None, track_pose, is_outdated=is_outdated)
+                self._view3d.show("measured", rings(measured.line.pose, None, track_pose, is_outdated=is_outdated))
         self._ended.wait(ORBIT_PERIOD_S - PANEL_FIRST_S)
 
     def _show_measurement(self, picture: ConsolePicture, jpeg: bytes, stamp: str) -> None:
@@ -485,19 +445,9 @@ class ConsolePage:
             status = f"{track.validity}, {track.fusion_status}"
             text = track_text(track.pose, track.velocity, status, picture.track_error_m)
             self._details.content = (
-                f"{text}  \nrings: pose blue, track orange, pale if outdated; the target shows the truth"
+                f"{text}  \nrings: {ring_words('pose', 'track')}, pale if outdated; the target shows the truth"
             )
         self._measured += 1
         self._rows.append((float(self._measured), *plotted(line.pose, errors)))
         rows = list(self._rows)
         self._plots.show([row[0] for row in rows], [row[1:] for row in rows])
-
-
-def drawn_earth_m(scene: Scene, earth: Earth) -> tuple[float, float]:
-    """Distance (from the ring) and radius of a drawn Earth: as large as it appears from there, beyond all parts."""
-    center_m = np.array([0.0, 0.0, scene.ring.height_m])
-    vertices_m = np.concatenate([vertices_m for vertices_m, _ in target_surfaces(scene).values()])
-    reach_m = float(np.linalg.norm(vertices_m - center_m, axis=1).max())
-    sine = float(np.sin(earth.angular_radius_rad))
-    distance_m = (reach_m + EARTH_MARGIN_M) / (1 - sine)
-    return distance_m, distance_m * sine

@@ -4,13 +4,14 @@ import threading
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from ringpose.console.controls import Choice, Control, Number, Value, taken_over
-from ringpose.console.display import Field, ImagePanel, Plots, SceneView, line_text, plotted, track_text
+from ringpose.console.display import Field, ImagePanel, Plots, line_text, plotted, track_text
+from ringpose.console.drawing import RING_STYLES, bounds, recorded_elements, rig_elements, ring_words
+from ringpose.console.live_scene import LiveScene
+from ringpose.console.replay import ReplayShot, times_s
 from ringpose.console.server import opened_server
 from ringpose.report.overlay import pose_in_camera_frame
-from ringpose.report.replay import ReplayShot, times_s
+from ringpose.types.image import ALL_LASERS
 from ringpose.types.rig import Rig
 
 SPEEDS = ("0.25", "0.5", "1", "2", "5", "10")
@@ -37,11 +38,9 @@ class RecordedPage:
         gui, shots = self._server.gui, self._shots
         poses = [None if shot.line is None else pose_in_camera_frame(shot.line, self._rig) for shot in shots]
         self._poses = poses
-        rings = [*poses, *(shot.truth for shot in shots)]
-        centers = [ring.center_m for ring in rings if ring is not None and ring.center_m is not None]
-        target_m = next((center for center in centers if np.isfinite(center).all()), np.array([0.0, 0.0, 1.0]))
-        self._view3d = SceneView(self._server, self._rig, target_m)
-        self._view3d.show_rig(self._rig, 255, 1.1 * float(np.linalg.norm(target_m)))
+        target_m = bounds([*poses, *(shot.truth for shot in shots)]).target_m
+        self._view3d = LiveScene(self._server, target_m)
+        self._view3d.show("rig", rig_elements(self._rig, ALL_LASERS, target_m))
         self._picture = ImagePanel(self._server, "shot")
         self._text = gui.add_markdown("")
         self._playing: Any = gui.add_checkbox("play", False)
@@ -114,9 +113,10 @@ class RecordedPage:
         track = shot.track
         with self._server.atomic():
             self._picture.show(shot.jpeg, f"{shot.name}: {about}")
-            self._view3d.show_image(shot.jpeg)
-            self._view3d.show_rings(pose, shot.truth, None if track is None else track.pose)
+            self._view3d.show_image("/rig/camera", shot.jpeg)
+            elements = recorded_elements(self._rig, pose, shot.truth, None if track is None else track.pose)
+            self._view3d.show("measured", elements)
             text = line_text(shot.line, about, shot.errors)
             if track is not None:
                 text += "  \n" + track_text(track.pose, track.velocity, track.reason or "")
-            self._text.content = f"{text}  \nrings: pose blue, track orange, truth green"
+            self._text.content = f"{text}  \nrings: {ring_words(*RING_STYLES)}"

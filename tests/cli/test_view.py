@@ -36,6 +36,10 @@ def data_of(page):
     return json.loads(re.search(r'type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
 
 
+def elements_of(part, kind):
+    return [each for each in part["elements"] if each["kind"] == kind]
+
+
 def test_a_replay_has_picture_pose_truth_and_the_errors_of_bench(data_set, one_shot, poses, tmp_path, capsys):
     page, truth, rig = tmp_path / "v.html", str(data_set / "truth.jsonl"), str(data_set / "rig.yaml")
 
@@ -45,13 +49,23 @@ def test_a_replay_has_picture_pose_truth_and_the_errors_of_bench(data_set, one_s
     data = data_of(page)
     (shot,) = data["shots"]
     line = json.loads(poses.read_text())
+    truths = map(json.loads, (data_set / "truth.jsonl").read_text().splitlines())
+    true_ring = next(each for each in truths if each["shot"] == shot["name"])
     assert (shot["name"], shot["status"]) == ("B_z0500_p01_dim", line["status"])
-    np.testing.assert_allclose(shot["pose"]["center_m"], line["pose"]["center_m"], rtol=1e-12)
-    axes = np.array(shot["pose"]["center_axes_m"])
+    (center,) = elements_of(shot, "ellipsoid")
+    np.testing.assert_allclose(center["center_m"], line["pose"]["center_m"], rtol=1e-12)
+    axes = np.array(center["half_axes_m"]) / 3
     np.testing.assert_allclose(axes.T @ axes, line["pose"]["covariance"]["center"], rtol=1e-6, atol=1e-15)
+    lines, stripes = elements_of(shot, "lines")
+    circles = [stroke for stroke in lines["strokes"] if "axes_m" in stroke]
+    radii_m = [np.linalg.norm(each["axes_m"][0]) for each in circles]
+    edges = ("radius_inner_m", "radius_outer_m")
+    np.testing.assert_allclose(radii_m, [*(line["pose"][each] for each in edges), *(true_ring[each] for each in edges)])
+    assert [each["dash"] for each in circles] == ["solid", "solid", "dashed", "dashed"]
+    assert len(stripes["strokes"]) == 3
     jpeg = base64.b64decode(shot["picture"].partition(",")[2])
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1).shape == (600, 800, 3)
-    assert len(data["lasers"]) == 3
+    assert len(elements_of(data, "surface")) == 3
     main(["bench", str(poses), "--truth", truth, "--rig", rig, "--json", "-"])
     scored = next(each for each in json.loads(capsys.readouterr().out)["shots"] if each["shot"] == shot["name"])
     plotted = {plot["title"]: plot["series"][0]["values"] for plot in data["plots"]}
@@ -68,7 +82,8 @@ def test_a_replay_has_the_track_of_each_shot(data_set, one_shot, poses, tmp_path
 
     (shot,) = data_of(page)["shots"]
     line = json.loads(tracks.read_text().splitlines()[-1])
-    np.testing.assert_allclose(shot["track"]["center_m"], line["pose"]["center_m"], rtol=1e-12)
+    dotted = [stroke for stroke in elements_of(shot, "lines")[0]["strokes"] if stroke["dash"] == "dotted"]
+    np.testing.assert_allclose(dotted[0]["center_m"], line["pose"]["center_m"], rtol=1e-12)
     assert ["track", f"{line['validity']}, {line['fusion_status']}"] in shot["texts"]
 
 
@@ -78,7 +93,7 @@ def test_a_replay_without_poses_shows_the_detection(data_set, one_shot, tmp_path
     assert main(["view", one_shot, "--rig", str(data_set / "rig.yaml"), "--html", str(page)]) == 0
 
     (shot,) = data_of(page)["shots"]
-    assert (shot["status"], shot["pose"], shot["truth"]) == ("unmeasured", None, None)
+    assert (shot["status"], shot["elements"]) == ("unmeasured", [{"kind": "lines", "width_px": 2.0, "strokes": []}])
 
 
 def test_names_in_a_replay_are_not_taken_for_markup(rig, picture, tmp_path):

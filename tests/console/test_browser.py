@@ -33,6 +33,27 @@ def chromium():
         browser.close()
 
 
+def test_a_replay_in_one_file_draws_its_scene_and_requests_nothing(chromium, carried_data, tmp_path):
+    data, file = carried_data / "rig_b", tmp_path / "replay.html"
+    rig, shot, truth = (str(data / name) for name in ("rig.yaml", "shots/B_z0500_p01_dim.npz", "truth.jsonl"))
+    assert main(["view", shot, "--rig", rig, "--truth", truth, "--html", str(file), "--quiet"]) == 0
+    page, problems, requested = chromium.new_page(), [], []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("request", lambda request: requested.append(request.url))
+
+    page.goto(file.as_uri())
+
+    drawn = page.evaluate(
+        """() => { const canvas = document.getElementById("scene"), area = [0, 0, canvas.width, canvas.height];
+        const pixels = new Uint32Array(canvas.getContext("2d").getImageData(...area).data.buffer);
+        return new Set(pixels).size; }"""
+    )
+    page.close()
+    assert drawn > 100  # shades of the rings, planes and words
+    assert not problems
+    assert {url for url in requested if not url.startswith("data:")} == {file.as_uri()}
+
+
 def free_port():
     with socket.create_server(("127.0.0.1", 0)) as free:
         return free.getsockname()[1]

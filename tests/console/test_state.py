@@ -146,7 +146,7 @@ def test_points_project_to_the_same_place_of_a_preview(scene, rng):
 )
 def test_the_earth_is_drawn_as_large_as_it_is_and_outside_all_parts(tmp_path, rng, target, orbit_radius_m):
     needed_module("viser", "ringpose[console]")
-    from ringpose.console.page import drawn_earth_m
+    from ringpose.console.drawing import drawn_earth_m
 
     small_scene(tmp_path)
     values = dict(read_yaml(tmp_path / "scene.yaml").values)

@@ -15,9 +15,28 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ringpose.console.drawing import (
+    CENTER_COLOR,
+    CENTER_SIGMAS,
+    GRASP_COLOR,
+    RING_STYLES,
+    Ball,
+    Circle,
+    Color,
+    Element,
+    Ellipsoid,
+    Frustum,
+    Lines,
+    Path,
+    Surface,
+    bounds,
+    recorded_elements,
+    rig_elements,
+)
 from ringpose.errors import DataError
-from ringpose.report.overlay import color_of, pose_in_camera_frame, pose_texts
+from ringpose.report.overlay import pose_in_camera_frame, pose_texts
 from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.types.image import ALL_LASERS
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Truth
@@ -51,9 +70,15 @@ class ReplayShot:
 def times_s(shots: Sequence[ReplayShot]) -> list[float]:
     """Time of each shot since the first one; half a second apart where the stamps do not increase."""
     stamps_s = np.array([shot.stamp_s for shot in shots])
-    if not (np.diff(stamps_s) > 0).all() or not np.isfinite(stamps_s).all():
+    if not are_timed(shots):
         stamps_s = 0.5 * np.arange(len(shots))
     return [float(stamp_s) for stamp_s in stamps_s - stamps_s[0]]
+
+
+def are_timed(shots: Sequence[ReplayShot]) -> bool:
+    """Whether the stamps of the shots increase."""
+    stamps_s = np.array([shot.stamp_s for shot in shots])
+    return bool(np.isfinite(stamps_s).all() and (np.diff(stamps_s) > 0).all())
 
 
 def replay_picture(overlay: UInt8[Array, "row column 3"]) -> bytes:
@@ -68,62 +93,72 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
     if not shots:
         raise DataError("the replay", "has no shots")
     poses = [None if shot.line is None else pose_in_camera_frame(shot.line, rig) for shot in shots]
-    camera = rig.camera
+    about = bounds([*poses, *(shot.truth for shot in shots)])
     data = {
-        "camera": {
-            "width": camera.image_width,
-            "height": camera.image_height,
-            "fx": float(camera.camera_matrix[0, 0]),
-            "fy": float(camera.camera_matrix[1, 1]),
-            "cx": float(camera.camera_matrix[0, 2]),
-            "cy": float(camera.camera_matrix[1, 2]),
-        },
-        "lasers": [_laser_values(rig, number) for number in range(len(rig.lasers.names))],
-        "shots": [_shot_values(shot, pose) for shot, pose in zip(shots, poses, strict=True)],
+        "middle_m": about.middle_m.tolist(),
+        "radius_m": about.radius_m,
+        "elements": [_values_of(element) for element in rig_elements(rig, ALL_LASERS, about.target_m)],
+        "legend": [{"text": text, "color": _css(color)} for text, color in LEGEND],
+        "times_s": times_s(shots),
+        "timed": are_timed(shots) and len(shots) > 1,
+        "shots": [_shot_values(shot, pose, rig) for shot, pose in zip(shots, poses, strict=True)],
         "plots": _plots(shots, poses),
     }
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # cannot end the script element
-    template = Template(files("ringpose.report").joinpath("replay.html").read_text(encoding="utf-8"))
+    template = Template(files("ringpose.console").joinpath("replay.html").read_text(encoding="utf-8"))
     return template.substitute(title=escape(title), data=text)
 
 
-def _laser_values(rig: Rig, number: int) -> dict[str, Any]:
-    blue, green, red = color_of(number)
-    return {
-        "name": rig.lasers.names[number],
-        "normal": rig.lasers.normal[number].tolist(),
-        "distance_m": float(rig.lasers.distance_m[number]),
-        "projector_m": _vector(rig.lasers.projector_m[number]),
-        "color": f"#{red:02x}{green:02x}{blue:02x}",
-    }
+LEGEND = (
+    ("estimate", RING_STYLES["pose"].color),
+    ("truth, dashed", RING_STYLES["truth"].color),
+    ("track, dotted", RING_STYLES["track"].color),
+    ("grasp point", GRASP_COLOR),
+    (f"centre, {CENTER_SIGMAS:g} sigma", CENTER_COLOR),
+)
 
 
-def _shot_values(shot: ReplayShot, pose: RingPose | None) -> dict[str, Any]:
-    truth, values = shot.truth, None
-    if pose is not None:
-        values = {**_ring_values(pose), "grasp_m": _vector(pose.grasp_m), "center_axes_m": None}
-        if pose.covariance_center_m2 is not None and np.isfinite(pose.covariance_center_m2).all():
-            variance, directions = np.linalg.eigh(pose.covariance_center_m2)  # half axes of the error ellipsoid
-            values["center_axes_m"] = (np.sqrt(np.maximum(variance, 0.0)) * directions).T.tolist()
+def _shot_values(shot: ReplayShot, pose: RingPose | None, rig: Rig) -> dict[str, Any]:
+    track = None if shot.track is None else shot.track.pose
     return {
         "name": shot.name,
-        "stamp_s": shot.stamp_s if np.isfinite(shot.stamp_s) else None,
         "status": UNMEASURED if shot.line is None else shot.line.status,
         "picture": f"data:image/jpeg;base64,{base64.b64encode(shot.jpeg).decode('ascii')}",
         "texts": _texts(shot, pose),
-        "pose": values,
-        "truth": None if truth is None or truth.center_m is None else _ring_values(truth),
-        "track": None if shot.track is None or shot.track.pose is None else _ring_values(shot.track.pose),
+        "elements": [_values_of(element) for element in recorded_elements(rig, pose, shot.truth, track)],
     }
 
 
-def _ring_values(ring: RingPose | Truth) -> dict[str, Any]:
-    return {
-        "center_m": _vector(ring.center_m),
-        "normal": _vector(ring.normal),
-        "radius_inner_m": _number(ring.radius_inner_m),
-        "radius_outer_m": _number(ring.radius_outer_m),
-    }
+def _values_of(element: Element) -> dict[str, Any]:
+    """An element as the script of the page expects it."""
+    match element:
+        case Lines():
+            strokes = [
+                {**_stroke_values(each), "color": _css(each.color), "dash": each.dash} for each in element.strokes
+            ]
+            return {"kind": "lines", "width_px": element.width_px, "strokes": strokes}
+        case Surface():
+            outline_m, color = element.vertices_m.tolist(), _css(element.color)
+            return {"kind": "surface", "outline_m": outline_m, "color": color, "opacity": element.opacity}
+        case Ellipsoid():
+            axes_m, center_m = element.half_axes_m.tolist(), element.center_m.tolist()
+            return {"kind": "ellipsoid", "center_m": center_m, "half_axes_m": axes_m, "color": _css(element.color)}
+        case Ball():
+            return {"kind": "ball", "center_m": element.center_m.tolist(), "color": _css(element.color)}
+        case Frustum():
+            return {"kind": "frustum", "corners_m": element.corners_m.tolist()}
+    raise TypeError(f"a recording has no {type(element).__name__}")  # sun and Earth are those of the simulation
+
+
+def _stroke_values(stroke: Path | Circle) -> dict[str, Any]:
+    look = {"color": _css(stroke.color), "dash": stroke.dash}
+    if isinstance(stroke, Path):
+        return {"points_m": stroke.points_m.tolist(), **look}
+    return {"center_m": stroke.center_m.tolist(), "axes_m": stroke.axes_m.tolist(), **look}
+
+
+def _css(color: Color) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:

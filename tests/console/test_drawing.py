@@ -1,0 +1,82 @@
+"""The elements of the scene lie where rig and ring are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from known_poses import pose_of
+from ring_scenes import PROJECTED, make_camera
+
+from ringpose.console.drawing import PALE, Ball, Ellipsoid, bounds, recorded_elements, rig_elements, rings, stripes
+from ringpose.geometry.rays import project
+from ringpose.types.rig import Rig
+from ringpose.types.scene import Truth
+
+RIG = Rig(camera=make_camera((800, 600), (889.0, 890.0), (410.0, 290.0)), lasers=PROJECTED)
+RING = Truth(
+    shot="",
+    expect="pose",
+    center_m=np.array([0.57, 0.03, 0.5]),
+    normal=np.array([0.0, 0.0, -1.0]),
+    radius_inner_m=0.567,
+    radius_outer_m=0.597,
+)
+
+
+def named(elements, kind):
+    return [element for element in elements if isinstance(element, kind)]
+
+
+def test_the_corners_of_the_frustum_are_those_of_the_image():
+    frustum, *_ = rig_elements(RIG, 0, RING.center_m)
+
+    np.testing.assert_allclose(
+        project(frustum.corners_m, RIG.camera), [[0, 0], [800, 0], [800, 600], [0, 600]], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_corners_of_a_light_plane_lie_in_it_and_masked_lasers_have_none(turned):
+    lasers = PROJECTED
+    if turned:  # planes along the columns
+        exchange = [1, 0, 2]
+        lasers = replace(lasers, normal=lasers.normal[:, exchange], projector_m=lasers.projector_m[:, exchange])
+    _, *planes = rig_elements(replace(RIG, lasers=lasers), 0b101, RING.center_m)
+
+    assert [plane.name for plane in planes] == [lasers.names[0], lasers.names[2]]
+    for plane, laser in zip(planes, (0, 2), strict=True):
+        np.testing.assert_allclose(plane.vertices_m @ lasers.normal[laser], lasers.distance_m[laser], atol=1e-9)
+
+
+def test_stripes_lie_in_the_rings_face_between_its_edges():
+    lines = stripes(RIG, 0b111, RING.center_m, RING.normal, (RING.radius_inner_m, RING.radius_outer_m))
+
+    for stroke in lines.strokes:
+        offset_m = stroke.points_m - RING.center_m
+        np.testing.assert_allclose(offset_m @ RING.normal, 0.0, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(offset_m, axis=1), [RING.radius_inner_m, RING.radius_outer_m])
+
+
+def test_a_ring_of_which_only_the_normal_is_known_has_neither_circles_nor_stripes():
+    elements = recorded_elements(RIG, None, replace(RING, center_m=None), None)
+
+    assert [element.strokes for element in elements] == [()]
+
+
+def test_what_is_measured_has_its_grasp_point_and_its_ellipsoid_and_is_pale_once_outdated():
+    pose = pose_of(covariance_center_m2=np.diag([1e-6, 4e-6, 9e-8]))
+    fresh, outdated = rings(pose, None, None), rings(pose, None, None, is_outdated=True)
+
+    (grasp,), (center,) = named(fresh, Ball), named(fresh, Ellipsoid)
+    np.testing.assert_array_equal(grasp.center_m, pose.grasp_m)
+    np.testing.assert_allclose(center.half_axes_m.T @ center.half_axes_m, 9 * pose.covariance_center_m2)
+    assert named(outdated, Ellipsoid)[0].opacity == PALE
+    assert np.ptp(named(outdated, Ball)[0].color) < np.ptp(grasp.color)
+
+
+def test_bounds_include_camera_and_rings():
+    target_m, middle_m, radius_m = bounds([None, RING])
+
+    np.testing.assert_array_equal(target_m, RING.center_m)
+    assert np.linalg.norm(middle_m) < radius_m
+    assert np.linalg.norm(RING.center_m - middle_m) + RING.radius_outer_m < radius_m
