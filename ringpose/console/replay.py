@@ -6,7 +6,7 @@ The page loads nothing: pictures and numbers are in it, and its content security
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from html import escape
 from importlib.resources import files
 from string import Template
@@ -20,15 +20,10 @@ from ringpose.console.drawing import (
     CENTER_SIGMAS,
     GRASP_COLOR,
     RING_STYLES,
-    Ball,
     Circle,
     Color,
     Element,
-    Ellipsoid,
-    Frustum,
-    Lines,
     Path,
-    Surface,
     bounds,
     recorded_elements,
     rig_elements,
@@ -129,32 +124,17 @@ def _shot_values(shot: ReplayShot, pose: RingPose | None, rig: Rig) -> dict[str,
     }
 
 
-def _values_of(element: Element) -> dict[str, Any]:
-    """An element as the script of the page expects it."""
-    match element:
-        case Lines():
-            strokes = [
-                {**_stroke_values(each), "color": _css(each.color), "dash": each.dash} for each in element.strokes
-            ]
-            return {"kind": "lines", "width_px": element.width_px, "strokes": strokes}
-        case Surface():
-            outline_m, color = element.vertices_m.tolist(), _css(element.color)
-            return {"kind": "surface", "outline_m": outline_m, "color": color, "opacity": element.opacity}
-        case Ellipsoid():
-            axes_m, center_m = element.half_axes_m.tolist(), element.center_m.tolist()
-            return {"kind": "ellipsoid", "center_m": center_m, "half_axes_m": axes_m, "color": _css(element.color)}
-        case Ball():
-            return {"kind": "ball", "center_m": element.center_m.tolist(), "color": _css(element.color)}
-        case Frustum():
-            return {"kind": "frustum", "corners_m": element.corners_m.tolist()}
-    raise TypeError(f"a recording has no {type(element).__name__}")  # sun and Earth are those of the simulation
-
-
-def _stroke_values(stroke: Path | Circle) -> dict[str, Any]:
-    look = {"color": _css(stroke.color), "dash": stroke.dash}
-    if isinstance(stroke, Path):
-        return {"points_m": stroke.points_m.tolist(), **look}
-    return {"center_m": stroke.center_m.tolist(), "axes_m": stroke.axes_m.tolist(), **look}
+def _values_of(element: Element | Path | Circle) -> dict[str, Any]:
+    """The attributes of an element and its kind, as the script of the page expects them."""
+    values: dict[str, Any] = {"kind": type(element).__name__.lower()}
+    for name in (each.name for each in fields(element)):
+        value = getattr(element, name)
+        if name == "strokes":
+            value = [_values_of(stroke) for stroke in value]
+        elif name == "color":
+            value = _css(value)
+        values[name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return values
 
 
 def _css(color: Color) -> str:

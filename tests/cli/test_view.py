@@ -93,7 +93,10 @@ def test_a_replay_without_poses_shows_the_detection(data_set, one_shot, tmp_path
     assert main(["view", one_shot, "--rig", str(data_set / "rig.yaml"), "--html", str(page)]) == 0
 
     (shot,) = data_of(page)["shots"]
-    assert (shot["status"], shot["elements"]) == ("unmeasured", [{"kind": "lines", "width_px": 2.0, "strokes": []}])
+    assert (shot["status"], shot["elements"]) == (
+        "unmeasured",
+        [{"kind": "lines", "name": "rings", "strokes": [], "width_px": 2.0}],
+    )
 
 
 def test_names_in_a_replay_are_not_taken_for_markup(rig, picture, tmp_path):
