@@ -18,14 +18,13 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ringpose.bench.score import Score
 from ringpose.bench.summary import Value, grouped
-from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.types.arrays import Array, Float64
 
 FALSE_DISCOVERY_RATE = 0.05
 """Maximum expected share of false positives among the rows that are reported as better or worse."""
@@ -272,30 +271,34 @@ def permutation_p_value(
     """Two-sided p-value of the difference in loss by the paired permutation test: A and B are exchanged within shots.
 
     All permutations are evaluated if few shots differ; otherwise random ones and the observed one, so that the p-value
-    is never too small.
+    is never too small: by `monte_carlo_test`, since `permutation_test` takes ten times as long to draw them.
     """
-    changed = (b - a)[a != b]
-    few = len(changed) <= MAX_EXHAUSTIVE
-    if few:  # one bit per shot states whether it is exchanged
-        ways = (np.arange(2 ** len(changed))[:, None] >> np.arange(len(changed))) & 1
-        packed = np.packbits(ways.astype(np.uint8), axis=1)
-    else:
-        packed = _random_permutations(len(changed), permutations)
-    parts = np.array_split(packed, len(packed) // 1000 + 1)
-    moved = np.concatenate([np.unpackbits(part, axis=1, count=len(changed)) @ changed for part in parts]) / len(a)
-    differences = np.abs(loss(b.mean() - moved) - loss(a.mean() + moved))
-    observed = float(np.abs(loss(b.mean()) - loss(a.mean())))
-    as_large = np.count_nonzero(differences >= observed * (1 - 1e-9) - MIN_ERROR**2)
-    return as_large / len(differences) if few else (as_large + 1) / (len(differences) + 1)
+    from scipy.stats import monte_carlo_test, permutation_test
 
+    middle, half = 0.5 * (a.mean() + b.mean()), 0.5 * (b - a)[a != b]
+    if len(half) < 2:
+        return 1.0
 
-@lru_cache(maxsize=16)
-def _random_permutations(shots: int, permutations: int) -> UInt8[Array, "permutation byte"]:
-    """Random permutations as one bit per shot: whether its scores are exchanged; 25 MB for 20,000 shots.
+    def difference(half: Float64[Array, "*shape n"], axis: int = -1) -> Any:
+        moved = half.sum(axis=axis) / len(a)  # to exchange A and B in a shot changes the sign of its half difference
+        return np.abs(loss(middle + moved) - loss(middle - moved))
 
-    Rows with the same number of shots use the same permutations.
-    """
-    return np.random.default_rng(SEED).integers(0, 256, size=(permutations, -(-shots // 8)), dtype=np.uint8)
+    if len(half) <= MAX_EXHAUSTIVE:
+        exact = permutation_test(
+            (half,), difference, permutation_type="samples", alternative="greater", vectorized=True
+        )
+        return float(exact.pvalue)
+    generator = np.random.default_rng(SEED)
+    found = monte_carlo_test(
+        half,
+        lambda size: half * generator.choice((-1.0, 1.0), size),
+        difference,
+        vectorized=True,
+        n_resamples=permutations,
+        batch=max(1, 4_000_000 // len(half)),
+        alternative="greater",
+    )
+    return float(found.pvalue)
 
 
 def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance: float, resamples: int) -> Row:

@@ -59,16 +59,13 @@ class WrongQuantities:
         freedom exceeds 25: 5.7e-7, 3.7e-6 and 1.5e-5 for k = 1, 2 and 3. The sum of these binomial counts is nearly
         Poisson-distributed; this is the 99 % quantile.
         """
-        from scipy.special import chdtrc, pdtr
+        from scipy.stats import chi2, poisson
 
         mean = sum(
-            (counts[Judgement.CORRECT] + counts[Judgement.WRONG]) * float(chdtrc(JUDGED[name], WRONG_SIGMAS**2))
+            (counts[Judgement.CORRECT] + counts[Judgement.WRONG]) * chi2.sf(WRONG_SIGMAS**2, JUDGED[name])
             for name, counts in self.counts.items()
         )
-        allowed = 0
-        while pdtr(allowed, mean) < ALLOWANCE:
-            allowed += 1
-        return allowed
+        return int(poisson.ppf(ALLOWANCE, mean))
 
     @property
     def none_wrong(self) -> bool:

@@ -1,5 +1,7 @@
 """Two results: what is called better or worse, and how often by chance."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -62,18 +64,27 @@ def row_of(rows, quantity, **group):
     return next(row for row in rows if row.quantity == quantity and row.group == group)
 
 
-@pytest.mark.parametrize("shots", [8, 40])
-def test_the_p_value_is_that_of_scipys_paired_permutation_test(rng, shots):
-    a, b = rng.normal(size=(2, shots)) ** 2 * [[1], [2]]
+def rmse_of_exchanges(a, b, exchanged):
+    """The difference in RMSE for each way of exchanging the results within shots, a row of booleans each."""
+    ours, theirs = np.where(exchanged, b, a), np.where(exchanged, a, b)
+    return np.sqrt(theirs.mean(axis=1)) - np.sqrt(ours.mean(axis=1))
 
-    def statistic(a, b, axis):
-        return RMSE(b.mean(axis=axis)) - RMSE(a.mean(axis=axis))
 
-    expected = stats.permutation_test(
-        (a, b), statistic, permutation_type="samples", n_resamples=9999, random_state=np.random.default_rng(1)
-    ).pvalue
+def test_the_p_value_of_few_shots_is_the_share_of_exchanges_with_as_large_a_difference(rng):
+    a, b = rng.normal(size=(2, 8)) ** 2 * [[1], [2]]
 
-    assert permutation_p_value(a, b, RMSE) == pytest.approx(expected, abs=1e-12 if shots == 8 else 0.02)
+    every = rmse_of_exchanges(a, b, np.array(list(product((False, True), repeat=8))))
+
+    assert permutation_p_value(a, b, RMSE) == pytest.approx(np.mean(abs(every) >= abs(every[0]) - 1e-12), abs=1e-12)
+
+
+def test_the_p_value_of_many_shots_is_that_of_random_exchanges(rng):
+    a, b = rng.normal(size=(2, 40)) ** 2 * [[1], [2]]
+
+    drawn = rmse_of_exchanges(a, b, rng.random((20_000, 40)) < 0.5)
+    observed = rmse_of_exchanges(a, b, np.zeros((1, 40), dtype=bool))
+
+    assert permutation_p_value(a, b, RMSE) == pytest.approx(np.mean(abs(drawn) >= abs(observed)), abs=0.02)
 
 
 @pytest.mark.parametrize("shots", [10, 40])

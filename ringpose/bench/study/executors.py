@@ -9,8 +9,10 @@ import hashlib
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
+from math import inf
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -42,6 +44,12 @@ MAX_DEATHS = 3
 
 Rows = list[Row]
 Work = Callable[[int], Rows]
+
+Finished = tuple[list[int], list[Rows] | None, float]
+"""A finished chunk: its shots, their rows (None if it killed its worker), and the seconds that it took."""
+
+Executor = Callable[[Work, "Chunks"], Iterator[Finished]]
+"""Computes chunks until none is left, and yields each as soon as it is finished, in any order."""
 
 
 class Done(NamedTuple):
@@ -80,60 +88,42 @@ def _code_sha256(package: Path) -> str:
     return digest.hexdigest()
 
 
-def here(work: Work, indices: Iterable[int]) -> Iterator[Done]:
-    """Compute the shots one by one in this process."""
-    for index in indices:
-        yield Done(index, work(index))
+def computed(executor: Executor, work: Work, indices: Iterable[int]) -> Iterator[Done]:
+    """Compute the shots; they come in any order."""
+    chunks = Chunks(indices)
+    for chunk, found, duration_s in executor(work, chunks):
+        if found is None:
+            yield from (Done(index, None) for index in chunks.killed(chunk))
+        else:
+            chunks.took(len(chunk), duration_s)
+            yield from map(Done, chunk, found)
 
 
-# Processes
-
-
-def by_processes(work: Work, indices: Iterable[int], jobs: int) -> Iterator[Done]:
-    """Compute the shots in chunks by this number of processes; they come in any order.
-
-    A process that is killed is replaced.
-    """
-    chunks, pool = _Chunks(indices), Pool(work)
-    try:
-        while pool.busy or chunks.remain:
-            while len(pool.busy) < jobs and (chunk := chunks.next()):
-                pool.give(chunk)
-            for chunk, found, duration_s in pool.collected():
-                if found is None:
-                    yield from (Done(index, None) for index in chunks.killed(chunk))
-                else:
-                    chunks.took(len(chunk), duration_s)
-                    yield from map(Done, chunk, found)
-    finally:
-        pool.close()
-
-
-class _Chunks:
+class Chunks:
     """The shots that remain, in chunks of about the same duration."""
 
-    def __init__(self, indices: Iterable[int], duration_s: float = CHUNK_S) -> None:
-        self._duration_s = duration_s
+    def __init__(self, indices: Iterable[int]) -> None:
         self._indices = deque(indices)
         self._again: deque[list[int]] = deque()
         self._deaths: dict[int, int] = {}
-        self._shot_s = duration_s
+        self._shot_s = inf
 
     @property
     def remain(self) -> bool:
         """Whether there is a further chunk."""
         return bool(self._again or self._indices)
 
-    def next(self) -> list[int]:
-        """The next chunk; empty if there is none."""
+    def next(self, duration_s: float) -> list[int]:
+        """The next chunk, which takes about this time; empty if there is none. The first chunks have one shot."""
         if self._again:
             return self._again.popleft()
-        size = max(1, min(MAX_CHUNK, round(self._duration_s / max(self._shot_s, 1e-6)), len(self._indices)))
+        size = max(1, min(MAX_CHUNK, round(duration_s / max(self._shot_s, 1e-6)), len(self._indices)))
         return [self._indices.popleft() for _ in range(size) if self._indices]
 
     def took(self, shots: int, duration_s: float) -> None:
         """Adapt the size of chunks to the time that a chunk took."""
-        self._shot_s = 0.5 * (self._shot_s + duration_s / shots)
+        own_s = duration_s / shots
+        self._shot_s = own_s if self._shot_s == inf else 0.5 * (self._shot_s + own_s)
 
     def killed(self, chunk: list[int]) -> list[int]:
         """Repeat a chunk whose worker was killed, shot by shot; returns the shots that are given up."""
@@ -147,22 +137,53 @@ class _Chunks:
         return chunk
 
 
-# Cluster
+# Executors
 
 
-def by_cluster(
-    work: Work, indices: Iterable[int], scheduler: str | None, scheduler_file: Path | None
-) -> Iterator[Done]:
-    """Compute the shots in chunks by the workers of a dask.distributed cluster; the extra `cluster` is needed.
+def in_this_process(work: Work, chunks: Chunks) -> Iterator[Finished]:
+    """Compute one shot after the other in this process."""
+    while chunk := chunks.next(0.0):
+        yield chunk, *_timed(work, chunk)
+
+
+def by_processes(jobs: int) -> Executor:
+    """Compute by this number of processes; one that is killed is replaced."""
+
+    def compute(work: Work, chunks: Chunks) -> Iterator[Finished]:
+        pool = Pool(work)
+        try:
+            while pool.busy or chunks.remain:
+                while len(pool.busy) < jobs and (chunk := chunks.next(CHUNK_S)):
+                    pool.give(chunk)
+                yield from pool.collected()
+        finally:
+            pool.close()
+
+    return compute
+
+
+def by_cluster(scheduler: str | None, scheduler_file: Path | None) -> Executor:
+    """Compute by the workers of a dask.distributed cluster; the extra `cluster` is needed.
 
     Workers with other versions are an error. A cluster that disappears ends the iteration with an error; what was
     yielded before is valid.
     """
+
+    def compute(work: Work, chunks: Chunks) -> Iterator[Finished]:
+        place = scheduler or _address_in(scheduler_file or Path())
+        with _connected(place) as client:
+            yield from _submitted(client, work, chunks)
+
+    return compute
+
+
+@contextmanager
+def _connected(place: str) -> Iterator[Any]:
+    """A client of the cluster, whose workers are ready and run the same software as this process."""
     distributed: Any = import_module("distributed")
     for name in list(logging.root.manager.loggerDict):
         if name.startswith("distributed"):  # its errors are reported by exceptions, too
             logging.getLogger(name).setLevel(logging.CRITICAL)
-    place = scheduler or _address_in(scheduler_file or Path())
     try:
         client = distributed.Client(place, timeout=SCHEDULER_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
@@ -173,7 +194,7 @@ def by_cluster(
         except TimeoutError:
             raise DeviceError(place, f"has no workers after {WORKERS_S} s", "start dask workers") from None
         _require_same_software(client.run(software), software())
-        yield from _submitted(client, work, _Chunks(indices, CLUSTER_CHUNK_S))
+        yield client
     except (distributed.CancelledError, distributed.comm.core.CommClosedError, OSError, TimeoutError) as error:
         found = f"the cluster has disappeared ({type(error).__name__})"
         raise DeviceError(place, found, "finished shots are kept; start it again and repeat the command") from error
@@ -190,14 +211,14 @@ def _address_in(scheduler_file: Path) -> str:
     return address
 
 
-def _submitted(client: Any, work: Work, chunks: _Chunks) -> Iterator[Done]:
-    """Submit chunks, at most a few for each worker at a time, and yield their shots."""
+def _submitted(client: Any, work: Work, chunks: Chunks) -> Iterator[Finished]:
+    """Submit chunks, at most a few for each worker at a time, and yield those that are finished."""
     distributed: Any = import_module("distributed")
     futures = distributed.as_completed(loop=client.loop)
     waiting: dict[str, list[int]] = {}
     while True:
         window = CHUNKS_PER_WORKER * max(1, len(client.nthreads()))
-        while len(waiting) < window and (chunk := chunks.next()):
+        while len(waiting) < window and (chunk := chunks.next(CLUSTER_CHUNK_S)):
             future = client.submit(_timed, work, chunk, pure=False)
             waiting[future.key] = chunk
             futures.add(future)
@@ -206,18 +227,16 @@ def _submitted(client: Any, work: Work, chunks: _Chunks) -> Iterator[Done]:
         future = next(futures)
         chunk = waiting.pop(future.key)
         if future.status == "error" and isinstance(future.exception(), distributed.scheduler.KilledWorker):
-            yield from (Done(index, None) for index in chunks.killed(chunk))
-            continue
-        duration_s, found = future.result()
-        chunks.took(len(chunk), duration_s)
-        yield from map(Done, chunk, found)
+            yield chunk, None, 0.0
+        else:
+            yield chunk, *future.result()
 
 
-def _timed(work: Work, chunk: list[int]) -> tuple[float, list[Rows]]:
-    """Duration and results of a chunk, on a worker of the cluster."""
+def _timed(work: Work, chunk: list[int]) -> tuple[list[Rows], float]:
+    """Results of a chunk, and the time that it took."""
     start_s = perf_counter()
     found = [work(index) for index in chunk]
-    return perf_counter() - start_s, found
+    return found, perf_counter() - start_s
 
 
 def _require_same_software(workers: Mapping[str, dict[str, str]], ours: Mapping[str, str]) -> None:

@@ -104,12 +104,13 @@ def computed(
     study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:
     """Compute shots, in any order: by a cluster if a scheduler is given, else by processes (0: one a core)."""
-    work, processes = partial(study_rows, study), jobs or cores()
     if not indices:
         return iter(())
+    processes = jobs or cores()
+    executor = executors.in_this_process if processes == 1 else executors.by_processes(processes)
     if scheduler is not None or scheduler_file is not None:
-        return executors.by_cluster(work, indices, scheduler, scheduler_file)
-    return executors.here(work, indices) if processes == 1 else executors.by_processes(work, indices, processes)
+        executor = executors.by_cluster(scheduler, scheduler_file)
+    return executors.computed(executor, partial(study_rows, study), indices)
 
 
 def write_finished(study: Study, folder: ResultFolder, done: Iterable[Done]) -> None:

@@ -3,18 +3,18 @@
 import pytest
 from study_work import FATAL, square, square_or_die
 
-from ringpose.bench.study.executors import by_processes, here, software
+from ringpose.bench.study.executors import by_processes, computed, in_this_process, software
 
 
 def test_processes_compute_every_shot_once():
-    done = sorted(by_processes(square, range(40), 2))
+    done = sorted(computed(by_processes(2), square, range(40)))
 
-    assert done == list(here(square, range(40)))
+    assert done == list(computed(in_this_process, square, range(40)))
 
 
 @pytest.mark.slow
 def test_a_shot_that_kills_its_worker_is_given_up_alone():
-    done = dict(by_processes(square_or_die, range(12), 2))
+    done = dict(computed(by_processes(2), square_or_die, range(12)))
 
     assert done.pop(FATAL) is None
     assert done == {index: square(index) for index in range(12) if index != FATAL}
