@@ -6,7 +6,7 @@ import numpy as np
 from drawn_boards import FOUR
 from ring_scenes import make_camera
 
-from ringpose.calibrate.boards.layout import corner_points
+from ringpose.geometry.board import corner_points
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import PlanesCalibration, StripeView

@@ -1,17 +1,16 @@
-"""Board files (kind and sizes in metres), dictionaries of markers (OpenCV FileStorage), and boards as PDF to print."""
+"""Board files (kind and sizes in metres), and dictionaries of markers (OpenCV FileStorage)."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from ringpose.calibrate.boards.drawing import BoardDrawing
-from ringpose.calibrate.boards.layout import marker_dictionary
-from ringpose.errors import DataError, UsageError
+from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.cameras.opencv import storage_values
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml, write_yaml
+from ringpose.geometry.board import marker_dictionary
 from ringpose.types.board import Board, BoardKind
 from ringpose.types.plausible import BOARD_M, MARGIN_M, MARKER_M, SQUARE_M
 
@@ -45,9 +44,6 @@ MIN_COUNT = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, 
 
 MAX_SQUARES = 200
 """Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
-
-POINT_M = 0.0254 / 72
-"""Unit of length in PDF, 1/72 inch, in metres."""
 
 
 def read_board(path: Path) -> Board:
@@ -119,38 +115,3 @@ def read_dictionary(path: Path) -> tuple[str, ...]:
         if set(bits) - {"0", "1"} or len(bits) != side**2:
             raise fields.problem(key, f"must be {side} x {side} digits 0 or 1")
     return tuple(markers.values())
-
-
-def write_board_print(path: Path, drawing: BoardDrawing, *, force: bool = False) -> None:
-    """Write one page of the drawing's size, with a request to viewers to print it without scaling."""
-    require_pdf(path)
-    with atomic.replacing(path, force) as stream:
-        stream.write(pdf(drawing))
-
-
-def require_pdf(path: Path) -> None:
-    """Reject an output whose name does not end with .pdf."""
-    if path.suffix.lower() != ".pdf":
-        remedy = "end it with .pdf; pdftocairo converts it to SVG or PNG at the same scale"
-        raise UsageError("--print-board", f"{path.name} is not a .pdf", remedy)
-
-
-def pdf(drawing: BoardDrawing) -> bytes:
-    """The PDF file; all black shapes are one path, so that viewers show no seams between adjacent squares."""
-    from reportlab.pdfgen.canvas import Canvas
-
-    top = drawing.height_m / POINT_M
-    canvas = Canvas("", pagesize=(drawing.width_m / POINT_M, top), pdfVersion=(1, 7))
-    canvas.setViewerPreference("PrintScaling", "None")
-    canvas.setTitle("Calibration board")
-    black = canvas.beginPath()
-    for x, y, width, height in (drawing.rectangles_m / POINT_M).tolist():
-        black.rect(x, top - y - height, width, height)
-    for x, y, radius in (drawing.circles_m / POINT_M).tolist():
-        black.circle(x, top - y, radius)
-    canvas.drawPath(black, stroke=0, fill=1)
-    for label in drawing.labels:
-        canvas.setFont("Helvetica", label.height_m / POINT_M)
-        text = label.text.encode("latin-1", "replace").decode("latin-1")  # the characters of the font
-        canvas.drawString(label.x_m / POINT_M, top - label.y_m / POINT_M, text)
-    return bytes(canvas.getpdfdata())

@@ -9,8 +9,8 @@ from typing import Any, overload
 
 import numpy as np
 
-from ringpose.calibrate.boards.layout import outline_m
 from ringpose.errors import DataError
+from ringpose.geometry.board import outline_m
 from ringpose.geometry.rays import rays
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import facing_normal

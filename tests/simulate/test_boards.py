@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from ring_scenes import make_camera
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
+from ringpose.geometry.board import corner_points
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.simulate.placement import board_poses, middle_of_board_m

@@ -7,11 +7,11 @@ from enum import Enum
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.layout import marker_corners, marker_dictionary
 from ringpose.calibrate.boards.patterns.chessboard import Grid
 from ringpose.calibrate.boards.patterns.circles import brightened
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage, reduced
 from ringpose.calibrate.boards.patterns.markers import Markers, find_markers
+from ringpose.geometry.board import marker_corners, marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 

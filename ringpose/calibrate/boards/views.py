@@ -16,14 +16,6 @@ from ringpose.calibrate.boards.diagnostics import (
     pattern_failure,
     unusable,
 )
-from ringpose.calibrate.boards.layout import (
-    corner_points,
-    marker_corners,
-    marker_count,
-    marker_dictionary,
-    marker_layout,
-    other_layout,
-)
 from ringpose.calibrate.boards.patterns.chessboard import (
     chessboard_corners,
     largest_grid,
@@ -36,9 +28,12 @@ from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
 from ringpose.calibrate.boards.patterns.markers import (
     Markers,
     find_markers,
+    marker_layout,
     markers_of,
+    other_layout,
 )
 from ringpose.errors import DataError
+from ringpose.geometry.board import corner_points, marker_corners, marker_count, marker_dictionary
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.image import Shot

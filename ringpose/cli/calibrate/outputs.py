@@ -45,18 +45,22 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
 
     `usual` is the kind of the board that is written.
     """
-    from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
-    from ringpose.files.atomic import reject_existing, reject_inputs
-    from ringpose.files.boards import read_board, require_pdf, write_board, write_board_print
+    from ringpose.errors import UsageError
+    from ringpose.files import atomic
+    from ringpose.files.boards import read_board, write_board
+    from ringpose.report.board_print import A4_BOARDS, board_drawing, pdf
 
-    require_pdf(path)
-    reject_inputs([path], [board_file])
-    reject_existing(path, force)
+    if path.suffix.lower() != ".pdf":
+        remedy = "end it with .pdf; pdftocairo converts it to SVG or PNG at the same scale"
+        raise UsageError("--print-board", f"{path.name} is not a .pdf", remedy)
+    atomic.reject_inputs([path], [board_file])
+    atomic.reject_existing(path, force)
     if not board_file.exists():
         write_board(board_file, A4_BOARDS[usual])
     drawing = board_drawing(read_board(board_file))
-    write_board_print(path, drawing, force=force)
+    with atomic.replacing(path, force) as stream:
+        stream.write(pdf(drawing))
     if not quiet:
         size = f"{1e3 * drawing.width_m:.0f} x {1e3 * drawing.height_m:.0f} mm"
         messages.echo(f"{path}: page {drawing.page}, {size}: print at 100 %, on a flat sheet")

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ringpose.calibrate.boards.drawing import board_print
-from ringpose.calibrate.boards.layout import outline_m
+from ringpose.geometry.board import board_print, outline_m
 from ringpose.kernels.render import TargetTables
 from ringpose.simulate.target.parts import target_tables
 from ringpose.types.board import Board

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
-from ringpose.calibrate.boards.layout import marker_corners, marker_layout, marker_size_findings
-from ringpose.calibrate.boards.patterns.markers import Markers
+from ringpose.calibrate.boards.patterns.markers import Markers, marker_layout, marker_size_findings
 from ringpose.calibrate.boards.views import find_board
+from ringpose.geometry.board import marker_corners
 from ringpose.types.calibration import Grade
 
 MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}

@@ -6,8 +6,8 @@ from drawn_boards import FOUR
 from known_views import TRUE_CAMERA, board_view, rotation, true_poses
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.pose import board_pose, marker_average_pose
+from ringpose.geometry.board import corner_points
 from ringpose.geometry.rotations import rotation_vector
 
 

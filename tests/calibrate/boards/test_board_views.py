@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
-from ringpose.calibrate.boards.layout import corner_points, marker_corners, marker_dictionary
 from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import DataError
+from ringpose.geometry.board import corner_points, marker_corners, marker_dictionary
 from ringpose.types.board import Board
 
 LEGACY = replace(CHARUCO, legacy_pattern=True)

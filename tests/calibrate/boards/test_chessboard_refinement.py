@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from drawn_boards import drawn_board
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.patterns.chessboard import refined_corners, saddle_points
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board
 
 BOARD = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.02)

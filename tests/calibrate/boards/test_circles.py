@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers, refined_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board
 
 GRID = Board(kind="asymmetric_circles", squares_x=4, squares_y=7, spacing_m=0.02)

@@ -8,9 +8,9 @@ import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
 from ringpose.calibrate.boards.diagnostics import BoardFailure, charuco_failure, edge_width_px
-from ringpose.calibrate.boards.layout import marker_dictionary
 from ringpose.calibrate.boards.patterns.markers import find_markers
 from ringpose.calibrate.boards.views import find_board
+from ringpose.geometry.board import marker_dictionary
 from ringpose.types.board import Board
 
 

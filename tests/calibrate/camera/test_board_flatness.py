@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 from known_views import board_view, true_poses
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import bow_finding, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
 from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import Grade
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view, chessboard_views
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.errors import DataError
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import Grade
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view, chessboard_views, true_poses
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import camera_solution
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
@@ -22,6 +21,7 @@ from ringpose.calibrate.camera.validation import (
     displacement_px,
     projection_sigma_px,
 )
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import Grade, Verdict
 

@@ -8,12 +8,12 @@ import pytest
 from known_views import projected_px
 from ring_scenes import make_camera
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
 from ringpose.calibrate.camera.validation import displacement_px, known_lens, map_points_px, projection_sigma_px
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board, BoardView
 
 MODEL = CameraModel(distortion_model="rational_polynomial")

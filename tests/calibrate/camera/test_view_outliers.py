@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from known_views import board_view, chessboard_views
 
-from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import Grade
 

@@ -1,13 +1,17 @@
-"""Detection of ArUco markers."""
+"""Detection of ArUco markers, and checks of their layout against the board."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
+from ringpose.calibrate.acceptance import BOARD_LIMITS, check
+from ringpose.geometry.board import marker_corners
 from ringpose.types.arrays import Array, Float64, Int64, UInt8
+from ringpose.types.board import Board, BoardView
+from ringpose.types.calibration import Check
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,3 +38,98 @@ def markers_of(found: Sequence[Any] | None, ids: Any) -> Markers:
     corners = np.stack([np.asarray(one, dtype=np.float64).reshape(4, 2) for one in found])
     order = np.argsort(np.asarray(ids).ravel(), kind="stable")
     return Markers(ids=np.asarray(ids).ravel().astype(np.int64)[order], corners_px=corners[order])
+
+
+# Comparison with the board
+
+MAX_CENTER_ERROR = 0.25
+"""Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1
+for another board."""
+
+CORNER_ERROR_PX = 1.0
+"""Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
+
+_MIN_MARKERS = 4
+"""Minimum number of markers with which the layout is checked."""
+
+_MAX_SQUARES = 40
+"""Largest number of columns that is tried when the markers do not fit the board file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarkerLayout:
+    """Agreement of the detected markers with the board, in the board frame fitted to their centres."""
+
+    center_error: float
+    """Median distance of a marker's centre from its position on the board, in sides of a marker."""
+    size_ratio: tuple[float, float]
+    """Median width and height of the markers over those of the board; 1 if the deviation is not significant."""
+
+
+def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
+    """Agreement of the board's own markers with the board; None if they are too few or collinear."""
+    center_m = marker_corners(board)[markers.ids][..., :2].mean(axis=1)
+    if len(center_m) < _MIN_MARKERS or np.linalg.matrix_rank(center_m - center_m.mean(axis=0), tol=1e-6) < 2:
+        return None
+    # Intersections of the markers' diagonals: projections of their centres in any perspective.
+    corners = markers.corners_px
+    along, across, offset = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1], corners[:, 1] - corners[:, 0]
+    determinant = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
+    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / determinant
+    centers_px = corners[:, 0] + share[:, None] * along
+    board_from_image: Any = cv2.findHomography(centers_px, center_m)[0]
+    if board_from_image is None:
+        return None
+    found_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
+    corners_m = cv2.perspectiveTransform(corners.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
+    side_m, side_px = board.marker_m or 1.0, np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
+    ratios = []
+    for start, end in (([0, 3], [1, 2]), ([0, 1], [3, 2])):  # horizontal sides, vertical sides
+        ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / side_m))
+        # For markers of this size, the bias of the corners can explain smaller deviations.
+        ratios.append(ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0)
+    center_error = float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side_m
+    return MarkerLayout(center_error=center_error, size_ratio=(ratios[0], ratios[1]))
+
+
+def other_layout(board: Board, markers: Markers) -> str | None:
+    """If the markers do not lie as on the board: the numbers of squares that would fit, as text; else None."""
+    layout = marker_layout(board, markers)
+    if layout is None or layout.center_error < MAX_CENTER_ERROR:
+        return None
+    for other in _other_boards(board, int(markers.ids.max())):
+        found = marker_layout(other, markers)
+        if found is not None and found.center_error < MAX_CENTER_ERROR:
+            legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
+            return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
+    return "nor with any other squares_x"
+
+
+def _other_boards(board: Board, last: int) -> Iterator[Board]:
+    """Boards that have a marker with the number `last`, for comparison with an image that does not fit the board file.
+
+    First the board itself, then with rows and columns exchanged, then with other numbers of columns; a ChArUco board
+    in both of OpenCV's patterns.
+    """
+    if not board.squares_x or not board.squares_y:
+        return
+    swapped = (board.squares_y, board.squares_x)
+    counts = [(board.squares_x, board.squares_y), swapped, *((x, board.squares_y) for x in range(2, _MAX_SQUARES))]
+    for squares_x, squares_y in counts:
+        for legacy in (board.legacy_pattern, not board.legacy_pattern) if board.kind == "charuco" else (False,):
+            other = replace(board, squares_x=squares_x, squares_y=squares_y, legacy_pattern=legacy)
+            if last < len(marker_corners(other)):
+                yield other
+
+
+def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
+    """Check of the markers' size relative to their spacing; empty for boards without markers."""
+    ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
+    if not ratios:
+        return ()
+    width, height = np.median(ratios, axis=0).tolist()
+    advice = (
+        f"relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
+        "marker_m: measure the print, a size in the board file is wrong"
+    )
+    return (check(BOARD_LIMITS, "marker_size_error", max(abs(width - 1), abs(height - 1)), advice),)

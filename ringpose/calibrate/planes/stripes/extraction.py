@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.layout import marker_corners, outline_m
 from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import board_image, dark_image
 from ringpose.detect.stripes import find_stripes
+from ringpose.geometry.board import marker_corners, outline_m
 from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt

@@ -1,13 +1,11 @@
-"""A calibration board laid out on a page at true scale, with rulers to check the print by."""
+"""A calibration board laid out on a page at true scale, with rulers to check the print by, as PDF."""
 
 from dataclasses import dataclass
-from typing import Any
 
-import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.layout import corner_points, is_white, marker_corners, marker_dictionary, outline_m
-from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.geometry.board import board_print, corner_points, outline_m
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
 PAGES_M = {
@@ -40,6 +38,9 @@ A4_BOARDS = {
     ),
 }
 """Boards that fit on a page of A4, by kind."""
+
+POINT_M = 0.0254 / 72
+"""Unit of length in PDF, 1/72 inch, in metres."""
 
 _LETTERS_M = 0.0028
 _TICK_M = 0.00015
@@ -148,50 +149,22 @@ def _black_rectangles(board: Board) -> Float64[Array, "rectangle side=4"]:
     return np.array(rectangles, dtype=np.float64).reshape(-1, 4)
 
 
-def board_print(
-    board: Board,
-) -> tuple[Float64[Array, "line_x"], Float64[Array, "line_y"], UInt8[Array, "cell_y cell_x"]]:
-    """Lines along x and y at which the print may change, and which of the cells between and outside them are black."""
-    width_m, height_m = outline_m(board)
-    bits = _marker_bits(board)
-    origins_m = marker_corners(board)[:, 0, :2] if len(bits) else np.empty((0, 2))
-    bit_m = (board.marker_m or 0.0) / bits.shape[1]
-    within_m = bit_m * np.arange(bits.shape[1] + 1)
-    lines = [
-        np.append((origins_m[:, [axis]] + within_m).ravel(), [0.0, length_m])
-        for axis, length_m in enumerate((width_m, height_m))
-    ]
-    if board.square_m is not None:
-        counts = (board.squares_x or 0, board.squares_y or 0)
-        lines = [
-            np.append(each, side_m * np.arange(count + 1))
-            for each, side_m, count in zip(lines, board.square_size_m, counts, strict=True)
-        ]
-    print_x, print_y = (np.unique(each.round(12)) for each in lines)
-    middle_x, middle_y = ((each[1:] + each[:-1]) / 2 for each in (print_x, print_y))
-    black = np.zeros((len(print_y) + 1, len(print_x) + 1), dtype=np.uint8)
-    if board.square_m is not None:
-        columns, rows = (
-            np.floor(middle / side).astype(int)
-            for middle, side in zip((middle_x, middle_y), board.square_size_m, strict=True)
-        )
-        squares = np.array([[not is_white(x, y, board) for x in range(counts[0])] for y in range(counts[1])])
-        black[1:-1, 1:-1] = squares[rows[:, None], columns]
-    for (x_m, y_m), marker in zip(origins_m, bits, strict=True):
-        column, row = ((middle - start) / bit_m for middle, start in ((middle_x, x_m), (middle_y, y_m)))
-        across, down = (np.flatnonzero((place > 0) & (place < len(marker))) for place in (column, row))
-        pattern = marker[row[down].astype(int)[:, None], column[across].astype(int)]
-        black[1 + down[:, None], 1 + across] = 1 - pattern
-    return print_x, print_y, black
+def pdf(drawing: BoardDrawing) -> bytes:
+    """The PDF file; all black shapes are one path, so that viewers show no seams between adjacent squares."""
+    from reportlab.pdfgen.canvas import Canvas
 
-
-def _marker_bits(board: Board) -> UInt8[Array, "marker bit_y bit_x"]:
-    """Whether each cell of each marker, including its black border, is white."""
-    count = 0 if board.marker_m is None else len(marker_corners(board))
-    if count == 0:
-        return np.zeros((0, 1, 1), dtype=np.uint8)
-    aruco: Any = cv2.aruco
-    dictionary = marker_dictionary(board)
-    size = dictionary.markerSize + 2
-    markers = [aruco.generateImageMarker(dictionary, number, size) for number in range(count)]
-    return (np.stack(markers) > 127).astype(np.uint8)
+    top = drawing.height_m / POINT_M
+    canvas = Canvas("", pagesize=(drawing.width_m / POINT_M, top), pdfVersion=(1, 7))
+    canvas.setViewerPreference("PrintScaling", "None")
+    canvas.setTitle("Calibration board")
+    black = canvas.beginPath()
+    for x, y, width, height in (drawing.rectangles_m / POINT_M).tolist():
+        black.rect(x, top - y - height, width, height)
+    for x, y, radius in (drawing.circles_m / POINT_M).tolist():
+        black.circle(x, top - y, radius)
+    canvas.drawPath(black, stroke=0, fill=1)
+    for label in drawing.labels:
+        canvas.setFont("Helvetica", label.height_m / POINT_M)
+        text = label.text.encode("latin-1", "replace").decode("latin-1")  # the characters of the font
+        canvas.drawString(label.x_m / POINT_M, top - label.y_m / POINT_M, text)
+    return bytes(canvas.getpdfdata())

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.drawing import A4_BOARDS, RIM_M, board_drawing
-from ringpose.calibrate.boards.layout import outline_m
+from ringpose.geometry.board import outline_m
+from ringpose.report.board_print import A4_BOARDS, RIM_M, board_drawing
 from ringpose.types.board import Board
 
 CHESSBOARD = Board(kind="chessboard", squares_x=9, squares_y=6, square_m=0.04)

@@ -1,4 +1,4 @@
-"""Markers of a board, positions of its corners in the board frame, and checks of the markers seen against them.
+"""A calibration board: its markers, the positions of its corners, and its black cells, in the board frame.
 
 The board frame has its origin in the top-left outer corner, x to the right and y down. Corners of a chessboard or
 ChArUco board are numbered as in OpenCV, row by row; a marker's corner has the number 4 * marker + corner, clockwise
@@ -6,35 +6,17 @@ from the marker's top left.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
-from ringpose.calibrate.acceptance import BOARD_LIMITS, check
-from ringpose.calibrate.boards.patterns.markers import Markers
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array, Float64
-from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import Check
-
-MAX_CENTER_ERROR = 0.25
-"""Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1
-for another board."""
-
-CORNER_ERROR_PX = 1.0
-"""Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
+from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.types.board import Board
 
 _FIRST = np.array([1.0, 1.0, 0.0])
 """Position of the first corner or circle, in squares or spacings."""
-
-_MIN_MARKERS = 4
-"""Minimum number of markers with which the layout is checked."""
-
-_MAX_SQUARES = 40
-"""Largest number of columns that is tried when the markers do not fit the board file."""
 
 
 def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
@@ -136,80 +118,50 @@ def outline_m(board: Board) -> tuple[float, float]:
     return columns * width, rows * height
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MarkerLayout:
-    """Agreement of the detected markers with the board, in the board frame fitted to their centres."""
-
-    center_error: float
-    """Median distance of a marker's centre from its position on the board, in sides of a marker."""
-    size_ratio: tuple[float, float]
-    """Median width and height of the markers over those of the board; 1 if the deviation is not significant."""
-
-
-def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
-    """Agreement of the board's own markers with the board; None if they are too few or collinear."""
-    center_m = marker_corners(board)[markers.ids][..., :2].mean(axis=1)
-    if len(center_m) < _MIN_MARKERS or np.linalg.matrix_rank(center_m - center_m.mean(axis=0), tol=1e-6) < 2:
-        return None
-    # Intersections of the markers' diagonals: projections of their centres in any perspective.
-    corners = markers.corners_px
-    along, across, offset = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1], corners[:, 1] - corners[:, 0]
-    determinant = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
-    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / determinant
-    centers_px = corners[:, 0] + share[:, None] * along
-    board_from_image: Any = cv2.findHomography(centers_px, center_m)[0]
-    if board_from_image is None:
-        return None
-    found_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
-    corners_m = cv2.perspectiveTransform(corners.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
-    side_m, side_px = board.marker_m or 1.0, np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
-    ratios = []
-    for start, end in (([0, 3], [1, 2]), ([0, 1], [3, 2])):  # horizontal sides, vertical sides
-        ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / side_m))
-        # For markers of this size, the bias of the corners can explain smaller deviations.
-        ratios.append(ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0)
-    center_error = float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side_m
-    return MarkerLayout(center_error=center_error, size_ratio=(ratios[0], ratios[1]))
-
-
-def other_layout(board: Board, markers: Markers) -> str | None:
-    """If the markers do not lie as on the board: the numbers of squares that would fit, as text; else None."""
-    layout = marker_layout(board, markers)
-    if layout is None or layout.center_error < MAX_CENTER_ERROR:
-        return None
-    for other in _other_boards(board, int(markers.ids.max())):
-        found = marker_layout(other, markers)
-        if found is not None and found.center_error < MAX_CENTER_ERROR:
-            legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
-            return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
-    return "nor with any other squares_x"
+def board_print(
+    board: Board,
+) -> tuple[Float64[Array, "line_x"], Float64[Array, "line_y"], UInt8[Array, "cell_y cell_x"]]:
+    """Lines along x and y at which the print may change, and which of the cells between and outside them are black."""
+    width_m, height_m = outline_m(board)
+    bits = _marker_bits(board)
+    origins_m = marker_corners(board)[:, 0, :2] if len(bits) else np.empty((0, 2))
+    bit_m = (board.marker_m or 0.0) / bits.shape[1]
+    within_m = bit_m * np.arange(bits.shape[1] + 1)
+    lines = [
+        np.append((origins_m[:, [axis]] + within_m).ravel(), [0.0, length_m])
+        for axis, length_m in enumerate((width_m, height_m))
+    ]
+    if board.square_m is not None:
+        counts = (board.squares_x or 0, board.squares_y or 0)
+        lines = [
+            np.append(each, side_m * np.arange(count + 1))
+            for each, side_m, count in zip(lines, board.square_size_m, counts, strict=True)
+        ]
+    print_x, print_y = (np.unique(each.round(12)) for each in lines)
+    middle_x, middle_y = ((each[1:] + each[:-1]) / 2 for each in (print_x, print_y))
+    black = np.zeros((len(print_y) + 1, len(print_x) + 1), dtype=np.uint8)
+    if board.square_m is not None:
+        columns, rows = (
+            np.floor(middle / side).astype(int)
+            for middle, side in zip((middle_x, middle_y), board.square_size_m, strict=True)
+        )
+        squares = np.array([[not is_white(x, y, board) for x in range(counts[0])] for y in range(counts[1])])
+        black[1:-1, 1:-1] = squares[rows[:, None], columns]
+    for (x_m, y_m), marker in zip(origins_m, bits, strict=True):
+        column, row = ((middle - start) / bit_m for middle, start in ((middle_x, x_m), (middle_y, y_m)))
+        across, down = (np.flatnonzero((place > 0) & (place < len(marker))) for place in (column, row))
+        pattern = marker[row[down].astype(int)[:, None], column[across].astype(int)]
+        black[1 + down[:, None], 1 + across] = 1 - pattern
+    return print_x, print_y, black
 
 
-def _other_boards(board: Board, last: int) -> Iterator[Board]:
-    """Boards that have a marker with the number `last`, for comparison with an image that does not fit the board file.
-
-    First the board itself, then with rows and columns exchanged, then with other numbers of columns; a ChArUco board
-    in both of OpenCV's patterns.
-    """
-    if not board.squares_x or not board.squares_y:
-        return
-    swapped = (board.squares_y, board.squares_x)
-    counts = [(board.squares_x, board.squares_y), swapped, *((x, board.squares_y) for x in range(2, _MAX_SQUARES))]
-    for squares_x, squares_y in counts:
-        for legacy in (board.legacy_pattern, not board.legacy_pattern) if board.kind == "charuco" else (False,):
-            other = replace(board, squares_x=squares_x, squares_y=squares_y, legacy_pattern=legacy)
-            if last < len(marker_corners(other)):
-                yield other
-
-
-def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
-    """Check of the markers' size relative to their spacing; empty for boards without markers."""
-    ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
-    if not ratios:
-        return ()
-    width, height = np.median(ratios, axis=0).tolist()
-    advice = (
-        f"relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
-        "marker_m: measure the print, a size in the board file is wrong"
-    )
-    return (check(BOARD_LIMITS, "marker_size_error", max(abs(width - 1), abs(height - 1)), advice),)
+def _marker_bits(board: Board) -> UInt8[Array, "marker bit_y bit_x"]:
+    """Whether each cell of each marker, including its black border, is white."""
+    count = 0 if board.marker_m is None else len(marker_corners(board))
+    if count == 0:
+        return np.zeros((0, 1, 1), dtype=np.uint8)
+    aruco: Any = cv2.aruco
+    dictionary = marker_dictionary(board)
+    size = dictionary.markerSize + 2
+    markers = [aruco.generateImageMarker(dictionary, number, size) for number in range(count)]
+    return (np.stack(markers) > 127).astype(np.uint8)

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from needed import needed_program
 
-from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
 from ringpose.calibrate.boards.views import find_board
-from ringpose.errors import UsageError
-from ringpose.files.boards import pdf, write_board_print
+from ringpose.report.board_print import A4_BOARDS, board_drawing, pdf
 from ringpose.types.board import Board, BoardView
 
 BOARDS = {
@@ -43,7 +41,7 @@ SLOW = ("chessboard", "aruco_grid")
     "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind in SLOW else kind for kind in BOARDS]
 )
 def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path):
-    write_board_print(tmp_path / "board.pdf", board_drawing(BOARDS[kind]))
+    (tmp_path / "board.pdf").write_bytes(pdf(board_drawing(BOARDS[kind])))
     dots_per_inch = 80 if kind == "asymmetric_circles" else 300
 
     program = [needed_program("pdftoppm", "poppler-utils"), "-r", str(dots_per_inch), "-gray", "-singlefile"]
@@ -62,8 +60,3 @@ def test_characters_missing_in_the_font_are_replaced():
     board = replace(BOARDS["charuco"], dictionary="板\udc80.yml", marker_bits=("0" * 16,) * 27)
 
     assert pdf(board_drawing(board)).startswith(b"%PDF-1.7")
-
-
-def test_another_suffix_is_a_usage_error(tmp_path):
-    with pytest.raises(UsageError, match="pdftocairo"):
-        write_board_print(tmp_path / "board.doc", board_drawing(BOARDS["charuco"]))
