@@ -25,6 +25,9 @@ REQUIRE_PYTHON = $(if $(UNSUPPORTED),$(error $(UNSUPPORTED), ringpose needs 3.11
 export PYTHONDONTWRITEBYTECODE =
 # As the commands do: the matrices are small, and threads that share them mostly wait for each other (tests 3:08 -> 2:48).
 export OPENBLAS_NUM_THREADS ?= 1
+# The memory of an image is kept for the next one; otherwise the system clears it each time: half of its time.
+test test-slow test-baseline-cpu test-other-cpu: export MALLOC_MMAP_THRESHOLD_ = 33554432
+test test-slow test-baseline-cpu test-other-cpu: export MALLOC_TRIM_THRESHOLD_ = 536870912
 
 .PHONY: help demo bench-speed bench-targets compare-baseline baseline golden man-tables results structure test test-slow test-lowest \
   test-baseline-cpu test-other-cpu check lint types layers man clean

@@ -17,6 +17,8 @@ import shape_checks
 from hypothesis import HealthCheck, settings
 from needed import missing
 
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")  # its threads mostly wait for each other beside other tests
+
 _TIMED = [HealthCheck.too_slow]  # says how busy the machine is
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50, suppress_health_check=_TIMED)
 settings.load_profile("ringpose")

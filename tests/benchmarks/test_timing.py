@@ -27,13 +27,15 @@ def test_calls_take_turns_and_medians_count_without_the_first_round():
 
 
 def test_one_core_ends_with_the_block():
-    cv2.setNumThreads(2)
     before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
 
     with one_core():
         inside = cv2.getNumThreads()
+    after = cv2.getNumThreads()
+    cv2.setNumThreads(before)
 
-    assert (inside, cv2.getNumThreads()) == (1, before)
+    assert (inside, after) == (1, 2)
 
 
 @pytest.mark.slow
