@@ -13,7 +13,11 @@ from pathlib import Path
 from ringpose.files.records.codec import Choice, Numbers, definition_of
 from ringpose.files.schemas import RECORDS
 from ringpose.measure.status import RULES, FlagRule
+from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
+from ringpose.types.rig import RobotPose
+from ringpose.types.scene import Truth
+from ringpose.types.session import Session
 from ringpose.types.track import TrackLine
 
 MAN = Path(__file__).parents[1] / "man"
@@ -54,7 +58,7 @@ def _usable(rule: FlagRule, quantity: str) -> str:
     return "no (*)" if rule.unless else "no"
 
 
-PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine)
+PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine, Detection, BreakPoints)
 """Classes whose keys have a table of their own."""
 
 
@@ -67,7 +71,7 @@ def keys(cls: type) -> Iterator[str]:
     yield f".Bl -tag -width {max((each.name for each in attributes), key=len)}"
     for record in RECORDS.values():
         if record.cls is cls and record.version:
-            yield from (".It Va schema", f".Li {record.version}")
+            yield from (f".It Va {record.head}", f".Li {record.version}")
     for each in attributes:
         value, parts = each.slot.value, each.slot.value.parts
         yield f".It Va {each.name}{_axes(value.axes) if isinstance(value, Numbers) else ''}"
@@ -124,6 +128,8 @@ TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
     ("ringpose-records.5", "flags"): flags,
     ("ringpose-records.5", "usable"): usable,
     **{("ringpose-records.5", f"keys of {cls.__name__}"): partial(keys, cls) for cls in PARTS},
+    **{("ringpose-conventions.7", f"keys of {cls.__name__}"): partial(keys, cls) for cls in (Truth, RobotPose)},
+    ("ringpose-capture.1", "keys of Session"): partial(keys, Session),
 }
 
 

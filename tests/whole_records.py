@@ -1,13 +1,14 @@
 """Records in which everything is known, and one of the version before."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ringpose.files import records
 from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
-from ringpose.types.detection import BreakPoints, Detection, Rejection, RingEdgePoints, Segments, Stripes
+from ringpose.types.detection import BreakPoints, Detection, JudgedRing, Rejection, RingEdgePoints, Segments, Stripes
 from ringpose.types.pose import (
     LaserState,
     LinearizationPoint,
@@ -21,6 +22,7 @@ from ringpose.types.pose import (
     RingVelocity,
 )
 from ringpose.types.rig import PlaneCorrection
+from ringpose.types.scene import Truth, TruthFrame
 from ringpose.types.track import (
     Attempt,
     FusionStatus,
@@ -218,10 +220,22 @@ def break_points(rng: np.random.Generator) -> BreakPoints:
 def full_detection(rng: np.random.Generator, centers: int = 50) -> Detection:
     """A detection that has everything."""
     piece = np.sort(rng.integers(0, 4, centers))
+    repeated = replace(break_points(rng), labelled=True)
     return Detection(
+        software="ringpose 0.1.0",
         shot="a",
         stamp_s=1.7e9,
-        break_points=break_points(rng),
+        advice="shorter exposure",
+        break_points=replace(break_points(rng), repeated=repeated),
+        ring=JudgedRing(
+            origin_m=rng.normal(size=3),
+            axes=np.linalg.qr(rng.normal(size=(3, 3)))[0],
+            curvature_per_m=1.7,
+            half_band_m=0.015,
+            velocity_m_s=rng.normal(size=3),
+            rate_rad_s=rng.normal(size=3),
+            stamp_s=1.7e9,
+        ),
         stripes=Stripes(
             position_px=rng.normal(size=(centers, 2)),
             sigma_px=rng.normal(size=centers),
@@ -241,6 +255,20 @@ def full_detection(rng: np.random.Generator, centers: int = 50) -> Detection:
         rejected=(Rejection(what="stripe", laser="middle", chi2=41.5), Rejection(what="assignment")),
         rig="5b" * 32,
     )
+
+
+def complete_truth(rng: np.random.Generator) -> Truth:
+    """The truth of a moving ring of which one break point is not visible."""
+    points = rng.normal(size=(3, 2, 2))
+    points[1, 0] = np.nan
+    center_m, normal = np.array([0.1, 0.2, 0.5]), np.array([0.0, 0.6, -0.8])
+    frame = TruthFrame(stamp_s=3.0, center_m=center_m, normal=normal, break_points_px=points)
+    return Truth(
+        shot="a", expect="partial", center_m=center_m, normal=normal, radius_inner_m=0.567, radius_outer_m=0.597,
+        break_points_px=points, stamp_s=3.0, velocity_m_s=rng.normal(size=3), angular_velocity_rad_s=np.zeros(3),
+        frames=(frame, replace(frame, stamp_s=4.0, break_points_px=None)),
+        groups={"rig": "B", "distance_m": 0.5, "foil": True, "count": 3},
+    )  # fmt: skip
 
 
 def ring_edges(rng: np.random.Generator, count: int = 9) -> RingEdgePoints:

@@ -1,19 +1,24 @@
 """The JSON Schemas that `ringpose schema` prints, by name."""
 
-import json
-from importlib.resources import files
+from collections.abc import Mapping
 from typing import Any
 
-from ringpose.files.records import poses, tracks
-from ringpose.files.records.codec import Record
+from ringpose.files.images import sessions
+from ringpose.files.records import detections, poses, robot_poses, tracks, truths
+from ringpose.files.records.codec import RecordType
 
-RECORDS: dict[str, Record[Any]] = {"pose": poses.RECORD, "track": tracks.RECORD}
-NAMES = ("pose", "track", "detection", "truth", "session")
+RECORDS: Mapping[str, RecordType[Any]] = {
+    "pose": poses.RECORD,
+    "track": tracks.RECORD,
+    "detection": detections.RECORD,
+    "truth": truths.RECORD,
+    "session": sessions.RECORD,
+    "robot-pose": robot_poses.RECORD,
+}
+
+NAMES = tuple(RECORDS)
 
 
 def schema(name: str) -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of one kind of record."""
-    if name in RECORDS:
-        return RECORDS[name].schema()
-    found: dict[str, Any] = json.loads(files("ringpose.files").joinpath(f"{name}.schema.json").read_text())
-    return found
+    return RECORDS[name].schema()

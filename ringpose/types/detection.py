@@ -7,12 +7,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntFlag
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.record import Key
+from ringpose.types.record import Form, Key, Presence
 
 MAX_SIGMA_PX = 1e4
 """Largest standard deviation of a detected point: larger than an image, it is not a measurement. The detector does not
@@ -68,20 +68,56 @@ class NoBreakPoints(Enum):
 class BreakPoints:
     """Endpoints of the stripes on the ring's face, in (distorted) pixels; NaN where one was not measured."""
 
-    position_px: Float64[Array, "laser edge=2 xy=2"]
-    covariance_px2: Float64[Array, "laser edge=2 xy=2 xy=2"]
-    flags: Int64[Array, "laser edge=2"]
-    """Sums of `BreakPointFlag`."""
-    face_start_px: Float64[Array, "laser xy=2"]
-    """Start of the stripe's line on the face, in undistorted pixels; NaN where the stripe was not found."""
-    face_end_px: Float64[Array, "laser xy=2"]
-    """End of that line."""
-    face_sigma_px: Float64[Array, "laser end=2"]
-    """Standard deviation across that line, at its start and at its end."""
-    labelled: bool
-    """True if the lasers were switched one by one; False if the stripes were assigned by the best fit of a ring."""
-    stamp_s: Float64[Array, "laser"] | None = None
-    """Mid exposure of the frame that shows each laser's stripe; NaN where it was not found, None if unknown."""
+    position_px: Annotated[
+        Float64[Array, "laser edge=2 xy=2"],
+        Key(
+            "Null where the stripe's end was not seen, or where its uncertainty exceeds the columns of the fit (10.4 "
+            "px, flag 64), as next to a saturated glint. At most one image width or height outside the image.",
+            gaps=True,
+            form=Form.POINTS,
+        ),
+    ]
+    covariance_px2: Annotated[
+        Float64[Array, "laser edge=2 xy=2 xy=2"],
+        Key("Covariance, 2 x 2; standard deviations are at most 10000 px.", gaps=True, form=Form.COVARIANCES),
+    ]
+    flags: Annotated[
+        Int64[Array, "laser edge=2"],
+        Key(
+            "A sum of 1 (saturated), 2 (the stripe continues beyond the edge at another angle), 4 (it leaves the image "
+            "before the edge), 8 (the edge is occluded), 16 (inner and outer edge could not be distinguished), 32 (the "
+            "stripe fades more slowly than by the optical blur, as on a chamfer; the covariance includes the unknown "
+            "position of the sharp edge), 64 (its standard deviation exceeds 0.75 px because of noise, a glint or "
+            "foil, or it could not be measured: null), 128 (a stripe of the same laser on a surface in front of the "
+            "face begins beside the end, which may be occluded).",
+            least=0,
+        ),
+    ]
+    face_start_px: Annotated[
+        Float64[Array, "laser xy=2"],
+        Key(
+            "Start of the stripe's straight line on the ring's face, in pixels of the same camera without distortion; "
+            "null where the stripe was not found.",
+            gaps=True,
+            form=Form.POINTS,
+        ),
+    ]
+    face_end_px: Annotated[Float64[Array, "laser xy=2"], Key("End of that line.", gaps=True, form=Form.POINTS)]
+    face_sigma_px: Annotated[
+        Float64[Array, "laser end=2"],
+        Key("Standard deviation perpendicular to that line, at its start and at its end.", gaps=True, form=Form.SIGMAS),
+    ]
+    labelled: Annotated[
+        bool,
+        Key("Whether the assignment to lasers is known from switched lasers; false if it was estimated."),
+    ]
+    stamp_s: Annotated[
+        Float64[Array, "laser"] | None,
+        Key(
+            "Mid exposure of the frame of each laser's stripe; null where it was not found, or if it is unknown.",
+            gaps=True,
+        ),
+    ] = None
     repeated: "BreakPoints | None" = None
     """The break points in a frame with several lasers on, at another time; NaN where one was not measured again."""
 
@@ -123,15 +159,24 @@ class BreakPoints:
 class RingEdgePoints:
     """Points of the ring's visible edges between the stripes, in (distorted) pixels."""
 
-    position_px: Float64[Array, "point xy=2"]
-    normal: Float64[Array, "point xy=2"]
-    """Unit normal of the edge in the image: the direction in which the position was measured."""
-    sigma_px: Float64[Array, "point"]
-    """Standard deviation along that normal."""
-    edge: Int64[Array, "point"]
-    """0 for the inner edge, 1 for the outer (order of `EDGES`)."""
-    stamp_s: Float64[Array, "point"] | None = None
-    """Mid exposure of the frame in which each point was measured; None if unknown."""
+    position_px: Annotated[Float64[Array, "point xy=2"], Key("Position.")]
+    normal: Annotated[
+        Float64[Array, "point xy=2"],
+        Key(
+            "Unit normal of the edge in the image: the direction in which the position was measured.",
+            form=Form.DIRECTIONS,
+        ),
+    ]
+    sigma_px: Annotated[Float64[Array, "point"], Key("Standard deviation along that normal.", form=Form.SIGMAS)]
+    edge: Annotated[Int64[Array, "point"], Key("0 inner, 1 outer.")]
+    stamp_s: Annotated[Float64[Array, "point"] | None, Key("Mid exposure of the frame; null if it is unknown.")] = None
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of values that are impossible; None if they are not."""
+        if np.isin(self.edge, (0, 1)).all():
+            return None
+        return "edge", "has a value other than 0 (inner) and 1 (outer)"
 
 
 def outside_image(
@@ -147,48 +192,55 @@ def outside_image(
 class Stripes:
     """Sub-pixel centres of the stripes of one shot, in (distorted) pixels, sorted by piece, then column."""
 
-    position_px: Float64[Array, "center xy=2"]
-    sigma_px: Float64[Array, "center"]
-    """Standard deviation along the column."""
-    peak_dn: Float64[Array, "center"]
-    piece: Int64[Array, "center"]
-    """Index of the piece, from 0: centres linked along x without a gap or a jump."""
-    laser: Int64[Array, "piece"]
-    """Laser of each piece, or `UNLABELLED`."""
-    stamp_s: Float64[Array, "piece"] | None = None
-    """Mid exposure of each piece's frame; None if unknown."""
+    position_px: Annotated[Float64[Array, "center xy=2"], Key("Position.")]
+    sigma_px: Annotated[Float64[Array, "center"], Key("Standard deviation along the column.", gaps=True)]
+    peak_dn: Annotated[Float64[Array, "center"], Key("Grey value over the background.", gaps=True)]
+    piece: Annotated[
+        Int64[Array, "center"],
+        Key("Number of the piece that a centre belongs to, from 0: centres linked along x without a gap.", least=0),
+    ]
+    laser: Annotated[Int64[Array, "piece"], Key("Number of each piece's laser, from 0; -1 if it is unknown.", least=-1)]
+    stamp_s: Annotated[
+        Float64[Array, "piece"] | None, Key("Mid exposure of each piece's frame; null if it is unknown.")
+    ] = None
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of values that contradict each other; None if they do not."""
+        if self.piece.max(initial=-1) < len(self.laser):
+            return None
+        return "piece", f"has an index out of range: there are {len(self.laser)} pieces"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Segments:
     """Line segments of one image, in (distorted) pixels."""
 
-    start_px: Float64[Array, "segment xy=2"]
-    end_px: Float64[Array, "segment xy=2"]
-    support: Int64[Array, "segment"]
-    """Number of edge pixels in the support region of the segment."""
-    stamp_s: Float64[Array, "segment"] | None = None
-    """Mid exposure of each segment's frame; None if unknown."""
+    start_px: Annotated[Float64[Array, "segment xy=2"], Key("Start.")]
+    end_px: Annotated[Float64[Array, "segment xy=2"], Key("End.")]
+    support: Annotated[Int64[Array, "segment"], Key("Number of edge pixels in the support region.", least=0)]
+    stamp_s: Annotated[Float64[Array, "segment"] | None, Key("Mid exposure of the frame; null if it is unknown.")] = (
+        None
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JudgedRing:
     """The ring that explains the break points of a shot, to some hundredths of its standard deviations."""
 
-    origin_m: Float64[Array, "xyz=3"]
-    """A point on the middle of its face, camera frame."""
-    axes: Float64[Array, "3 xyz=3"]
-    """Unit vectors there: towards the centre, along the face, and the normal towards the camera."""
-    curvature_per_m: float
-    """Inverse of the mean radius."""
-    half_band_m: float
-    """Half of the outer minus the inner radius."""
-    velocity_m_s: Float64[Array, "xyz=3"]
-    """Velocity of the centre."""
-    rate_rad_s: Float64[Array, "xyz=3"]
-    """Angular velocity across the normal."""
-    stamp_s: float | None
-    """Instant at which the ring is there; None if the frames have no stamps."""
+    origin_m: Annotated[Float64[Array, "xyz=3"], Key("A point on the middle of its face, camera frame.")]
+    axes: Annotated[
+        Float64[Array, "3 xyz=3"],
+        Key(
+            "Unit vectors there: towards the centre, along the face, and the normal towards the camera.",
+            form=Form.ORTHONORMAL,
+        ),
+    ]
+    curvature_per_m: Annotated[float, Key("Inverse of the mean radius.")]
+    half_band_m: Annotated[float, Key("Half of the outer minus the inner radius.")]
+    velocity_m_s: Annotated[Float64[Array, "xyz=3"], Key("Velocity of the centre.")]
+    rate_rad_s: Annotated[Float64[Array, "xyz=3"], Key("Angular velocity across the normal.")]
+    stamp_s: Annotated[float | None, Key("Instant at which the ring is there; null if the frames have no stamps.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,27 +259,116 @@ class Rejection:
 class Detection:
     """Everything that was detected in one shot."""
 
-    shot: str
-    stamp_s: float
+    software: Annotated[str, Key("Program and version that wrote the record.", null="", added=True)] = ""
+    shot: Annotated[str, Key("As in the pose line.")]
+    stamp_s: Annotated[float, Key("As in the pose line.", null=math.nan)]
+    lasers_on: Annotated[
+        Bool[Array, "laser"] | None,
+        Key("For each laser of the rig, whether it was on in at least one frame; null if it is unknown."),
+    ] = None
+    still: Annotated[bool, Key("Whether the shot states that the target was held still.", added=True)] = False
+    ambient_changed: Annotated[
+        bool, Key("Whether the shot states that ambient light changed within it.", added=True)
+    ] = False
+    advice: Annotated[
+        str,
+        Key("What would improve the shot, such as a shorter exposure; may be empty.", blank=True, added=True),
+    ] = ""
     break_points: BreakPoints | NoBreakPoints
-    stripes: Stripes | None = None
-    segments: Segments | None = None
-    ring_edges: RingEdgePoints | None = None
-    """None where the edges were not searched for or not found."""
-    ring: JudgedRing | None = None
-    """Where the estimation of the pose starts; None if several rings explain the break points, or none does."""
-    lasers_on: Bool[Array, "laser"] | None = None
-    """Which lasers of the rig were on in at least one frame; None if unknown."""
-    rejected: tuple[Rejection, ...] = ()
-    """Measurements that the detector did not use because they contradict the others."""
-    still: bool = False
-    """Whether the target was held still while the shot was taken, as the shot states."""
-    ambient_changed: bool = False
-    """Whether ambient light changed within the shot, as the shot states."""
-    advice: str = ""
-    """What would improve the shot, such as a shorter exposure; empty if nothing is known."""
-    rig: str = ""
-    """SHA-256 of the rig file with which the break points were found; empty if unknown."""
+    ring_edges: Annotated[
+        RingEdgePoints | None,
+        Key(
+            "Points of the ring's visible edges between and beyond the stripes, measured in the frame without lasers "
+            "if there is one; null if no edge was found."
+        ),
+    ] = None
+    ring: Annotated[
+        JudgedRing | None,
+        Key(
+            "The ring that explains the break points, near which `ringpose pose` seeks the one of all measurements; "
+            "null if several do, or none.",
+            added=True,
+        ),
+    ] = None
+    rejected: Annotated[
+        tuple[Rejection, ...],
+        Key("Measurements that contradict the others and were not used, as in the pose line."),
+    ] = ()
+    rig: Annotated[
+        str,
+        Key(
+            "SHA-256 of the rig file; null if it is unknown, as of simulated detections. `ringpose pose` rejects a "
+            "detection of another rig.",
+            null="",
+            pattern="^[0-9a-f]{64}$",
+            added=True,
+        ),
+    ] = ""
+    stripes: Annotated[
+        Stripes | None,
+        Key(
+            "Centres of the laser stripes, column by column, sorted by piece; only with `--full`, and in NPZ files.",
+            presence=Presence.NOT_BRIEF,
+        ),
+    ] = None
+    segments: Annotated[
+        Segments | None,
+        Key("Straight segments; only with `--full`, and in NPZ files.", presence=Presence.NOT_BRIEF),
+    ] = None
+
+    @classmethod
+    def from_record(
+        cls, reason: str | None, measured: BreakPoints | None, repeated: BreakPoints | None, **keys: Any
+    ) -> "Detection":
+        """The detection of a record, which has either a known reason or break points."""
+        points = NoBreakPoints(reason) if measured is None else replace(measured, repeated=repeated)
+        return cls(break_points=points, **keys)
+
+    @property
+    def reason(
+        self,
+    ) -> Annotated[
+        str | None,
+        Key("Why there are no break points, as a sentence; else null.", after="stamp_s", is_read=True),
+    ]:
+        """None if there are break points."""
+        return str(self.break_points.value) if isinstance(self.break_points, NoBreakPoints) else None
+
+    @property
+    def measured(
+        self,
+    ) -> Annotated[
+        BreakPoints | None,
+        Key("See below; null if there are none.", name="break_points", after="advice", is_read=True),
+    ]:
+        """The break points; None if there are none."""
+        return self.break_points if isinstance(self.break_points, BreakPoints) else None
+
+    @property
+    def repeated(
+        self,
+    ) -> Annotated[
+        BreakPoints | None,
+        Key(
+            "The same as `break_points`, measured in a frame with several lasers on that a shot has beside one frame "
+            "for each laser; null without such a frame. As its time differs, it shows a motion within the shot.",
+            after="break_points",
+            is_read=True,
+            added=True,
+        ),
+    ]:
+        """See `BreakPoints`."""
+        return None if self.measured is None else self.measured.repeated
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of values that contradict each other; None if they do not."""
+        lasers = None if self.measured is None else len(self.measured.position_px)
+        counts = {"lasers_on": self.lasers_on, "repeated": None if self.repeated is None else self.repeated.flags}
+        for key, of_lasers in counts.items():
+            if lasers is not None and of_lasers is not None and len(of_lasers) != lasers:
+                return key, f"has {len(of_lasers)} lasers, break_points has {lasers}"
+        return None
 
     @property
     def found(self) -> bool:

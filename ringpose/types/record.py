@@ -32,6 +32,8 @@ class Form(Enum):
     UPPER_TRAPEZOIDAL = auto()
     POINTS = auto()
     """Both coordinates of a point are null, or none."""
+    STAMP = auto()
+    """Seconds, at most those of the year 2100."""
     BOUNDED_LENGTH = auto()
     """A vector whose length, not its elements, is in the plausible range."""
     DISTINCT = auto()
@@ -74,8 +76,8 @@ class Key:
     presence: Presence = Presence.ALWAYS
     earlier: str = ""
     """Its name in the version before."""
-    least: float = -inf
-    most: float = inf
+    least: float | int = -inf
+    most: float | int = inf
     plausible: Range | None = None
     """Range of the quantity."""
     pattern: str = ""

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.options import DistortionModel
@@ -72,6 +73,33 @@ class Camera:
     """OpenCV's order: k1, k2, p1, p2, k3 (plumb_bob), and k4, k5, k6 (rational_polynomial)."""
     covariance: ParameterCovariance | None = None
     """Covariance of the intrinsic parameters alone; the joint covariance of a rig is in `Rig`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolPose:
+    """Pose of a robot's tool in its base frame."""
+
+    position_m: Annotated[Float64[Array, "xyz=3"], Key("Position of the tool.", plausible=plausible.REACH_M)]
+    orientation_xyzw: Annotated[
+        Float64[Array, "xyzw=4"], Key("Unit quaternion of the rotation from tool to base.", form=Form.QUATERNION)
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotPose:
+    """The pose of a robot at one time."""
+
+    base_from_tool: Annotated[ToolPose, Key("Pose of the tool in the base frame.")]
+    stamp_s: Annotated[float, Key("Time (Unix time) at which it holds.", form=Form.STAMP)]
+
+    def repeats(self, other: "RobotPose") -> bool:
+        """Whether this is the other pose once more."""
+        ours, theirs = self.base_from_tool, other.base_from_tool
+        return (
+            self.stamp_s == other.stamp_s
+            and np.array_equal(ours.position_m, theirs.position_m)
+            and np.array_equal(ours.orientation_xyzw, theirs.orientation_xyzw)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

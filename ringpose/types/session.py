@@ -6,9 +6,10 @@ Sequences are written as `off,1,2,3,off` or `off,all@500us,all@4ms`.
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from ringpose.errors import UsageError
+from ringpose.types.record import Form, Key, Presence
 
 MAX_LASERS = 8
 """A mask is one byte."""
@@ -105,30 +106,61 @@ listed."""
 class Capture:
     """One run of `ringpose capture`; URIs are as given by the user."""
 
-    camera: str
-    camera_name: str | None = None
-    lasers: str
-    laser_count: int | None = None
-    """None if only the recording contains it."""
-    laser_names: tuple[str, ...] | None = None
-    """Names from the rig, in the order of the mask's bits; None without a rig."""
-    sequence: str | None = None
-    """None for recorded shots that were imported unchanged."""
-    exposure_s: float | None = None
-    """None for the device's own setting."""
-    rate_hz: float | None = None
-    """None for the highest possible rate."""
-    state: CaptureState = "capturing"
-    shots: tuple[str, ...] = ()
-    """Names of the finished shots in chronological order."""
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    camera: Annotated[str, Key("URI, as it was given.")]
+    camera_name: Annotated[
+        str | None, Key("The camera's own name; missing if it does not report one.", presence=Presence.IF_KNOWN)
+    ] = None
+    lasers: Annotated[str, Key("URI, as it was given.")]
+    laser_count: Annotated[
+        int | None,
+        Key(
+            "Number of lasers; missing if the device does not report it.",
+            least=1,
+            most=MAX_LASERS,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    laser_names: Annotated[
+        tuple[str, ...] | None,
+        Key(
+            "Names in the order of the mask's bits; missing if neither a rig nor a scene defines them.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    sequence: Annotated[
+        str | None, Key("Missing for recorded shots that were imported unchanged.", presence=Presence.IF_KNOWN)
+    ] = None
+    exposure_s: Annotated[
+        float | None, Key("Missing for the device's own setting.", least=0.0, presence=Presence.IF_KNOWN)
+    ] = None
+    rate_hz: Annotated[float | None, Key("Missing for as fast as possible.", least=0.0, presence=Presence.IF_KNOWN)] = (
+        None
+    )
+    state: Annotated[
+        CaptureState,
+        Key(
+            "`finished`; `stopped` by a signal or an error; `capturing`, also in a session whose capture was killed.",
+            needed=True,
+        ),
+    ] = "capturing"
+    shots: Annotated[
+        tuple[str, ...],
+        Key(
+            "Names of the finished shots in chronological order; their files are NAME.npz.",
+            form=Form.DISTINCT,
+            needed=True,
+        ),
+    ] = ()
+    provenance: Annotated[
+        Mapping[str, Any], Key("Version, command line, time, and hashes of the inputs.", added=True)
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
     """The captures in one folder, the oldest first."""
 
-    captures: tuple[Capture, ...]
+    captures: Annotated[tuple[Capture, ...], Key("One for each run of `ringpose capture`, the oldest first.")]
 
     @property
     def shots(self) -> tuple[str, ...]:

@@ -6,12 +6,13 @@ import pytest
 from schemas import SCHEMAS
 
 from ringpose.cli.main import main
+from ringpose.files.schemas import NAMES
 
 
 def test_without_a_name_the_names_are_listed(capsys):
     assert main(["schema"]) == 0
 
-    assert capsys.readouterr().out.splitlines() == ["pose", "track", "detection", "truth", "session"]
+    assert capsys.readouterr().out.splitlines() == list(NAMES)
 
 
 @pytest.mark.parametrize("name", SCHEMAS)

@@ -1,6 +1,5 @@
 """Property tests: any contents of a file are read, or rejected with one line that names the location."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +8,12 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recorded_shots import make_shot
-from schemas import validated
 from spoiled_values import outcome, spoiled_once
-from whole_records import full_detection, record_of
 
 from ringpose.files import records
 from ringpose.files.boards import read_board
 from ringpose.files.cameras.formats import read_camera
 from ringpose.files.images.shots import read_shot, write_shot
-from ringpose.files.records.detections import detection_of, detection_record
-from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 
 MATRIX = {"rows": 3, "cols": 3, "data": [700.0, 0, 320.5, 0, 710.0, 240.25, 0, 0, 1]}
@@ -41,17 +36,6 @@ RIG = {
 }
 BOARD = {"kind": "four_markers", "width_m": 0.3, "height_m": 0.2, "marker_m": 0.05, "margin_m": 0}
 BOARD["dictionary"] = "DICT_4X4_50"
-TRUTH = {
-    "shot": "a",
-    "expect": "pose",
-    "center_m": [0, 0, 1],
-    "normal": [0, 0, -1],
-    "radius_inner_m": 0.5,
-    "break_points_px": [[[1, 2], None]],
-    "groups": {"a": 1},
-}
-_RNG = np.random.default_rng(1)
-DETECTION = record_of(detection_record(full_detection(_RNG, centers=2)))
 
 
 def outcome_of_text(read, folder: Path, text: str):
@@ -81,31 +65,6 @@ def test_valid_yaml_values_are_read(tmp_path, read, values):
 @pytest.mark.filterwarnings("ignore::ringpose.errors.ImplausibleValueWarning")
 def test_invalid_yaml_values_are_read_or_rejected(tmp_path, read, values, data):
     outcome_of_text(read, tmp_path, yaml.safe_dump(data.draw(spoiled_once(values))))
-
-
-@pytest.mark.parametrize(
-    ("read", "write", "values"),
-    [
-        (detection_of, detection_record, DETECTION),
-    ],
-    ids=["detection"],
-)
-@relaxed
-@given(data=st.data())
-def test_invalid_record_values_are_rejected_or_read_as_a_record_that_fits_the_schema(read, write, values, data):
-    assert read(values, "x") is not None
-
-    found = outcome(lambda record: read(record, "x"), data.draw(spoiled_once(values)), "x: ")
-
-    if found is not None:
-        rewritten = json.loads(records.line_of(write(found)))
-        validated(rewritten | ({"rig": None} if "rig" in rewritten else {}))  # tests may call a rig by any name
-
-
-@relaxed
-@given(values=spoiled_once(TRUTH))
-def test_invalid_truth_values_are_read_or_rejected(tmp_path, values):
-    outcome_of_text(lambda file: list(read_truths(file)), tmp_path, json.dumps(values) + "\n")
 
 
 @relaxed

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,63 +10,99 @@ from hypothesis import given
 from hypothesis import strategies as st
 from schemas import validated
 from spoiled_values import outcome, spoiled_once
-from whole_records import VERSION_1, complete_line, complete_track, record_of
+from whole_records import VERSION_1, complete_line, complete_track, complete_truth, full_detection, record_of
 
 from ringpose.files import records
-from ringpose.files.records.poses import pose_line_of, pose_record
-from ringpose.files.records.tracks import RECORD as TRACK
-from ringpose.files.records.tracks import track_record
+from ringpose.files.records.detections import detection_of
+from ringpose.files.records.poses import pose_line_of
 from ringpose.files.schemas import RECORDS
+from ringpose.types.rig import RobotPose, ToolPose
+from ringpose.types.session import Capture, Session
 
 Values = dict[str, Any]
 
 
-class Example(NamedTuple):
-    """A record in which everything is known, with its reader and its writer."""
-
-    name: str
-    """Name of its schema."""
-    read: Callable[[Values, str], Any]
-    write: Callable[[Any], Values]
-    values: Values
-
-
 RNG = np.random.default_rng(1)
-EXAMPLES: Mapping[str, Example] = {
-    "pose": Example("pose", pose_line_of, pose_record, record_of(pose_record(complete_line(RNG)))),
-    "pose of version 1": Example("pose", pose_line_of, pose_record, VERSION_1),
-    "track": Example("track", TRACK.read, track_record, record_of(track_record(complete_track(RNG)))),
+SESSION = Session(
+    captures=(
+        Capture(camera="files:x", lasers="none:", shots=("c",)),
+        Capture(
+            camera="sim:scene.yaml", camera_name="drawn", lasers="sim:", laser_count=3, laser_names=("a", "b", "c"),
+            sequence="off,1,2,3,off", exposure_s=0.01, rate_hz=10.0, state="finished", shots=("a", "b"),
+            provenance={"version": "0"},
+        ),
+    )
+)  # fmt: skip
+TOOL = ToolPose(position_m=np.array([0.5, 0.0, 1.0]), orientation_xyzw=np.array([0.0, 0.6, 0.0, 0.8]))
+KNOWN: Mapping[str, Any] = {
+    "pose": complete_line(RNG),
+    "track": complete_track(RNG),
+    "detection": full_detection(RNG, centers=2),
+    "truth": complete_truth(RNG),
+    "session": SESSION,
+    "robot-pose": RobotPose(stamp_s=1.7e9, base_from_tool=TOOL),
 }
-PRESENT = [name for name in EXAMPLES if "version" not in name]
+"""Of each kind a record in which everything is known."""
+
+WRITTEN: Mapping[str, Values] = {name: record_of(RECORDS[name].write(known)) for name, known in KNOWN.items()}
 
 
-def rewritten(example: Example, found: Any) -> Values:
+def earlier_detection(values: Values) -> Values:
+    """As version 1 had it."""
+    added = ("lasers_on", "rejected", "rig", "ring", "repeated", "software")
+    parts = ("break_points", "stripes", "segments", "ring_edges")
+    older = {part: {key: value for key, value in values[part].items() if key != "stamp_s"} for part in parts}
+    kept = {key: value for key, value in (values | older).items() if key not in added}
+    return kept | {"schema": "ringpose/detection/1"}
+
+
+EARLIER: Mapping[str, Values] = {"pose": VERSION_1, "detection": earlier_detection(WRITTEN["detection"])}
+
+READ: Mapping[str, Callable[[Values, str], Any]] = {
+    **{name: each.read for name, each in RECORDS.items()},
+    "pose": pose_line_of,
+    "detection": detection_of,
+}
+
+
+def rewritten(name: str, found: Any) -> Values:
     """The record that is written of what was read; it fits its schema."""
-    values: Values = json.loads(records.line_of(example.write(found)))
-    validated(values | ({"rig": None} if "rig" in values else {}), example.name)  # tests call a rig by any name
-    return values
+    values: Values = json.loads(records.line_of(RECORDS[name].write(found)))
+    return validated(values, name)
 
 
 def test_there_is_an_example_of_every_kind():
-    assert {each.name for each in EXAMPLES.values()} == set(RECORDS)
+    assert set(KNOWN) == set(RECORDS)
 
 
-@pytest.mark.parametrize("name", PRESENT)
-def test_a_record_is_read_as_it_was_written_and_unknown_keys_are_ignored(name):
-    example = EXAMPLES[name]
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_record_is_read_as_it_was_written_and_other_keys_are_ignored(name):
+    values = WRITTEN[name]
 
-    found = example.read(example.values | {"more": {"a": [1]}}, "x")
+    found = READ[name](values | {"x_more": {"a": [1]}}, "x")
 
-    assert rewritten(example, found) == example.values
+    assert rewritten(name, found) == values
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", WRITTEN)
+def test_unknown_keys_are_ignored_in_records_and_rejected_in_what_people_write(name):
+    found = outcome(lambda values: READ[name](values, "x"), WRITTEN[name] | {"more": 1}, "x: unknown key 'more'; ")
+
+    assert (found is None) == RECORDS[name].strict
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [*WRITTEN.items(), *EARLIER.items()],
+    ids=[*WRITTEN, *(f"{name} of version 1" for name in EARLIER)],
+)
 @given(data=st.data())
-def test_a_spoiled_record_is_rejected_with_its_place_or_read(name, data):
-    example = EXAMPLES[name]
+def test_a_spoiled_record_is_rejected_with_its_place_or_read(name, values, data):
+    assert READ[name](values, "x") is not None
 
-    found = outcome(lambda values: example.read(values, "x"), data.draw(spoiled_once(example.values)), "x: ")
+    found = outcome(lambda spoiled: READ[name](spoiled, "x"), data.draw(spoiled_once(values)), "x: ")
 
     if found is not None:
-        once = rewritten(example, found)
-        assert rewritten(example, example.read(once, "x")) == once
+        once = json.loads(records.line_of(RECORDS[name].write(found)))
+        validated(once | ({"rig": None} if "rig" in once else {}), name)  # tests call a rig by any name
+        assert json.loads(records.line_of(RECORDS[name].write(READ[name](once, "x")))) == once

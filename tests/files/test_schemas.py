@@ -111,35 +111,8 @@ def test_a_broken_session_does_not_fit_its_schema(tmp_path, path, value):
     assert refused(changed(session, path, value), "session")
 
 
-def keys_of(schema: object) -> set[str]:
-    """Names of all properties in a schema."""
-    if isinstance(schema, list):
-        return set().union(*map(keys_of, schema))
-    if not isinstance(schema, dict):
-        return set()
-    own = set(schema["properties"]) if isinstance(schema.get("properties"), dict) else set()
-    return own.union(*map(keys_of, schema.values()))
-
-
-UNDESCRIBED = {"schema"}
-"""A key that a truth may have and that is not read."""
-
-
 def words_of(page: str) -> set[str]:
     return set(re.findall(r"\w+", (Path(__file__).parents[2] / "man" / page).read_text()))
-
-
-@pytest.mark.parametrize(
-    ("name", "page"),
-    [
-        ("pose", "ringpose-records.5"),
-        ("detection", "ringpose-records.5"),
-        ("truth", "ringpose-conventions.7"),
-        ("session", "ringpose-capture.1"),
-    ],
-)
-def test_the_manual_describes_every_key(name, page):
-    assert keys_of(SCHEMAS[name]) - words_of(page) - UNDESCRIBED == set()
 
 
 def test_the_manual_and_the_schema_name_every_flag_and_every_state_of_a_laser():

@@ -2,12 +2,9 @@ import json
 
 import numpy as np
 import pytest
-from schemas import validated
 
 from ringpose.errors import DataError
-from ringpose.files import records
-from ringpose.files.records.truths import read_truths, truth_record
-from ringpose.types.scene import Truth, TruthFrame
+from ringpose.files.records.truths import read_truths
 
 LINE = {
     "shot": "a",
@@ -35,29 +32,6 @@ def test_missing_break_points_are_nan(tmp_path):
     assert (truth.shot, truth.expect, truth.groups) == ("a", "partial", {"rig": "B", "distance_m": 0.5})
     nan = [np.nan, np.nan]
     np.testing.assert_array_equal(truth.break_points_px, [[[1, 2], nan], [nan, nan]])
-
-
-def test_truths_are_read_as_they_were_written(tmp_path, rng):
-    points = rng.normal(size=(3, 2, 2))
-    points[1, 0] = np.nan
-    normal = np.array([0, 0, -1.0])
-    frame = TruthFrame(stamp_s=3.0, center_m=rng.normal(size=3), normal=normal, break_points_px=points)
-    before = Truth(
-        shot="a", expect="pose", center_m=rng.normal(size=3), normal=normal, break_points_px=points, frames=(frame,)
-    )
-
-    lines = [records.line_of(truth_record(each)) for each in (before, Truth(shot="b", expect="no_target"))]
-    for line in lines:
-        validated(records.parsed_record(line, "x"), "truth")
-    (tmp_path / "truth.jsonl").write_text("".join(lines))
-    after, empty = read_truths(tmp_path / "truth.jsonl")
-
-    np.testing.assert_array_equal(after.center_m, before.center_m)
-    np.testing.assert_array_equal(after.break_points_px, points)
-    assert after.frames[0].stamp_s == 3.0
-    np.testing.assert_array_equal(after.frames[0].center_m, frame.center_m)
-    np.testing.assert_array_equal(after.frames[0].break_points_px, points)
-    assert (empty.center_m, empty.break_points_px, empty.expect) == (None, None, "no_target")
 
 
 @pytest.mark.parametrize(

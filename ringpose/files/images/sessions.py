@@ -2,25 +2,33 @@
 
 import tempfile
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, cast, get_args
+from typing import TYPE_CHECKING, Literal
 
 from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
 from ringpose.files.images.shots import write_shot
 from ringpose.files.io import provenance, sha256
-from ringpose.files.schema import Fields
+from ringpose.files.kinds import SESSION
+from ringpose.files.records.codec import RecordType
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot
-from ringpose.types.session import MAX_LASERS, Capture, CaptureState, Session
+from ringpose.types.session import Capture, CaptureState, Session
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
-SCHEMA = "session/1"
+RECORD = RecordType(
+    cls=Session,
+    kind=SESSION,
+    version="session/1",
+    description="session.yaml: the captures in a session folder, the oldest first, and the shots of each.",
+    is_file=True,
+    strict=True,
+)
 
 FILE = "session.yaml"
 
@@ -41,18 +49,14 @@ def folder_of_now() -> Path:
 
 def read_session(folder: Path) -> Session:
     """The session in a folder; whether its shots exist is checked when they are read."""
-    fields = read_yaml(folder / FILE, ("ringpose", "captures"))
-    fields.choice("ringpose", (SCHEMA,))
-    return Session(captures=tuple(_capture(each) for each in fields.each("captures", Capture.__slots__)))
+    fields = read_yaml(folder / FILE)
+    return RECORD.read(fields.values, fields.file)
 
 
 def write_session(folder: Path, session: Session) -> None:
     """Write `session.yaml`, replacing an existing one."""
-    captures = [
-        {key: value for key, value in asdict(capture).items() if value is not None} for capture in session.captures
-    ]
     with replacing(folder / FILE, force=True) as stream:
-        write_yaml(stream, {"ringpose": SCHEMA, "captures": captures})
+        write_yaml(stream, RECORD.write(session))
 
 
 class SessionWriter:
@@ -219,19 +223,3 @@ def _locked(folder: Path) -> "BaseFileLock":
     except OSError:  # a file system without locks; if the folder is read-only, the writer reports that next
         pass
     return lock
-
-
-def _capture(fields: Fields) -> Capture:
-    return Capture(
-        camera=fields.text("camera"),
-        camera_name=fields.optional("camera_name", fields.text),
-        lasers=fields.text("lasers"),
-        laser_count=fields.optional("laser_count", lambda key: fields.integer(key, least=1, most=MAX_LASERS)),
-        laser_names=fields.optional("laser_names", fields.texts),
-        sequence=fields.optional("sequence", fields.text),
-        exposure_s=fields.optional("exposure_s", lambda key: fields.number(key, least=0)),
-        rate_hz=fields.optional("rate_hz", lambda key: fields.number(key, least=0)),
-        state=cast(CaptureState, fields.choice("state", get_args(CaptureState))),
-        shots=fields.texts("shots"),
-        provenance=fields.fields("provenance").values if fields.has("provenance") else {},
-    )

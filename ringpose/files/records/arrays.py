@@ -1,6 +1,7 @@
 """Arrays in records: nested lists of numbers, with the shape and the conditions that their definition states."""
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,8 @@ def checked_array(
     if element == "Bool":
         return _truths(fields, name)
     shape = tuple(fixed_length(axis) or lengths.get(axis) for axis in axes)
+    if key.null_points:
+        fields = Fields(fields.file, {name: _with_nulls(fields.raw(name), len(axes) - 1)}, path=fields.path)
     array = fields.array(name, shape, allow_nan=key.gaps or key.null_points)
     lengths |= {axis: length for axis, length in zip(axes, array.shape, strict=True) if fixed_length(axis) is None}
     if key.form is not None:
@@ -37,6 +40,13 @@ def checked_array(
     elif key.plausible is not None:
         fields.check(name, array, key.plausible)
     return _whole(fields, name, array, key) if element == "Int64" else array
+
+
+def _with_nulls(numbers: Any, depth: int) -> Any:
+    """Nested lists of points with two nulls for a point that is null."""
+    if depth == 0:
+        return [None, None] if numbers is None else numbers
+    return [_with_nulls(each, depth - 1) for each in numbers] if isinstance(numbers, list) else numbers
 
 
 def _truths(fields: Fields, name: str) -> Array:

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar, Union,
 
 import numpy as np
 
+from ringpose.files.io import software
 from ringpose.files.kinds import Kind
 from ringpose.files.records.arrays import Axes, checked_array, fixed_length
 from ringpose.files.schema import Fields
@@ -110,6 +111,8 @@ class Number(Value):
         key = self.key
         if self.whole:
             return fields.integer(name, key.least, key.most)
+        if key.form is Form.STAMP:
+            return fields.stamp_s(name)
         if key.plausible is not None:
             return fields.quantity(name, key.plausible)
         return fields.number(name, key.least, key.most)
@@ -118,7 +121,7 @@ class Number(Value):
         return {"type": "integer" if self.whole else "number", **_limits(self.key.least, self.key.most)}
 
 
-def _limits(least: float, most: float) -> Schema:
+def _limits(least: float | int, most: float | int) -> Schema:
     return ({"minimum": least} if least > -inf else {}) | ({"maximum": most} if most < inf else {})
 
 
@@ -142,6 +145,17 @@ class Anything(Value):
 
     def schema(self, definitions: Schema) -> Schema:
         return {"type": ["string", "number", "boolean"]}
+
+
+@dataclass(frozen=True)
+class Free(Value):
+    """A mapping that is kept as it is."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Mapping[str, Any]:
+        return fields.fields(name).values
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": "object"}
 
 
 @dataclass(frozen=True)
@@ -261,7 +275,7 @@ def _all_finite(numbers: Any) -> bool:
 
 def _with_null_points(numbers: Any) -> Any:
     if numbers and not isinstance(numbers[0], list):
-        return None if numbers[0] != numbers[0] else numbers
+        return None if any(number != number for number in numbers) else numbers
     return [_with_null_points(each) for each in numbers]
 
 
@@ -413,6 +427,8 @@ def value_of(members: list[Any], key: Key, can_be_null: bool) -> Value:
         return Texts(key) if arguments[0] is str else Objects(key, definition_of(arguments[0]))
     if origin is Literal:
         return Choice(key, arguments)
+    if origin is not None and arguments[1] is Any:
+        return Free(key)
     if origin is not None:
         return ByName(key, slot_of(arguments[1], Key()), None if arguments[0] is str else arguments[0])
     return _of_class(annotation, key)
@@ -506,6 +522,16 @@ class Definition(Generic[T]):
             record[name] = value if write is None else write(value)
         return record
 
+    def values(self, found: T) -> dict[str, Any]:
+        """The values of an object by key, arrays as they are, and those of its parts as mappings."""
+        record: dict[str, Any] = {}
+        for each in self.attributes:
+            value, kind = getattr(found, each.attribute), each.slot.value
+            if isinstance(kind, Object) and value is not None:
+                value = kind.of.values(value)
+            record[each.name] = kind.write(value) if isinstance(kind, Text) and value is not None else value
+        return record
+
     @cached_property
     def writers(self) -> list[tuple[str, str, Presence, Callable[[Any], Any] | None]]:
         """Attribute, key, presence and `Slot.write` of each key; None for what is written as it is."""
@@ -578,32 +604,52 @@ def _key_in(hint: Any) -> Key | None:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Record(Generic[T]):
+class RecordType(Generic[T]):
     """A kind of record, or of file, that is an object of a data class."""
 
     cls: type[T]
     kind: Kind
     version: str = ""
-    """Value of the key `schema`; empty for a record without one."""
+    """Value of the key `schema`, of a file of the key `ringpose`; empty for a record without one."""
     earlier: tuple[str, ...] = ()
     """Versions that are read but not written."""
     description: str
     rules: Schema | None = None
     """What the schema states about several keys together."""
+    is_file: bool = False
+    """Whether it is a YAML file."""
     strict: bool = False
     """Whether unknown keys are rejected."""
 
+    @property
+    def head(self) -> str:
+        """The key that has the version."""
+        return "ringpose" if self.is_file else "schema"
+
     def write(self, found: T, brief: bool = False) -> dict[str, Any]:
-        """The mapping of an object."""
-        head = {"schema": self.version} if self.version else {}
-        return head | definition_of(self.cls).write(found, brief)
+        """The mapping of an object; its key `software`, if it has one, names this version unless it was read."""
+        return self._with_head(definition_of(self.cls).write(found, brief))
+
+    def values(self, found: T) -> dict[str, Any]:
+        """As `write`, with arrays instead of lists."""
+        return self._with_head(definition_of(self.cls).values(found))
+
+    def _with_head(self, record: dict[str, Any]) -> dict[str, Any]:
+        if record.get("software", "") is None:
+            record["software"] = software()
+        return {self.head: self.version, **record} if self.version else record
 
     def read(self, record: Mapping[str, Any], location: str) -> T:
         """The object in a record; `location` is used in messages."""
-        fields = Fields(location, record)
-        if self.version:
+        definition, fields = definition_of(self.cls), Fields(location, record)
+        if self.strict:
+            fields.reject_unknown((self.head, *(each.name for each in definition.attributes)))
+            fields.values = {key: value for key, value in record.items() if key != self.head}
+        if self.is_file:
+            Fields(location, record).choice(self.head, (self.version, *self.earlier))
+        elif self.version:
             fields.schema((self.version, *self.earlier), self.kind)
-        return definition_of(self.cls).read(fields, self.context)
+        return definition.read(fields, self.context)
 
     @property
     def context(self) -> Context:
@@ -616,8 +662,8 @@ class Record(Generic[T]):
         found = definition_of(self.cls).schema(definitions)
         name = self.version or self.cls.__name__.lower()
         if self.version:
-            found["required"].insert(0, "schema")
-            found["properties"] = {"schema": {"const": self.version}, **found["properties"]}
+            found["required"].insert(0, self.head)
+            found["properties"] = {self.head: {"const": self.version}, **found["properties"]}
         return {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
             "$id": f"urn:{name.replace('/', ':')}",

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, get_args
 
-from ringpose.files.io import software
 from ringpose.files.kinds import POSE_LINE
-from ringpose.files.records.codec import Record, flags_by_name
+from ringpose.files.records.codec import RecordType, flags_by_name
 from ringpose.files.schema import Fields
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, PoseLine, Status
 
@@ -27,7 +26,7 @@ def status_rules(none: Mapping[str, Any]) -> dict[str, Any]:
     return {"oneOf": [{"properties": {"status": {"const": status}, **keys}} for status, keys in cases.items()]}
 
 
-RECORD = Record(
+RECORD = RecordType(
     cls=PoseLine,
     kind=POSE_LINE,
     version="ringpose/pose/2",
@@ -49,7 +48,7 @@ _FLAGS_1 = {
 
 def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
     """The record of one shot, for `ringpose.files.records.line_of`; `brief`: without `measurement` and evidence."""
-    return RECORD.write(line, brief) | ({} if line.software else {"software": software()})
+    return RECORD.write(line, brief)
 
 
 def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:

@@ -5,38 +5,27 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.errors import DataError, NoInputError, RingposeError
 from ringpose.files.inputs import Input, Problem, Record, inputs
 from ringpose.files.kinds import ROBOT_POSE, kind_of
-from ringpose.files.schema import Fields
+from ringpose.files.records.codec import RecordType
 from ringpose.geometry.rotations import rotation_of
-from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import STDIN
-from ringpose.types.plausible import REACH_M
-from ringpose.types.rig import RobotPoses
+from ringpose.types.rig import RobotPose, RobotPoses
 
 KEPT_S = 5.0
 """Time for which poses that arrive on standard input are kept: longer than late records and backgrounds are used."""
 
 
-class RobotPose(NamedTuple):
-    """The pose of the tool in the base frame at one time."""
-
-    stamp_s: float
-    position_m: Float64[Array, "xyz=3"]
-    rotation: Float64[Array, "3 3"]
-
-    def repeats(self, other: "RobotPose") -> bool:
-        """Whether this is the other pose once more."""
-        return (
-            self.stamp_s == other.stamp_s
-            and np.array_equal(self.position_m, other.position_m)
-            and np.array_equal(self.rotation, other.rotation)
-        )
+RECORD = RecordType(
+    cls=RobotPose,
+    kind=ROBOT_POSE,
+    description="The pose of a robot at one time, one line of a file of robot poses. Metres, seconds. Readers ignore "
+    "unknown keys.",
+)
 
 
 def read_robot_poses(source: Path | str) -> RobotPoses:
@@ -112,8 +101,10 @@ class RobotPoseStream:
 def _joined(poses: Sequence[RobotPose]) -> RobotPoses:
     return RobotPoses(
         stamp_s=np.array([pose.stamp_s for pose in poses], dtype=np.float64),
-        position_m=np.array([pose.position_m for pose in poses], dtype=np.float64).reshape(-1, 3),
-        rotation=np.array([pose.rotation for pose in poses], dtype=np.float64).reshape(-1, 3, 3),
+        position_m=np.array([pose.base_from_tool.position_m for pose in poses], dtype=np.float64).reshape(-1, 3),
+        rotation=np.array(
+            [rotation_of(pose.base_from_tool.orientation_xyzw) for pose in poses], dtype=np.float64
+        ).reshape(-1, 3, 3),
     )
 
 
@@ -123,11 +114,7 @@ def _robot_pose(item: Input | Problem) -> RobotPose:
         if isinstance(item, Path):
             raise DataError(str(item), "is not a file of robot poses", "give JSON lines in a file *.jsonl")
         raise item
-    fields = Fields(item.location, item.values)
-    other = kind_of(fields.values)
+    other = kind_of(item.values)
     if other is not None and other is not ROBOT_POSE:
-        raise fields.problem("", *ROBOT_POSE.instead_of(other))
-    pose = fields.fields("base_from_tool")
-    position_m = pose.quantities("position_m", 3, REACH_M)
-    rotation = rotation_of(pose.quaternion("orientation_xyzw"))
-    return RobotPose(stamp_s=fields.stamp_s("stamp_s"), position_m=position_m, rotation=rotation)
+        raise DataError(item.location, *ROBOT_POSE.instead_of(other))
+    return RECORD.read(item.values, item.location)

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ringpose.files.io import software
 from ringpose.files.kinds import TRACK_LINE
-from ringpose.files.records.codec import Record
+from ringpose.files.records.codec import RecordType
 from ringpose.files.records.poses import status_rules
 from ringpose.types.pose import PoseLine
 from ringpose.types.track import TrackLine
 
-RECORD = Record(
+RECORD = RecordType(
     cls=TrackLine,
     kind=TRACK_LINE,
     version="ringpose/track/1",
@@ -23,7 +22,7 @@ RECORD = Record(
 
 def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
     """The record; with `brief` without `attempts` and `log_evidence`."""
-    return RECORD.write(line, brief) | ({} if line.software else {"software": software()})
+    return RECORD.write(line, brief)
 
 
 def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:
