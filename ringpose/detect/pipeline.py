@@ -21,7 +21,7 @@ from ringpose.detect.difference_images import (
     saturated_along_stripes,
 )
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CONFIRMED, Face, displaced_lasers, planes_per_m, ring_face
+from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.camera_motion import CameraMotion
@@ -92,11 +92,8 @@ class View:
     images: Sequence[LaserImage]
     assumptions: Assumptions
     camera: CameraMotion | None
-
-    @property
-    def still(self) -> bool:
-        """Whether the ring cannot move in the images."""
-        return self.assumptions.motion is None and self.camera is None
+    still: bool
+    """Whether the ring cannot move in the images."""
 
     @property
     def saturation_dn(self) -> int:
@@ -145,12 +142,14 @@ def detect(
 
 def shot_view(shot: Shot, rig: Rig, prior: Prior) -> View:
     """The frames of a shot that are searched, with their backgrounds; no frames if the shot is lost."""
+    assumptions = prior.assumptions or USUAL.about_shot(rig.stability, still=shot.still)
     return View(
         shot=shot,
         rig=rig,
         images=[] if shot.is_lost else laser_images(shot, len(rig.lasers.names), prior.background),
-        assumptions=prior.assumptions or USUAL.about_shot(rig.stability, still=shot.still),
+        assumptions=assumptions,
         camera=prior.camera,
+        still=assumptions.motion is None and prior.camera is None,
     )
 
 
@@ -237,7 +236,7 @@ def _judged_ring(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> Rin
     if unmoved != view.images:
         ends = break_points(face, tracks, unmoved, rig, saturation_dn)
     judged = without_outliers(ends, rig, view.assumptions, view.camera)
-    displaced = [rig.lasers.names[laser] for laser in displaced_lasers(face, tracks, unlabelled, rig)]
+    displaced = [rig.lasers.names[laser] for laser in face.displaced]
     return RingSearch(
         stripes=stripes,
         break_points=judged.break_points,

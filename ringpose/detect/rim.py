@@ -105,7 +105,7 @@ class Face:
     behind: bool = False
     """Another segment is on a flat surface in front of these, which may be the face."""
     displaced: tuple[int, ...] = ()
-    """Lasers of which another segment than the coplanar one is on the band of these (`_beside_band`)."""
+    """Lasers whose segment on the ring is not in its plane (`_beside_band`, `displaced_lasers`)."""
 
 
 class Group(NamedTuple):
@@ -159,7 +159,8 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     )
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
         face = _with_further_lasers(face, every, lasers, rig)
-    return _foremost(face, tracks, rig)
+    face = _foremost(face, tracks, rig)
+    return replace(face, displaced=displaced_lasers(face, tracks, lasers, rig))
 
 
 def _with_further_lasers(

@@ -252,11 +252,13 @@ def measurements_of(
     camera: CameraMotion | None = None,
 ) -> Measurements:
     """The measurements of a detection; NaN where a point cannot be undistorted."""
-    lines, points, has_covariances = _stripe_measurements(break_points, rig.camera)
+    lines = _lines(break_points, rig.camera)
+    points, has_covariances = _points(break_points, lines, rig.camera)
     if break_points.repeated is not None:
-        again = _stripe_measurements(break_points.repeated, rig.camera)
-        lines, points = _repeated_lines(lines, again[0]), _repeated_points(points, again[1])
-        has_covariances = has_covariances and again[2]
+        lines_again = _lines(break_points.repeated, rig.camera)
+        points_again, have_covariances = _points(break_points.repeated, lines_again, rig.camera)
+        lines, points = _repeated_lines(lines, lines_again), _repeated_points(points, points_again)
+        has_covariances = has_covariances and have_covariances
     stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), _edges(ring_edges, rig.camera)
     reference_s = float(stamps.mean()) if len(stamps) else math.nan
     every = np.concatenate([stamps, edges.stamp_s])
@@ -272,36 +274,37 @@ def measurements_of(
     )
 
 
-def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lines, Points, bool]:
-    """Lines and break points, and whether all of these have a covariance."""
-    laser, edge = np.nonzero(break_points.seen)
-    count = len(break_points.position_px)
-    stamp_s = np.full(count, np.nan) if break_points.stamp_s is None else break_points.stamp_s
+def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
+    """The lines of the stripes on the face that are known."""
+    stamp_s = _stamps(break_points)
     line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
     has_line = np.isfinite(line_px.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1))
     line_xy = undistorted_rays(line_px[has_line], camera)[..., :2]
-    xy = undistort(break_points.position_px[laser, edge], camera)
-    ends = 2 * len(line_xy)
-    wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(np.concatenate([line_xy.reshape(ends, 2), xy]), camera)
-
+    _, wrt_camera = rays_wrt_pixel_and_camera(line_xy.reshape(-1, 2), camera)
     sigma = np.maximum(break_points.face_sigma_px[has_line], MIN_SIGMA_PX) / camera.camera_matrix[1, 1]
     whitening = np.zeros((len(line_xy), 2, 2))
     for block, sds in zip(whitening, sigma.tolist(), strict=True):
         block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
-    lines = Lines(
+    return Lines(
         laser=np.flatnonzero(has_line),
         x=line_xy[..., 0],
         y=line_xy[..., 1],
         whitening=whitening,
-        wrt_camera=wrt_camera[:ends].reshape(*line_xy.shape, wrt_camera.shape[-1]),
+        wrt_camera=wrt_camera.reshape(*line_xy.shape, wrt_camera.shape[-1]),
         stamp_s=stamp_s[has_line],
     )
 
+
+def _points(break_points: BreakPoints, lines: Lines, camera: Camera) -> tuple[Points, bool]:
+    """The break points that were seen, and whether all of these have a covariance."""
+    laser, edge = np.nonzero(~np.isnan(break_points.position_px[..., 0]))
+    xy = undistort(break_points.position_px[laser, edge], camera)
+    wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(xy, camera)
     covariance_px2 = break_points.covariance_px2[laser, edge]
     has_covariance = np.isfinite(covariance_px2).all(axis=(1, 2))
     covariance_px2[~has_covariance] = NOMINAL_SIGMA_PX**2 * np.eye(2)
     covariance_px2 = covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)
-    covariance = wrt_pixel[ends:] @ covariance_px2 @ wrt_pixel[ends:].swapaxes(1, 2)
+    covariance = wrt_pixel @ covariance_px2 @ wrt_pixel.swapaxes(1, 2)
     points = Points(
         laser=laser,
         edge=edge,
@@ -310,12 +313,17 @@ def _stripe_measurements(break_points: BreakPoints, camera: Camera) -> tuple[Lin
         covariance=covariance,
         sigma_x=np.sqrt(covariance[:, 0, 0]),
         middle_x=_middles(laser, xy[:, 0], lines),
-        isolated=~has_line[laser],
-        stamp_s=stamp_s[laser],
+        isolated=~np.isin(laser, lines.laser),
+        stamp_s=_stamps(break_points)[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
-        wrt_camera=wrt_camera[ends:],
+        wrt_camera=wrt_camera,
     )
-    return lines, points, bool(has_covariance.all())
+    return points, bool(has_covariance.all())
+
+
+def _stamps(break_points: BreakPoints) -> Float64[Array, "laser"]:
+    """Mid exposure of the frame of each laser; NaN where it is unknown."""
+    return np.full(len(break_points.flags), np.nan) if break_points.stamp_s is None else break_points.stamp_s
 
 
 REPEATED = 2.0

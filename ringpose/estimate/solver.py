@@ -29,7 +29,6 @@ from ringpose.estimate.residuals import (
     Residuals,
     ordinate_scale,
 )
-from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.ring import (
     CURVATURE,
     EDGE_SIGN,
@@ -331,8 +330,7 @@ def _robust_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Fl
     """Huber weights of break points and visible edges; 1 for lines, which are robust fits, and for the prior."""
     robust = slice(residuals.ends, residuals.data_rows)
     weights = np.ones(len(residual))
-    if np.abs(residual[robust]).max(initial=0.0) > HUBER_SIGMAS:
-        weights[robust] = huber_weights(residual[robust], HUBER_SIGMAS)
+    weights[robust] = HUBER_SIGMAS / np.maximum(np.abs(residual[robust]), HUBER_SIGMAS)
     return weights
 
 

@@ -14,7 +14,7 @@ from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.io import read_bytes
 from ringpose.files.kinds import EXCHANGED, kind_of_data, kind_of_text
-from ringpose.files.schema import FREE_PREFIX, hint, unusable
+from ringpose.files.schema import FREE_PREFIX, MAX_VALUE, hint, unusable
 from ringpose.types.arrays import Array
 
 MAX_BYTES = 2**26
@@ -148,8 +148,8 @@ class Archive:
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array:
         """An array of finite numbers, float64."""
         array = self.array(key, "fiu", shape).astype(np.float64)
-        if finding := unusable(array, allow_nan=False):
-            raise self.problem(key, finding)
+        if not (np.abs(array) <= MAX_VALUE).all():  # NaN neither
+            raise self.problem(key, unusable(array, allow_nan=False))
         return array
 
     def integers(self, key: str, shape: tuple[int | None, ...]) -> Array:
