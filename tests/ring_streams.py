@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from ring_scenes import face_points_of, make_scene, moved_rig
 
-from ringpose.pose.drift import DriftMonitor
-from ringpose.pose.pipeline import pose_result
+from ringpose.measure.stream import pose_result
+from ringpose.pose.rig_monitor import DriftMonitor
 from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions
 from ringpose.types.pose import NoPose, PoseLine
 from ringpose.types.rig import PLANE_PARAMETERS

@@ -19,7 +19,6 @@ import numpy as np
 from ringpose.estimate.covariance import differing_quantities
 from ringpose.estimate.hypotheses import (
     MIN_DEVIATION_M,
-    RADIUS_REMARK,
     WIDER_BY,
     Hypothesis,
     outlier_hypotheses,
@@ -72,7 +71,7 @@ STRAIGHT_SIGMAS = 3.0
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
 
-WIDER = Finding.FASTER | Finding.NOT_ROUND
+WIDER = Finding.FASTER | Finding.MOVED | Finding.FRAME_DIFFERS | Finding.NOT_ROUND
 """Findings of explanations that reject nothing but need a wider prior."""
 
 EDGE_NUMBERS = 8.0
@@ -127,12 +126,13 @@ class Explanation:
     prior: Prior
     estimate: Estimate
     findings: Finding
-    remark: str
     penalty: float
     """Penalty in chi-squared for what was rejected."""
     rejected: tuple[Rejection, ...]
     side_known: bool
     """Whether the shot determines on which side of the face the ring's centre lies."""
+    exchanged: tuple[str, str] | None = None
+    """Names of the lasers as which the stripes fit, and as which they were given; None if these are the same."""
     edges_exchanged: bool = False
     """Whether the inner edges are those that were given as outer ones."""
     competing: tuple[Estimate, ...] = ()
@@ -235,7 +235,6 @@ def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, searc
     return replace(
         alone,
         findings=alone.findings | Finding.WRONG_RADIUS,
-        remark=RADIUS_REMARK,
         rejected=(*alone.rejected, Rejection(what="radius")),
     )
 
@@ -342,9 +341,8 @@ def _explained(
 
     def both_ends(laser: int) -> Solved | None:
         """The explanation that rejects both ends of a laser's stripe, whatever its score; None if there is none."""
-        known = [each for each in tried if each.hypothesis.both and each.hypothesis.laser == laser]
-        others = (each for each in hypotheses if each.both and each.laser == laser)
-        return known[0] if known else next((solved(each) for each in others), None)
+        known = next((each for each in tried if each.hypothesis.rejects_both_ends(laser)), None)
+        return known or next((solved(each) for each in hypotheses if each.rejects_both_ends(laser)), None)
 
     best, competing = _select(everything, tried, both_ends)
     best = _with_form(best, search)
@@ -403,7 +401,7 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas:
         return None
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
     is_ring = estimate.arcs.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
-    if not is_ring and not hypothesis.both:
+    if not is_ring and Finding.WRONG_ENDS not in hypothesis.findings:
         return None
     wider = 0.0
     if everything is not None and hypothesis.findings & WIDER:
@@ -427,10 +425,7 @@ def _select(
     if _contradicts_itself(best.estimate):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
         best = everything or best
-        remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
-        if best.hypothesis.remark:
-            remark = f"{best.hypothesis.remark}, but the rest disagrees, too"
-        inconsistent = best.hypothesis._replace(findings=best.hypothesis.findings | Finding.UNEXPLAINED, remark=remark)
+        inconsistent = best.hypothesis._replace(findings=best.hypothesis.findings | Finding.UNEXPLAINED)
         competing = [each for each in near if each is not best and each.score < best.score]
         return Solved(inconsistent, best.estimate), competing
     return best, competing
@@ -460,10 +455,10 @@ def _explanation(best: Solved, everything: Solved | None, competing: Sequence[So
         prior=hypothesis.prior,
         estimate=best.estimate,
         findings=findings,
-        remark=hypothesis.remark,
         penalty=hypothesis.penalty,
         rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
         side_known=True,
+        exchanged=hypothesis.exchanged,
         competing=tuple(each.estimate for each in competing),
         everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
     )
@@ -497,7 +492,7 @@ def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int
 
     Which of the two ends is off then depends on the ring's curvature.
     """
-    points = [each for each in near if each.hypothesis.findings == Finding.WRONG_POINT and not each.hypothesis.both]
+    points = [each for each in near if each.hypothesis.findings == Finding.WRONG_POINT]
     lasers = {each.hypothesis.laser for each in points}
     if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
         return both_ends(lasers.pop())
@@ -510,8 +505,8 @@ def _nested(best: Solved, other: Solved) -> bool:
     Such explanations do not contradict each other.
     """
     first, second = best.hypothesis, other.hypothesis
-    whole = first.both or second.both or Finding.WRONG_STRIPE in first.findings | second.findings
-    return whole and first.laser == second.laser >= 0
+    whole = (Finding.WRONG_ENDS | Finding.WRONG_STRIPE) & (first.findings | second.findings)
+    return bool(whole) and first.laser == second.laser >= 0
 
 
 def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | None]) -> Solved:
@@ -520,7 +515,7 @@ def _without_unconfirmed_end(best: Solved, both_ends: Callable[[int], Solved | N
     What occluded one end may have occluded both; the other end is used only if the rest confirms the curvature.
     """
     hypothesis = best.hypothesis
-    if hypothesis.findings != Finding.WRONG_POINT or hypothesis.both or hypothesis.cause_seen:
+    if hypothesis.findings != Finding.WRONG_POINT or hypothesis.cause_seen:
         return best
     without = both_ends(hypothesis.laser)
     if without is None:

@@ -34,12 +34,6 @@ OCCLUDED_PENALTY = 4.0
 RELABEL_PENALTY = 20.0
 """Penalty for exchanging lasers that were switched one by one; lower than for a stripe, as no number is rejected."""
 
-RADIUS_REMARK = "the ring that was seen does not have the given radii; they were left out"
-"""Reason in the record if assumed radii were rejected."""
-
-RING_FORM_REMARK = "the ring deviates from a circle or a plane by more than assumed"
-"""Reason in the record if the ring's form contradicts the assumed tolerance."""
-
 MAX_PERMUTED = 3
 """Number of lasers up to which all assignments are tried."""
 
@@ -63,16 +57,19 @@ class Hypothesis(NamedTuple):
     measured: Measurements
     prior: Prior
     findings: Finding = NOTHING
-    remark: str = ""
     penalty: float = 0.0
     """Penalty in chi-squared."""
     rejected: tuple[Rejection, ...] = ()
     laser: int = -1
     """Laser of the rejected break points or stripe; -1 if there is none."""
-    both: bool = False
-    """Whether both break points of the stripe were rejected."""
     cause_seen: bool = False
     """Whether the image shows what occludes the rejected break point, and nothing at the stripe's other end."""
+    exchanged: tuple[str, str] | None = None
+    """Names of the lasers to which the stripes are assigned, and of those to which they were; None if they are kept."""
+
+    def rejects_both_ends(self, laser: int) -> bool:
+        """Whether both break points of that laser's stripe are rejected."""
+        return Finding.WRONG_ENDS in self.findings and self.laser == laser
 
 
 def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
@@ -85,14 +82,13 @@ def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> 
     yield from _wrong_stripes(measured, prior)
     yield from _wrong_assignments(measured, prior, labelled)
     if len(measured.edges.edge):
-        remark = "the visible edges contradict the stripes and were left out"
         penalty = OUTLIER_PENALTY + 2 * PARAMETER_PENALTY
         finding, rejected = Finding.WRONG_EDGES, (Rejection(what="edge"),)
-        yield Hypothesis(measured.without_edges(), prior, finding, remark, penalty, rejected)
+        yield Hypothesis(measured.without_edges(), prior, finding, penalty, rejected)
     if prior.radii is not None:
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY  # one cause: the wrong ring was named
         finding, rejected = Finding.WRONG_RADIUS, (Rejection(what="radius"),)
-        yield Hypothesis(measured, prior._replace(radii=None), finding, RADIUS_REMARK, penalty, rejected)
+        yield Hypothesis(measured, prior._replace(radii=None), finding, penalty, rejected)
     yield from _wider_priors(measured, prior)
 
 
@@ -106,15 +102,14 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
             speed_sd_m_s=WIDER_BY * max(least.speed_sd_m_s, assumed.speed_sd_m_s),
             rate_sd_rad_s=WIDER_BY * max(least.rate_sd_rad_s, assumed.rate_sd_rad_s),
         )
-        remark = "the target moved within the shot" if motion is None else "the target moves faster than assumed"
+        finding = Finding.MOVED if motion is None else Finding.FASTER
         assumptions = replace(prior.assumptions, motion=faster)
-        yield Hypothesis(measured, prior._replace(assumptions=assumptions), Finding.FASTER, remark, OUTLIER_PENALTY)
+        yield Hypothesis(measured, prior._replace(assumptions=assumptions), finding, OUTLIER_PENALTY)
         once = measured.once()
         left_out = len(measured.points.x) - len(once.points.x) + 2 * (len(measured.lines.laser) - len(once.lines.laser))
         if left_out:
-            remark = "the frame with all lasers contradicts those with one; it was left out"
             penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * left_out
-            yield Hypothesis(once, prior._replace(assumptions=assumptions), Finding.FASTER, remark, penalty)
+            yield Hypothesis(once, prior._replace(assumptions=assumptions), Finding.FRAME_DIFFERS, penalty)
     yield with_deviation(Hypothesis(measured, prior), max(WIDER_BY * tolerance_m, MIN_DEVIATION_M))
 
 
@@ -124,13 +119,12 @@ def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:
     return hypothesis._replace(
         prior=hypothesis.prior._replace(assumptions=assumptions),
         findings=hypothesis.findings | Finding.NOT_ROUND,
-        remark="; ".join(filter(None, [hypothesis.remark, RING_FORM_REMARK])),
         penalty=hypothesis.penalty + OUTLIER_PENALTY,
     )
 
 
 def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
-    points, finding = measured.points, Finding.WRONG_POINT
+    points = measured.points
     for laser in sorted(set(points.laser.tolist())):
         of_laser, name = np.flatnonzero(points.laser == laser), measured.rig.lasers.names[laser]
         rejected = tuple(
@@ -139,16 +133,14 @@ def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
         )
         for number, rejection in zip(of_laser.tolist(), rejected, strict=True):
             rest = measured.with_points(np.arange(len(points.laser)) != number)
-            remark = f"the {rejection.edge} break point of laser {name} contradicts the others and was left out"
             occluded = bool(points.beside_occluder[number])
             penalty = PARAMETER_PENALTY + (OCCLUDED_PENALTY if occluded else OUTLIER_PENALTY)
             alone = occluded and int(points.beside_occluder[of_laser].sum()) == 1
-            yield Hypothesis(rest, prior, finding, remark, penalty, (rejection,), laser, cause_seen=alone)
+            yield Hypothesis(rest, prior, Finding.WRONG_POINT, penalty, (rejection,), laser, cause_seen=alone)
         if len(of_laser) > 1:
             rest = measured.with_points(points.laser != laser)
-            remark = f"a break point of laser {name} contradicts the others; both were left out"
             penalty = BOTH_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
-            yield Hypothesis(rest, prior, finding, remark, penalty, tuple(dict.fromkeys(rejected)), laser, both=True)
+            yield Hypothesis(rest, prior, Finding.WRONG_ENDS, penalty, tuple(dict.fromkeys(rejected)), laser)
 
 
 def _wrong_stripes(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
@@ -156,9 +148,8 @@ def _wrong_stripes(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]
     for laser in seen if len(seen) > 1 else []:
         rest, name = measured.without_laser(laser), measured.rig.lasers.names[laser]
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
-        remark = f"the stripe of laser {name} contradicts the others and was left out"
         rejected = (Rejection(what="stripe", laser=name),)
-        yield Hypothesis(rest, prior, Finding.WRONG_STRIPE, remark, penalty, rejected, laser)
+        yield Hypothesis(rest, prior, Finding.WRONG_STRIPE, penalty, rejected, laser)
 
 
 def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
@@ -167,10 +158,9 @@ def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> 
         if list(order) != seen:
             changed = measured.relabelled(dict(zip(seen, order, strict=True)))
             given, fitting = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
-            remark = f"the stripes fit one ring only as those of lasers {fitting}, not {given}"
             penalty = RELABEL_PENALTY if labelled else OUTLIER_PENALTY
             rejected = (Rejection(what="assignment"),)
-            yield Hypothesis(changed, prior, Finding.WRONG_LASERS, remark, penalty, rejected)
+            yield Hypothesis(changed, prior, Finding.WRONG_LASERS, penalty, rejected, exchanged=(fitting, given))
 
 
 def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:

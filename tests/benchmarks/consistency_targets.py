@@ -17,8 +17,8 @@ from benchmarks.limits import Figure, band, options, printed, target
 from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
+from ringpose.measure.stream import pose_line
 from ringpose.pose.advice import RADIUS_SD_M
-from ringpose.pose.pipeline import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import RING_TOLERANCE_M, AssumptionOptions
 from ringpose.types.pose import KnownRadii, PoseFlag, PoseLine

@@ -21,7 +21,7 @@ from scipy.stats import chi2, ncx2, norm, poisson
 from ringpose.estimate.explanation import ALARM_SIGMAS
 from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.drift import RigEvidence
+from ringpose.pose.rig_monitor import RigEvidence
 from ringpose.types.assumptions import motion_prior
 from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.pose import PoseFlag, PoseLine

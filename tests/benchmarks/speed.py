@@ -41,9 +41,8 @@ from ringpose.detect.stripes import find_stripes
 from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.scenes.scene import read_scene
-from ringpose.measure.stream import Setup
+from ringpose.measure.stream import Setup, estimate_pose, pose_line
 from ringpose.optics.sensor import digitised
-from ringpose.pose.pipeline import estimate_pose, pose_line
 from ringpose.simulate.pipeline import illuminated_ring, moving_frame, render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.renderer import layers, pixel_rays

@@ -12,7 +12,7 @@ from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
 from benchmarks.stripe_images import RADII_M, Kind, exact_break_points, stripe_image, stripe_rig, true_row
 from scipy.special import ndtr
 
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.measure.stream import estimate_pose
 from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Segments, Stripes
 from ringpose.types.options import Method
 

@@ -15,7 +15,7 @@ from ringpose.files.images.shots import read_shot
 from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.rigs import read_rig
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import pose_line
 
 CARRIED = Path(__file__).parent / "files"
 DATA = Path(__file__).parents[1] / "data"

@@ -19,8 +19,7 @@ from ringpose.files.images.shots import write_shot
 from ringpose.files.records.detections import checked_detection, detection_of, detection_record
 from ringpose.files.records.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
-from ringpose.measure.stream import Setup
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import Setup, pose_line
 from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import NoPose
@@ -156,7 +155,7 @@ def test_equations_that_cannot_be_solved_are_a_line_with_a_reason(rig, detection
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("ringpose.pose.pipeline.most_likely_pose", singular)
+    monkeypatch.setattr("ringpose.measure.stream.most_likely_pose", singular)
 
     records_of_shots = [json.loads(line) for line in detections.read_text().splitlines()]
     rejection = {"what": "point", "laser": "middle", "edge": "inner", "chi2": None}

@@ -87,7 +87,7 @@ class Interrupting:
             os.kill(os.getpid(), signal.SIGINT)
 
 
-@pytest.mark.parametrize("module", ["typer", "ringpose.cli.pose", "yaml", "numpy", "cv2", "ringpose.pose.pipeline"])
+@pytest.mark.parametrize("module", ["typer", "ringpose.cli.pose", "yaml", "numpy", "cv2", "ringpose.measure.stream"])
 def test_interrupt_while_a_module_is_imported_is_no_traceback(started, rig, detections, module):
     code = f"{inspect.getsource(Interrupting)}\nsys.meta_path.insert(0, Interrupting({module!r}))\n"
     with started("pose", detections, "--rig", rig, before=f"import os, signal, sys\n{code}") as process:

@@ -18,7 +18,7 @@ from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.rays import intersect, project, rays
 from ringpose.geometry.ring import motion_derivatives, ring_arcs
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.pipeline import pose_line, pose_result
+from ringpose.measure.stream import pose_line, pose_result
 from ringpose.simulate.features import drawn_features
 from ringpose.types.assumptions import (
     NOISE_ONLY,

@@ -10,7 +10,7 @@ from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.rotations import angle_between
-from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene, scene_of, visible_edges_of, with_stripes
 
-from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))

@@ -10,7 +10,7 @@ from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
 from ringpose.estimate.solver import estimate_ring, initial_guess, precise_ring, ring_residuals
 from ringpose.geometry.ring import CURVATURE, LIFT
-from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, RingPose
 from ringpose.types.rig import ParameterCovariance
 

@@ -9,7 +9,7 @@ import pytest
 
 import ringpose
 from ringpose.bench.score import FLAGS_OF_QUANTITY
-from ringpose.measure.status import QUANTITIES, RULES, SENTENCES, flags_of, sentence
+from ringpose.measure.status import QUANTITIES, RULES, SENTENCES, flags_of, sentences
 from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag
 
@@ -42,8 +42,10 @@ def test_a_row_forbids_quantities_that_bench_judges():
 
 
 def test_sentences_name_the_laser_where_they_are_about_one():
-    assert "laser left" in sentence(Finding.STRIPE_NOT_FOUND, "left")
-    assert all("{" not in sentence(finding, "left") for finding in SENTENCES)
+    named = {"laser": "left", "edge": "inner", "fitting": "left, right", "given": "right, left"}
+
+    assert "laser left" in sentences(Finding.STRIPE_NOT_FOUND, laser="left")
+    assert all("{" not in sentences(finding, **named) for finding in SENTENCES)
 
 
 @pytest.mark.parametrize(("page", "name"), list(manual_tables.TABLES))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ring_scenes import axes_across, face_points_of, make_scene, nees, turn_between
 
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.measure.stream import estimate_pose
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag
 
 POINT_PX, LINE_PX = 0.3, 0.01

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene
 
+from ringpose.measure.stream import estimate_pose
 from ringpose.pose.catalogue import LIKELY_ENOUGH, NONE_OF_THESE, ring_posterior
-from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import Ring
 
 SIZES = {"R468": (0.4285, 0.4685), "R597": (0.567, 0.597), "R833": (0.798, 0.833), "R1312": (1.272, 1.312)}

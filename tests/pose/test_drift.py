@@ -7,7 +7,7 @@ import pytest
 from ring_scenes import make_scene, nees, visible_edges_of, with_stripes
 from ring_streams import measured_stream, moved, poses_before, within_stability
 
-from ringpose.pose.drift import RigEvidence
+from ringpose.pose.rig_monitor import RigEvidence
 from ringpose.types.pose import PoseFlag
 
 SHOTS = 50

@@ -7,8 +7,8 @@ import pytest
 
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
-from ringpose.pose.form_monitor import FormMonitor
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import pose_line
+from ringpose.pose.rig_monitor import FormMonitor
 from ringpose.simulate.features import drawn_features
 from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.scene import Approach

@@ -9,7 +9,7 @@ from ring_scenes import Ring, nees
 
 from ringpose.detect.pipeline import detect
 from ringpose.estimate.measurements import integrated_autocorrelation_time
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.measure.stream import estimate_pose
 from ringpose.types.pose import KnownRadii
 
 KNOWN = KnownRadii(radius_m=np.array(RADII_M), sd_m=np.array([1e-4, 1e-4]))

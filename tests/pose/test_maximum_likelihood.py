@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ring_scenes import face_points_of, make_scene, visible_edges_of, with_stripes, without
 
-from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))

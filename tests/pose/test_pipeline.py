@@ -9,10 +9,9 @@ from drawn_scene import DrawnScene, draw_shot, drawn_rig
 from ringpose.detect.pipeline import detect
 from ringpose.files.records import plain
 from ringpose.files.records.detections import detection_of, detection_record
-from ringpose.measure.stream import Setup
+from ringpose.measure.stream import Setup, pose_line
 from ringpose.pose.advice import remarks_on
-from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
-from ringpose.pose.pipeline import pose_line
+from ringpose.pose.rig_monitor import SHOTS_NEEDED, DriftMonitor
 from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.detection import NoBreakPoints, Rejection
 from ringpose.types.pose import LaserState, PoseFlag

@@ -10,9 +10,9 @@ from ring_scenes import break_points_of, make_scene
 from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
+from ringpose.measure.stream import estimate_pose as most_likely_pose
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.pose.pipeline import estimate_pose as most_likely_pose
 from ringpose.types.options import Method
 from ringpose.types.pose import NoPose
 

@@ -10,7 +10,7 @@ from ring_scenes import Scene, edges_in_frames, face_points_of, make_scene, scen
 from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import displacement_increments, ring_arcs
-from ringpose.pose.pipeline import pose_line, pose_result
+from ringpose.measure.stream import pose_line, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, MotionPrior
 from ringpose.types.detection import Detection
 from ringpose.types.pose import NoPose, PoseFlag, RingPose

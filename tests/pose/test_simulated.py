@@ -9,7 +9,7 @@ from ring_scenes import Ring, nees
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
-from ringpose.pose.pipeline import estimate_pose, pose_line
+from ringpose.measure.stream import estimate_pose, pose_line
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.scene import Approach, RingView

@@ -10,7 +10,7 @@ import pytest
 from ringpose.detect.pipeline import detect
 from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.measure.stream import estimate_pose
 from ringpose.simulate.features import Deviations, draw_detection
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import ring_views

@@ -9,7 +9,7 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS
 from ringpose.geometry.rays import undistort
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.measure.stream import estimate_pose
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.simulate.placement import target_placement

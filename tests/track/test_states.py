@@ -10,7 +10,7 @@ from ring_scenes import RIGS, Ring
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.ring import RingArcs, ring_arcs
-from ringpose.pose.pipeline import pose_line
+from ringpose.measure.stream import pose_line
 from ringpose.simulate.features import drawn_features
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.observation import observation

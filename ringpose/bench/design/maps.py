@@ -18,8 +18,8 @@ from ringpose.estimate.covariance import standard_deviation
 from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import facing_normal
+from ringpose.measure.stream import pose_line
 from ringpose.pose.advice import RADIUS_SD_M
-from ringpose.pose.pipeline import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.simulate.light import radiance_along
 from ringpose.simulate.pipeline import illuminated_ring

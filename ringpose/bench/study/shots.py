@@ -24,9 +24,8 @@ from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.measure.stream import Measured, Setup, Stream, track_options
+from ringpose.measure.stream import Measured, Setup, Stream, pose_line, track_options
 from ringpose.pose.advice import RADIUS_SD_M
-from ringpose.pose.pipeline import pose_line
 from ringpose.simulate.features import Deviations, drawn_features, run_errors
 from ringpose.simulate.motion import moved_view
 from ringpose.simulate.pipeline import simulated_shot

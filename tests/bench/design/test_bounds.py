@@ -7,7 +7,7 @@ from ring_scenes import face_points_of, make_scene
 
 from ringpose.bench.design.bounds import cramer_rao
 from ringpose.estimate.nuisance import with_stability
-from ringpose.pose.pipeline import pose_result
+from ringpose.measure.stream import pose_result
 from ringpose.types.assumptions import RigStability
 from ringpose.types.pose import KnownRadii
 

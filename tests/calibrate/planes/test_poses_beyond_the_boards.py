@@ -15,7 +15,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.boards import read_board
 from ringpose.files.images.shots import read_shot, write_shot
 from ringpose.files.rigs import read_rig
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.measure.stream import estimate_pose
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.scene import BoardSet, NamedBoardPose, Scene
 from ringpose.types.target import Body, RingShape

@@ -27,7 +27,7 @@ from ringpose.calibrate.planes.stripes.errors import line_modes
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.drift import CONTRADICTORY, MovedPlane, RigEvidence, evidence_for_file
+from ringpose.pose.rig_monitor import CONTRADICTORY, MovedPlane, RigEvidence, evidence_for_file
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
 from ringpose.types.pose import PlaneEvidence, PoseLine

@@ -1,6 +1,4 @@
-"""Which lasers' stripes and break points should be in view by rig and ring, and which of them were used."""
-
-from collections.abc import Mapping, Sequence
+"""Which lasers' stripes and break points should be in view by rig and ring."""
 
 import numpy as np
 
@@ -9,9 +7,6 @@ from ringpose.estimate.hypotheses import single_stripe_estimates
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection
-from ringpose.types.finding import NOTHING, Finding
-from ringpose.types.pose import LaserState
 from ringpose.types.rig import Rig
 
 BORDER_PX = 16.0
@@ -19,65 +14,6 @@ BORDER_PX = 16.0
 
 PREDICTION_SIGMAS = 3.0
 """A stripe or break point is expected in view if it is predicted farther than this number of sigmas from the border."""
-
-SEEN_SHARE = 0.5
-"""A stripe is expected to be found if at least this share of its length on the face is in view."""
-
-
-def seen_lasers(
-    best: Explanation,
-    break_points: BreakPoints,
-    rig: Rig,
-    lasers_on: Bool[Array, "laser"] | None,
-    rejected: Sequence[Rejection],
-) -> tuple[Mapping[str, LaserState], Finding]:
-    """What each laser that was on contributed, and what should be in view but was not used.
-
-    `rejected`: what the detector and the explanation have rejected.
-    """
-    used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
-    used[best.measured.points.laser, best.measured.points.edge] = True
-    has_line = np.isin(np.arange(len(used)), best.measured.lines.laser)
-    on = np.ones(len(used), dtype=bool) if lasers_on is None else lasers_on
-    on = on | used.any(axis=1) | has_line
-    if bool(used[on].all()):  # what is out of view need not be predicted
-        inside, share = used, used.mean(axis=1)
-    else:
-        inside, share = expected_in_view(best, rig)
-    states, findings = {}, NOTHING
-    for laser in np.flatnonzero(on).tolist():
-        contributed = bool(used[laser].any() or has_line[laser])
-        mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
-        if contributed:
-            clipped = break_points.flags[laser] & int(BreakPointFlag.CLIPPED) != 0
-            expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image
-            missing = expected & ~used[laser]
-            findings |= _why_missing(break_points.flags[laser, missing].tolist())
-            state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
-        elif mine or break_points.of_lasers[laser]:
-            state, findings = LaserState.REJECTED, findings | Finding.STRIPE_UNUSED
-        elif share[laser] >= SEEN_SHARE:
-            state, findings = LaserState.NOT_SEEN, findings | Finding.STRIPE_NOT_FOUND
-        else:
-            state = LaserState.OUT_OF_VIEW
-        states[rig.lasers.names[laser]] = state
-    blunt = break_points.flags[used] & int(BreakPointFlag.BLUNT) != 0
-    return states, findings | (Finding.BLUNT if blunt.any() else NOTHING)
-
-
-def _why_missing(point_flags: list[int]) -> Finding:
-    """Why break points that should be in view were not used, from the detector's flags."""
-    findings = NOTHING
-    for each in point_flags:
-        if each & BreakPointFlag.OCCLUDED:
-            findings |= Finding.POINT_UNUSED
-        elif each & BreakPointFlag.CLIPPED:
-            findings |= Finding.POINT_CUT_OFF
-        elif each & BreakPointFlag.SATURATED:
-            findings |= Finding.POINT_SATURATED
-        else:
-            findings |= Finding.POINT_UNUSED
-    return findings
 
 
 def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser edge=2"], Float64[Array, "laser"]]:
@@ -136,12 +72,3 @@ def break_point_sigmas_px(
         np.stack([sigma_x, sigma_y], axis=1) * rig.camera.camera_matrix[[0, 1], [0, 1]]
     )
     return sigma_px.reshape(-1, 2, 2)
-
-
-def unused_lasers(
-    rig: Rig, lasers_on: Bool[Array, "laser"] | None, found: bool | Bool[Array, "laser"]
-) -> Mapping[str, LaserState]:
-    """The states of the lasers that were on, in a shot that has no pose: whether a stripe was found for them."""
-    on, stripes = (np.broadcast_to(each, len(rig.lasers.names)) for each in (lasers_on is None or lasers_on, found))
-    states = (LaserState.REJECTED if stripe else LaserState.NOT_SEEN for stripe in stripes)
-    return {name: state for name, state, lit in zip(rig.lasers.names, states, on, strict=True) if lit}
