@@ -199,7 +199,7 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
         for image, numbers in zip(images, shown, strict=True)
         if numbers
     ]
-    ends = stripe_ends(lit, lens(rig.camera), EndParams(saturation_dn))
+    ends = stripe_ends(lit, lens(rig.camera), EndParams(saturation_dn=saturation_dn))
     lasers = [face.lasers[number] for number in order]
     return flagged_ends(face.tracks[order], ends, lasers, rig)
 

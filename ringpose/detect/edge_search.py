@@ -19,7 +19,7 @@ from ringpose.detect.stripes import lens
 from ringpose.estimate.measurements import Edges
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, TINY, RingArcs, edge_distances, edge_points
-from ringpose.kernels import _kernels
+from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
@@ -68,11 +68,13 @@ MAX_PLACES = 10**5
 """Largest number of places to each side of the origin."""
 
 
-class PlaceParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaceParams:
     """Which predicted places on the edges are of use."""
 
-    image_width: float
-    image_height: float
+    image_width: int
+    image_height: int
     sigma_px: float = math.inf
     """Places with a larger predicted sigma across the edge are left out."""
     max_sigma_m: float = math.inf
@@ -145,6 +147,8 @@ def edge_trace(
     """
     metres_per_px = float(arcs.origin[2]) / float(camera.camera_matrix[0, 0])
     count = _places_to_each_side(arcs, camera, spacing_px)
+    if count < 0:
+        return EdgeTrace(np.empty((0, 13)))
     number = np.tile(np.arange(-count, count + 1.0), 2)
     edge_sign = np.repeat(EDGE_SIGN, len(number) // 2)
     params = PlaceParams(
@@ -221,7 +225,27 @@ POOLED = 9
 """Number of neighbouring profiles whose noise is pooled."""
 
 
-class StepParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfileParams:
+    """Parameters of the profiles.
+
+    Samples are taken every pixel, from `reach_px` + `inside_px` inside the place to `reach_px` + `outside_px` beyond.
+    """
+
+    reach_px: int
+    """Half width of the search for a step."""
+    saturation_dn: int
+    inside_px: int = INSIDE_PX
+    outside_px: int = OUTSIDE_PX
+    along_px: int = ALONG_PX
+    noise_dn: float = NOISE_DN
+    pooled: int = POOLED
+
+
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepParams:
     """Parameters of the step fit in a profile."""
 
     flat: float = 1e-9
@@ -230,7 +254,7 @@ class StepParams(NamedTuple):
     """A profile with a saturated sample closer than this to the step is rejected: it hides the intensity beyond."""
     spacing_px: float = PLACES
     """Distance between the step positions that are tried."""
-    pooled: float = POOLED
+    pooled: int = POOLED
     """Neighbouring profiles over which the residual variance is averaged."""
 
 
@@ -278,8 +302,7 @@ def edge_profiles(
 
     Grey values are interpolated bilinearly; a sample is saturated if one of the averaged values is.
     """
-    # samples are taken every pixel, from `reach_px` + `INSIDE_PX` inside the place to `reach_px` + `OUTSIDE_PX` beyond
-    params = (reach_px, INSIDE_PX, OUTSIDE_PX, ALONG_PX, NOISE_DN, POOLED, saturation_dn)
+    params = ProfileParams(reach_px=reach_px, saturation_dn=saturation_dn)
     value = np.empty((len(position_px), 2 * reach_px + INSIDE_PX + OUTSIDE_PX + 1))
     saturated, noise = np.empty(value.shape, dtype=np.bool_), np.empty(len(value))
     image, position_px, normal = (np.ascontiguousarray(each) for each in (image, position_px, normal))

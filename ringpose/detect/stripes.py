@@ -14,12 +14,13 @@ stripe_sigmas.c (standard deviations).
 """
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _kernels
+from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
 from ringpose.optics.feature_errors import BORDER_PX, MIN_PEAK
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
@@ -81,14 +82,16 @@ def find_stripes(
     )
 
 
-class StripeParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StripeParams:
     """Detection thresholds."""
 
     min_response: float
     """Smallest response of the ridge filter."""
     coarse_per_response: float
     """Sum over a window of 8 x 16 pixels, less its surroundings, for a ridge with a response of 1."""
-    full_dn: float
+    full_dn: int
     """Grey value of a saturated pixel; speckle weights are not used on pieces with many of them."""
     begin_sigmas: float = 6.0
     """Response over its noise (clutter included) that at least `shortest` columns of a piece must have."""
@@ -215,6 +218,10 @@ def straight_segments(
 @lru_cache(maxsize=4)
 def lens(camera: Camera) -> Lens:
     """Intrinsic parameters of a camera in the form that the kernels expect."""
-    matrix = camera.camera_matrix
-    focal_and_principal = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
-    return Lens(*(float(each) for each in (*focal_and_principal, *camera.distortion_coefficients)))
+    matrix = camera.camera_matrix.tolist()
+    coefficients = dict(zip(DISTORTION, camera.distortion_coefficients.tolist(), strict=False))
+    return Lens(fx=matrix[0][0], fy=matrix[1][1], cx=matrix[0][2], cy=matrix[1][2], **coefficients)
+
+
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""OpenCV's order of the distortion coefficients; a camera has the first five or all of them."""

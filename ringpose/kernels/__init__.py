@@ -4,7 +4,13 @@ A kernel that only one module of `ringpose.detect` uses is called there directly
 
 The arguments are validated in one place, `arguments.c`. There is no fallback in Python: it would be about a hundred
 times slower without any notice.
+
+Parameters cross the border by name: a kernel reads the attributes of a data class (`kernel_record`) into the members of
+a C struct.
 """
+
+from dataclasses import fields
+from typing import TypeVar
 
 try:
     from ringpose.kernels import _kernels as _kernels
@@ -13,3 +19,18 @@ except ImportError as error:
         "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
         " (a C compiler is needed)"
     ) from error
+
+_Record = TypeVar("_Record", bound=type)
+
+
+def kernel_record(record: _Record) -> _Record:
+    """The data class, if its fields are those of the C struct of the same name, by name and type (float or int).
+
+    Raises TypeError otherwise, that is when its module is imported.
+    """
+    declared = _kernels.RECORDS[record.__name__]
+    described = {field.name: field.type for field in fields(record)}
+    if described != declared:
+        differing = sorted({name for name, _ in described.items() ^ declared.items()})
+        raise TypeError(f"{record.__name__}: differs from the C struct in {', '.join(differing)}")
+    return record

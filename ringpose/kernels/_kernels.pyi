@@ -1,6 +1,10 @@
 from ringpose.types.arrays import Array
 
-_Numbers = tuple[float, ...]
+_Record = object
+"""A data class of `ringpose.kernels.kernel_record`."""
+RECORDS: dict[str, dict[str, type]]
+"""Names and types of the members of the C structs."""
+
 _Group = tuple[tuple[int, ...], tuple[int, ...], float, float]
 
 def gradient(image: Array, bits: int, upper: int, magnitude: Array, /) -> tuple[bytes, bytes]: ...
@@ -15,13 +19,13 @@ def joins(
     lines: Array, moments: Array, pieces: Array, gap: float, aside: float, shortest: int, /
 ) -> tuple[bytes, bytes]: ...
 def stripes(
-    image: Array, dark: Array | None, bands: Array | None, taps: Array, filters: Array, params: _Numbers, /
+    image: Array, dark: Array | None, bands: Array | None, taps: Array, filters: Array, params: _Record, /
 ) -> tuple[bytes, bytes, bytes, bytes]: ...
-def tracks(position: Array, sigma: Array, piece: Array, laser: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
+def tracks(position: Array, sigma: Array, piece: Array, laser: Array, lens: _Record, params: _Record, /) -> bytes: ...
 def faces(
-    tracks: Array, unlabelled: int, planes: Array, unions: _Numbers, candidates: _Numbers, ring: _Numbers, /
+    tracks: Array, unlabelled: int, planes: Array, unions: _Record, candidates: _Record, ring: _Record, /
 ) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
-def ends(images: tuple[tuple[Array, Array | None, Array], ...], lens: _Numbers, params: _Numbers, /) -> bytes: ...
+def ends(images: tuple[tuple[Array, Array | None, Array], ...], lens: _Record, params: _Record, /) -> bytes: ...
 def edge_places(
     point: Array,
     off_face: Array,
@@ -30,12 +34,12 @@ def edge_places(
     normal: Array,
     wrt_step: Array | None,
     covariance: Array | None,
-    lens: _Numbers,
-    params: _Numbers,
+    lens: _Record,
+    params: _Record,
     /,
 ) -> bytes: ...
 def edge_profiles(
-    image: Array, place: Array, normal: Array, params: _Numbers, value: Array, saturated: Array, noise: Array, /
+    image: Array, place: Array, normal: Array, params: _Record, value: Array, saturated: Array, noise: Array, /
 ) -> None: ...
 def edge_steps(
     value: Array,
@@ -45,7 +49,7 @@ def edge_steps(
     place: Array,
     unit: Array,
     table: Array,
-    params: _Numbers,
+    params: _Record,
     /,
 ) -> bytes: ...
 def render(*arguments: object) -> None: ...

@@ -1,7 +1,13 @@
 /* Validation of the kernels' arguments against a table. */
 #include "arguments.h"
 
+#include <stdio.h>
 #include <string.h>
+
+const Kind ELEMENT[] = {[FLOAT64_] = {.type = 'd'}, [FLOAT32_] = {.type = 'f'}, [INT64_] = {.type = 'q'},
+                        [INT32_] = {.type = 'i'},   [INT16_] = {.type = 'h'},   [UINT8_] = {.type = 'B'},
+                        [BOOL_] = {.type = '?'},    [IMAGE_] = {.type = 'I'},   [REAL_] = {.type = 'R'},
+                        [WHOLE_] = {.type = 'W'},   [TUPLE_] = {.type = 'T'}};
 
 /* Formats of the buffer protocol that an element may have, and its size. */
 static const char *formats_of(char type, int *size) {
@@ -17,9 +23,12 @@ static const char *formats_of(char type, int *size) {
     return element[i].formats;
 }
 
-static int has_elements(const Py_buffer *view, const Parameter *parameter, const char *name) {
+/* `before`: size of the elements of the image before, which a name with '=' requires. */
+static int has_elements(const Py_buffer *view, const Parameter *parameter, const char *name, Py_ssize_t before) {
     int size;
-    const char type = parameter->type != 'I' ? parameter->type : view->itemsize == 2 ? 'H' : 'B';
+    const char own = parameter->kind->type;
+    const Py_ssize_t of_image = strchr(parameter->name, '=') ? before : view->itemsize;
+    const char type = own != 'I' ? own : of_image == 2 ? 'H' : 'B';
     const char *format = view->format ? view->format : "B", *formats = formats_of(type, &size);
     if (*format == '@' || *format == '=') format++;
     if (view->itemsize == size && format[0] && !format[1] && strchr(formats, format[0])) return 1;
@@ -56,12 +65,15 @@ static int has_pixels(const Py_buffer *view, const char *name) {
     return 0;
 }
 
-static int open_array(PyObject *object, const Parameter *parameter, const char *name, Py_ssize_t named[3],
-                      Py_buffer *view) {
-    const int fill = parameter->name[0] == '>', image = parameter->type == 'I' || parameter->type == 'h';
+/* Opens argument number `at`, whose name without signs is given. */
+static int open_array(PyObject *object, const Parameter *parameter, const char *name, Py_ssize_t named[3], int at,
+                      Arguments *arguments) {
+    const char type = parameter->kind->type;
+    const int fill = parameter->name[0] == '>', image = type == 'I' || type == 'h';
+    Py_buffer *view = &arguments->view[at];
     if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0) return 0;
-    if (has_elements(view, parameter, name) && has_extents(view, parameter, name, named) &&
-        (!image || has_pixels(view, name))) {
+    if (has_elements(view, parameter, name, at ? view[-1].itemsize : 0) &&
+        has_extents(view, parameter, name, named) && (!image || has_pixels(view, name))) {
         if (PyBuffer_IsContiguous(view, 'C') && !(fill && view->readonly)) return 1;
         PyErr_Format(PyExc_ValueError, "%s: must be contiguous in rows%s", name, fill ? " and writable" : "");
     }
@@ -69,37 +81,63 @@ static int open_array(PyObject *object, const Parameter *parameter, const char *
     return 0;
 }
 
-static int is_tuple(PyObject *object, const Parameter *parameter) {
-    if (PyTuple_Check(object)) return 1;
-    PyErr_Format(PyExc_TypeError, "%s: must be a tuple", parameter->name);
+static int is_within(const char *record, const char *name, double value, double lowest, double highest) {
+    char text[160];
+    if (value >= lowest && value <= highest) return 1;
+    snprintf(text, sizeof text, "is %.9g, must be %.9g to %.9g", value, lowest, highest);
+    PyErr_Format(PyExc_ValueError, "%s%s%s: %s", record, *record ? "." : "", name, text);
     return 0;
 }
 
-static int read_tuple(PyObject *object, const Parameter *parameter, double *number) {
-    const int count = parameter->extent[0];
-    if (!PyTuple_Check(object) || PyTuple_Size(object) != count) {
-        PyErr_Format(PyExc_ValueError, "%s: must be a tuple of %d numbers", parameter->name, count);
-        return 0;
-    }
-    for (int i = 0; i < count; i++) {
-        number[i] = PyFloat_AsDouble(PyTuple_GetItem(object, i));
-        if (number[i] == -1 && PyErr_Occurred()) return 0;
+static int read_real(PyObject *object, Number *number) {
+    number->real = PyFloat_AsDouble(object);
+    return !(number->real == -1 && PyErr_Occurred());
+}
+
+static int read_whole(PyObject *object, Number *number) {
+    number->whole = PyLong_AsLongLong(object);
+    return !(number->whole == -1 && PyErr_Occurred());
+}
+
+/* The attributes of a data class, each to the member of its name. */
+static int read_record(PyObject *object, const Parameter *parameter, Number *number) {
+    const Kind *record = parameter->kind;
+    for (int i = 0; i < record->count; i++, number++) {
+        const Field *field = &record->field[i];
+        PyObject *value = PyObject_GetAttr(object, record->key[i]);
+        const int is_number = value && (field->is_count ? read_whole(value, number) : read_real(value, number));
+        Py_XDECREF(value);
+        if (!value) PyErr_Clear();
+        if (!is_number) {
+            PyErr_Format(PyExc_TypeError, "%s: %s of a %s must be %s", parameter->name, field->name, record->name,
+                         field->is_count ? "an integer" : "a number");
+            return 0;
+        }
+        if (!is_within(parameter->name, field->name, field->is_count ? (double)number->whole : number->real,
+                       field->lowest, field->highest))
+            return 0;
     }
     return 1;
 }
 
-static int read_integer(PyObject *object, const Parameter *parameter, double *number) {
-    const long value = PyLong_AsLong(object), minimum = parameter->extent[0], maximum = parameter->extent[1];
-    if (value == -1 && PyErr_Occurred()) return 0;
-    *number = (double)value;
-    if (value >= minimum && value <= maximum) return 1;
-    PyErr_Format(PyExc_ValueError, "%s: is %ld, must be %ld to %ld", parameter->name, value, minimum, maximum);
-    return 0;
-}
-
-static int read_real(PyObject *object, double *number) {
-    *number = PyFloat_AsDouble(object);
-    return !(*number == -1 && PyErr_Occurred());
+static int open_argument(PyObject *object, const Parameter *parameter, Py_ssize_t named[3], int at,
+                         Arguments *arguments) {
+    const char *name = parameter->name + strspn(parameter->name, ">?=");
+    Number *number = arguments->number[at];
+    switch (parameter->kind->type) {
+    case 'P': return read_record(object, parameter, number);
+    case 'R': return read_real(object, number);
+    case 'W':
+        return read_whole(object, number) &&
+               is_within("", name, (double)number->whole, parameter->extent[0], parameter->extent[1]);
+    case 'T':
+        if (PyTuple_Check(object)) return 1;
+        PyErr_Format(PyExc_TypeError, "%s: must be a tuple", name);
+        return 0;
+    default:
+        return (object == Py_None && memchr(parameter->name, '?', 2)) ||
+               open_array(object, parameter, name, named, at, arguments);
+    }
 }
 
 int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Arguments *arguments) {
@@ -109,28 +147,36 @@ int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Ar
         PyErr_Format(PyExc_TypeError, "takes %zu arguments", count);
         return 0;
     }
-    for (size_t i = 0; i < count; i++) {
-        PyObject *object = PyTuple_GetItem(tuple, (Py_ssize_t)i);
-        const char *name = parameter[i].name + strspn(parameter[i].name, ">?");
-        double *number = arguments->number[i];
-        int fits = 1;
+    for (int i = 0; i < (int)count; i++) {
         arguments->view[i].obj = NULL;
-        switch (parameter[i].type) {
-        case 'T': fits = read_tuple(object, &parameter[i], number); break;
-        case 'L': fits = read_integer(object, &parameter[i], number); break;
-        case 'R': fits = read_real(object, number); break;
-        case 'O': fits = is_tuple(object, &parameter[i]); break;
-        default:
-            if (object != Py_None || !memchr(parameter[i].name, '?', 2))
-                fits = open_array(object, &parameter[i], name, named, &arguments->view[i]);
-        }
-        if (!fits) {
+        if (!open_argument(PyTuple_GetItem(tuple, i), &parameter[i], named, i, arguments)) {
             close_arguments(arguments, NULL);
             return 0;
         }
         arguments->count++;
     }
     return 1;
+}
+
+/* The types of a record's fields in Python by their names; NULL and a Python exception if that fails. */
+static PyObject *field_types(const Kind *record) {
+    PyObject *types = PyDict_New();
+    for (int i = 0; types && i < record->count; i++) {
+        PyObject *type = (PyObject *)(record->field[i].is_count ? &PyLong_Type : &PyFloat_Type);
+        record->key[i] = PyUnicode_InternFromString(record->field[i].name);
+        if (!record->key[i] || PyDict_SetItem(types, record->key[i], type) < 0) Py_CLEAR(types);
+    }
+    return types;
+}
+
+PyObject *declared_records(const Kind *const record[], size_t count) {
+    PyObject *all = PyDict_New();
+    for (size_t i = 0; all && i < count; i++) {
+        PyObject *types = field_types(record[i]);
+        if (!types || PyDict_SetItemString(all, record[i]->name, types) < 0) Py_CLEAR(all);
+        Py_XDECREF(types);
+    }
+    return all;
 }
 
 PyObject *close_arguments(Arguments *arguments, PyObject *result) {

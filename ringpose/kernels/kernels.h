@@ -1,7 +1,9 @@
-/* Growing lists, and vectorised loops. */
+/* Growing lists, vectorised loops, and records of parameters. */
 #ifndef RINGPOSE_KERNELS_H
 #define RINGPOSE_KERNELS_H
 
+#include <float.h>
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -36,5 +38,45 @@ static inline void release(List *list) {
     list->data = NULL;
     list->used = list->capacity = 0;
 }
+
+/* Records of parameters have one definition here, a list FIELDS(REAL, COUNT) of `REAL(name, lowest, highest)` and
+   `COUNT(name, lowest, highest)`: the members of the struct, of 8 bytes each, and the attributes of the data class in
+   Python, floats and ints. Records cross the border by these names (arguments.h). */
+#define REAL_MEMBER(name, ...) double name;
+#define COUNT_MEMBER(name, ...) int64_t name;
+#define RECORD_STRUCT(type, FIELDS) typedef struct { FIELDS(REAL_MEMBER, COUNT_MEMBER) } type
+
+/* Limits: any finite number, none below 0, only positive ones. */
+#define FINITE -DBL_MAX, DBL_MAX
+#define NOT_NEGATIVE 0, DBL_MAX
+#define POSITIVE DBL_MIN, DBL_MAX
+
+typedef struct {
+    const char *name;
+    int is_count;
+    double lowest, highest; /* limits of its values */
+} Field;
+
+/* What an argument may be: elements of an array, a number, or a record. `type` is that of Python's module struct for
+   elements, and the first letter of the kind for others. */
+typedef struct {
+    char type;
+    const char *name;   /* of a record's data class */
+    const Field *field; /* of a record */
+    void **key;         /* the fields' names as Python's strings */
+    int count;          /* of the fields */
+} Kind;
+
+/* Defines the kind of a record. */
+#define REAL_FIELD(name, ...) {#name, 0, __VA_ARGS__},
+#define COUNT_FIELD(name, ...) {#name, 1, __VA_ARGS__},
+#define RECORD(type_, FIELDS)                                                          \
+    static const Field type_##_fields[] = {FIELDS(REAL_FIELD, COUNT_FIELD)};           \
+    static void *type_##_keys[sizeof type_##_fields / sizeof *type_##_fields];         \
+    const Kind type_##_record = {.type = 'P',                                          \
+                                 .name = #type_,                                       \
+                                 .field = type_##_fields,                              \
+                                 .key = type_##_keys,                                  \
+                                 .count = sizeof type_##_fields / sizeof *type_##_fields}
 
 #endif

@@ -5,6 +5,8 @@
 
 #include "kernels.h"
 
+RECORD(Lens, LENS);
+
 enum { MAX_STEPS = 20, CHUNK = 64 };
 #define CLOSE 1e-5 /* normalised; Newton's next step would move by its square: 1e-7 px */
 

@@ -4,10 +4,14 @@
 
 #include <stddef.h>
 
-typedef struct {
-    double fx, fy, cx, cy;
-    double k1, k2, p1, p2, k3, k4, k5, k6; /* OpenCV's distortion; k4 to k6 are 0 for plumb_bob */
-} Lens;
+#include "kernels.h"
+
+#define LENS(REAL, COUNT)                                                                                           \
+    REAL(fx, POSITIVE) REAL(fy, POSITIVE) REAL(cx, FINITE) REAL(cy, FINITE) /* pixels */                            \
+    REAL(k1, FINITE) REAL(k2, FINITE) REAL(p1, FINITE) REAL(p2, FINITE)     /* OpenCV's distortion; k4 to k6 are */ \
+    REAL(k3, FINITE) REAL(k4, FINITE) REAL(k5, FINITE) REAL(k6, FINITE)     /* 0 for plumb_bob */
+RECORD_STRUCT(Lens, LENS);
+extern const Kind Lens_record;
 
 /* Distorted to undistorted pixels, n of them, in place; `x` and `y` run along stripes. */
 void undistort(const Lens *lens, double *x, double *y, size_t n);

@@ -29,9 +29,30 @@ KERNELS(PROTOTYPE)
 
 static PyMethodDef methods[] = {KERNELS(METHOD){NULL, NULL, 0, NULL}};
 
+/* The records of parameters (kernels.h), each defined beside the loops that it is for. */
+#define RECORDS(RECORD)                                                                                             \
+    RECORD(Lens) RECORD(StripeParams) RECORD(TrackParams) RECORD(UnionParams) RECORD(CandidateParams)               \
+    RECORD(RingParams) RECORD(EndParams) RECORD(PlaceParams) RECORD(ProfileParams) RECORD(StepParams)               \
+    RECORD(SceneLight)
+
+#define DECLARATION(type) extern const Kind type##_record;
+#define ADDRESS(type) &type##_record,
+
+RECORDS(DECLARATION)
+
+static const Kind *const records[] = {RECORDS(ADDRESS)};
+
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", NULL, -1, methods, NULL, NULL, NULL, NULL};
 
 PyMODINIT_FUNC PyInit__kernels(void) {
     fill_normal_cdf();
-    return PyModule_Create(&definition);
+    PyObject *module = PyModule_Create(&definition);
+    PyObject *declared = module ? declared_records(records, sizeof records / sizeof *records) : NULL;
+    if (declared && PyModule_AddObjectRef(module, "RECORDS", declared) == 0) {
+        Py_DECREF(declared);
+        return module;
+    }
+    Py_XDECREF(declared);
+    Py_XDECREF(module);
+    return NULL;
 }

@@ -116,31 +116,41 @@ def caster_view(
         poses=np.array([[*each.rotation.ravel(), *each.translation_m] for each in illuminated.during]),
         lamps=np.column_stack([lamps, _LAMP_SHARPNESS, _LAMP_SHARES]),
         lasers=np.column_stack([planes.normal, planes.distance_m, planes.projector_m, _fan_axes(planes), on]),
-        light=(
-            light.ambient_w_m2, *_sky_numbers(light),
-            laser.power_w, laser.sigma_m, laser.divergence_rad, laser.fan_rad, angle_per_px,
+        light=render.SceneLight(
+            ambient_w_m2=light.ambient_w_m2,
+            **_sky(light),
+            power_w=laser.power_w,
+            sigma_m=laser.sigma_m,
+            divergence_rad=laser.divergence_rad,
+            fan_rad=laser.fan_rad,
+            angle_per_px=angle_per_px,
         ),
         xy=xy,
         per_px=per_px,
         width=width,
-    )  # fmt: skip
+    )
 
 
-def _sky_numbers(light: Light) -> list[float]:
-    """Irradiance, direction and angular radius of sun and Earth, then the Earth's lit direction and its radiance."""
+def _sky(light: Light) -> dict[str, float]:
+    """Irradiance, direction and angular radius of sun and Earth, the Earth's lit direction and its radiance."""
     sun = light.sun_direction / np.linalg.norm(light.sun_direction)
-    of_sun = [light.sun_w_m2, *sun.tolist(), light.sun_diameter_rad / 2]
+    sky = {"sun_w_m2": light.sun_w_m2, "sun_radius_rad": light.sun_diameter_rad / 2} | _components("sun", sun)
     if light.earth is None or light.sun_w_m2 == 0.0:
-        return of_sun + 9 * [0.0]
+        return sky
     earth = light.earth.direction / np.linalg.norm(light.earth.direction)
-    return [
-        *of_sun,
-        earthshine_w_m2(light.earth, light.sun_w_m2, light.sun_direction),
-        *earth.tolist(),
-        light.earth.angular_radius_rad,
-        *_lit_direction(light.earth, earth, sun).tolist(),
-        light.earth.albedo * light.sun_w_m2 / np.pi,
-    ]
+    return {
+        **sky,
+        **_components("earth", earth),
+        **_components("lit", _lit_direction(light.earth, earth, sun)),
+        "earth_w_m2": earthshine_w_m2(light.earth, light.sun_w_m2, light.sun_direction),
+        "earth_radius_rad": light.earth.angular_radius_rad,
+        "earth_radiance": light.earth.albedo * light.sun_w_m2 / np.pi,
+    }
+
+
+def _components(name: str, direction: Float64[Array, "xyz=3"]) -> dict[str, float]:
+    """The components of a direction by names like sun_x."""
+    return dict(zip((f"{name}_x", f"{name}_y", f"{name}_z"), direction.tolist(), strict=True))
 
 
 def earthshine_w_m2(earth: Earth, sun_w_m2: float, sun_direction: Float64[Array, "xyz=3"]) -> float:

@@ -1,9 +1,17 @@
 """The C kernels refuse what they cannot read, and never reach outside an array."""
 
+import math
+from dataclasses import fields, is_dataclass, make_dataclass, replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from ringpose.kernels import _kernels
+from ringpose.detect.edge_search import PlaceParams, ProfileParams, StepParams
+from ringpose.detect.stripes import StripeParams
+from ringpose.kernels import _kernels, kernel_record
+from ringpose.kernels.ends import EndParams
+from ringpose.kernels.lines import CandidateParams, Lens, RingParams, TrackParams, UnionParams
 
 IMAGE = np.zeros((8, 9), np.uint8)
 MAGNITUDE = np.zeros((8, 9), np.int16)
@@ -17,12 +25,20 @@ FAR_CORNERS = np.array([[-(2**31), 2**31 - 1], [2**31 - 1, -(2**31)]] * 3, np.in
 
 
 MASK = np.zeros((5, 9), np.bool_)
-LENS = (900.0, 900.0, 400.0, 300.0, *[0.0] * 8)
+LENS = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0)
+PLACES = PlaceParams(image_width=100, image_height=90)
+PROFILES = ProfileParams(reach_px=2, inside_px=2, outside_px=2, saturation_dn=255)
+STRIPES = StripeParams(min_response=0.2, coarse_per_response=5.0, full_dn=255)
+RING = RingParams(focal_x=900.0, focal_y=900.0, principal_x=400.0, principal_y=300.0, image_height=90)
 TRACKS = np.zeros((2, 11))
 
 
 def numbers(*shape):
     return np.ones(shape)
+
+
+def vars_of(record):
+    return {each.name: getattr(record, each.name) for each in fields(record)}
 
 
 CALLS = {
@@ -37,7 +53,7 @@ CALLS = {
         np.zeros((1, 4), np.int32),
         np.ones((2, 2, 5), np.float32),
         numbers(2, 4),
-        (0.2, 5.0, 255.0, 6.0, 4.0, 2.0, 8.0),
+        STRIPES,
     ),
     "tracks": (
         numbers(3, 2),
@@ -45,10 +61,10 @@ CALLS = {
         np.zeros(3, np.int64),
         np.zeros(1, np.int64),
         LENS,
-        (800.0, 3.0, 0.6, 0.5, 1.25, 2.5, 10.0, 40.0),
+        TrackParams(image_width=800, border_px=3.0),
     ),
-    "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
-    "ends": (((IMAGE, IMAGE, numbers(2, 5)),), LENS, (1.0,) * 16),
+    "faces": (TRACKS, 7, numbers(3, 3), UnionParams(), CandidateParams(), RING),
+    "ends": (((IMAGE, IMAGE, numbers(2, 5)),), LENS, EndParams(saturation_dn=255)),
     "edge_places": (
         numbers(5, 3),
         numbers(5, 3),
@@ -58,13 +74,13 @@ CALLS = {
         numbers(7, 5),
         np.zeros((7, 7)),
         LENS,
-        (100.0, 90.0, 1.3, 1.0, 8.0, 0.3, 1e-4),
+        PLACES,
     ),
     "edge_profiles": (
         IMAGE,
         numbers(5, 2),
         numbers(5, 2),
-        (2.0, 2.0, 2.0, 4.0, 0.3, 9.0, 255.0),
+        PROFILES,
         numbers(5, 9),
         MASK.copy(),
         numbers(5),
@@ -77,18 +93,13 @@ CALLS = {
         numbers(4),
         numbers(4),
         numbers(3, 9, 4),
-        (1e-9, 3.0, 0.25, 9.0),
+        StepParams(),
     ),
 }
 """Arguments that each kernel takes."""
 
 ARRAYS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, np.ndarray)]
-TUPLES = [
-    (name, i)
-    for name, call in CALLS.items()
-    for i, each in enumerate(call)
-    if isinstance(each, tuple) and (name, i) != ("ends", 0)
-]
+RECORDS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if is_dataclass(each)]
 FILLED = [("gradient", 3), ("chains", 0), *(("edge_profiles", i) for i in (4, 5))]
 
 
@@ -145,13 +156,31 @@ def test_extents_that_do_not_fit_the_other_arrays_are_a_value_error(name, i):
     assert refused == array.ndim or (name, i) in free
 
 
-@pytest.mark.parametrize(("name", "i"), TUPLES)
-def test_parameters_of_another_length_or_not_numbers_are_rejected(name, i):
-    for changed in (CALLS[name][i][:-1], list(CALLS[name][i]), 3.0):
-        with pytest.raises(ValueError, match="must be a tuple"):
-            call(name, i, changed)
-    with pytest.raises(TypeError):
-        call(name, i, ("x", *CALLS[name][i][1:]))
+@pytest.mark.parametrize(("name", "i"), RECORDS)
+def test_records_are_read_by_the_names_of_their_numbers(name, i):
+    numbers = vars_of(CALLS[name][i])
+    reversed_order = SimpleNamespace(**dict(reversed(numbers.items())))
+
+    call(name, i, reversed_order)
+
+    for number, value in numbers.items():
+        for changed in ("x", None, *([value + 0.5] if isinstance(value, int) else [])):
+            with pytest.raises(TypeError, match=f"{number} of a {type(CALLS[name][i]).__name__} must be"):
+                call(name, i, SimpleNamespace(**{**numbers, number: changed}))
+        with pytest.raises(ValueError, match=f"{number}: is nan" if isinstance(value, float) else f"{number}: is -1"):
+            call(name, i, SimpleNamespace(**{**numbers, number: math.nan if isinstance(value, float) else -1}))
+        with pytest.raises(TypeError, match=number):
+            call(name, i, SimpleNamespace(**{other: numbers[other] for other in numbers if other != number}))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("spacing_px", int), ("spacing_pixels", float)])
+def test_a_data_class_that_differs_from_its_c_struct_is_a_type_error(name, kind):
+    numbers = [(each.name, each.type) for each in fields(StepParams) if each.name != "spacing_px"]
+
+    with pytest.raises(TypeError, match=rf"StepParams: differs from the C struct in .*\b{name}"):
+        kernel_record(make_dataclass("StepParams", [*numbers, (name, kind)]))
+
+    assert kernel_record(make_dataclass("StepParams", [("spacing_px", float), *numbers]))
 
 
 @pytest.mark.parametrize(("name", "i"), FILLED)
@@ -161,12 +190,12 @@ def test_an_array_that_cannot_be_filled_is_a_value_error(name, i):
 
 
 def changed(array, place, value):
-    copy = array.copy() if isinstance(array, np.ndarray) else list(array)
+    copy = array.copy()
     copy[place] = value
-    return copy if isinstance(array, np.ndarray) else tuple(copy)
+    return copy
 
 
-FIGURES, STRIPE_PARAMS = CALLS["stripes"][4], CALLS["stripes"][5]
+FIGURES = CALLS["stripes"][4]
 OUT_OF_RANGE = {
     "image without pixels": [
         (name, 0, np.zeros(shape, np.uint8), r"2\^31|extent")
@@ -189,8 +218,16 @@ OUT_OF_RANGE = {
         for figure, value in ((0, 0.0), (0, np.nan), (1, 0.0), (1, 41.0), (1, np.nan), (1, 5.0), (2, -1.0))
     ],
     "stripe parameter": [
-        ("stripes", 5, changed(STRIPE_PARAMS, number, value), "params")
-        for number, value in ((3, -1.0), (4, np.nan), (0, 0.0), (1, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0))
+        ("stripes", 5, replace(STRIPES, **{number: value}), f"params.{number}: is")
+        for number, value in (
+            ("begin_sigmas", -1.0),
+            ("continue_sigmas", math.nan),
+            ("min_response", 0.0),
+            ("coarse_per_response", -1.0),
+            ("gap", -1),
+            ("gap", 1001),
+            ("shortest", 0),
+        )
     ],
     "anchor threshold": [("gradient", 2, upper, "upper") for upper in (0, -1, 32768, 10**9)],
     "bits": [("gradient", 1, bits, "bits") for bits in (7, 17, 10**9)],
@@ -222,7 +259,7 @@ def test_a_single_filter_is_a_value_error():
     taps, filters = np.ones((1, 2, 5), np.float32), numbers(1, 4)
 
     with pytest.raises(ValueError, match="filters"):
-        _kernels.stripes(IMAGE, None, None, taps, filters, STRIPE_PARAMS)
+        _kernels.stripes(IMAGE, None, None, taps, filters, STRIPES)
 
 
 def test_an_image_of_more_pixels_than_an_index_can_count_is_a_value_error():

@@ -1,6 +1,7 @@
 """Ends of stripes: the kernel finds the ends that were drawn, and its sigmas are those of the errors."""
 
 import math
+from dataclasses import astuple, replace
 
 import cv2
 import numpy as np
@@ -10,8 +11,8 @@ from ringpose.kernels.ends import EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import Lens
 
 RULES = EndParams(saturation_dn=255)
-STRAIGHT = Lens(900.0, 900.0, 160.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-BENT = Lens(300.0, 300.0, 160.0, 60.0, -0.1, 0.02, 0.001, -0.001, 0.0)
+STRAIGHT = Lens(fx=900.0, fy=900.0, cx=160.0, cy=60.0)
+BENT = Lens(fx=300.0, fy=300.0, cx=160.0, cy=60.0, k1=-0.1, k2=0.02, p1=0.001, p2=-0.001)
 SIGMA = 3
 LINE = np.array([[150.0, 60.31, 0.02, 100.0, 200.0]])
 
@@ -56,7 +57,7 @@ def test_ends_of_a_stripe_that_the_lens_bends_lie_on_the_bent_line(rng):
     straight = np.stack([np.linspace(10, 310, 900), np.full(900, 20.0)], axis=-1)
     rays = np.column_stack([(straight - [BENT.cx, BENT.cy]) / [BENT.fx, BENT.fy], np.ones(900)])
     matrix = np.array([[BENT.fx, 0, BENT.cx], [0, BENT.fy, BENT.cy], [0, 0, 1]])
-    bent = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, np.array(BENT[4:9]))[0].reshape(-1, 2)
+    bent = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, np.array(astuple(BENT)[4:9]))[0].reshape(-1, 2)
     y = np.interp(np.arange(320.0), *bent.T)
     along = 150 * np.array([0.25 * math.erfc((100.3 - k) / 1.4) * math.erfc((k - 199.6) / 1.4) for k in range(320)])
     lit = image(10 + along * np.exp(-0.5 * ((np.arange(120.0)[:, None] - y) / 1.6) ** 2), rng, 1.5)
@@ -110,7 +111,7 @@ def test_saturation_does_not_move_an_end_outward(peak):
 def test_sixteen_bits_are_read():
     lit = image(drawn(100.0, 200.0, peak=3000.0, ambient=100.0), dtype=np.uint16)
 
-    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES._replace(saturation_dn=4095.0))[0]
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, replace(RULES, saturation_dn=4095))[0]
 
     assert found[:, 0] == pytest.approx([100.0, 200.0], abs=0.03)
 
@@ -207,7 +208,7 @@ def test_where_an_end_may_as_well_lie_elsewhere_both_places_are_within_three_sig
 def test_ends_where_all_is_saturated_have_a_sigma_that_says_so():
     lit = image(drawn(100.3, 199.6, ambient=40.0))
 
-    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, RULES._replace(saturation_dn=30.0))[0]
+    found = stripe_ends([LitLines(lit, None, LINE)], STRAIGHT, replace(RULES, saturation_dn=30))[0]
 
     assert np.all(np.isfinite(found[:, 0]))
     assert np.all(found[:, SIGMA] > 3.0)

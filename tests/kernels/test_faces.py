@@ -1,5 +1,6 @@
 """The kernel that looks for the ring's face among tracks."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +20,13 @@ class Rules(NamedTuple):
     candidates: CandidateParams = CandidateParams()
 
 
-RULES = Rules(RingParams(focal_x=1781.0, focal_y=1780.0, principal_x=803.0, principal_y=596.0, image_height=1200.0))
+RULES = Rules(RingParams(focal_x=1781.0, focal_y=1780.0, principal_x=803.0, principal_y=596.0, image_height=1200))
 ANY = 0b111
 
 
 def with_rules(**changed):
     """The rules with some changed."""
-    parts = [part._replace(**{k: v for k, v in changed.items() if k in part._fields}) for part in RULES]
+    parts = [replace(part, **{k: v for k, v in changed.items() if hasattr(part, k)}) for part in RULES]
     return Rules(*parts)
 
 
@@ -84,7 +85,7 @@ def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
     moved = ends.copy()
     moved[:, 0] += 0.03 * (ends[:, 1] - ends[:, 0]) * np.array([[1.0], [-1.0], [2.0]])
     left_x = (moved[:, 0, 0].max() - params.ring.principal_x) / params.ring.focal_x + 1e-3
-    cut = params._replace(ring=params.ring._replace(left_x=float(left_x)))
+    cut = params._replace(ring=replace(params.ring, left_x=float(left_x)))
 
     exact = exact_score(tracks_between(ends[:, 0], ends[:, 1]), params)
     found = exact_score(tracks_between(moved[:, 0], moved[:, 1]), cut)
@@ -104,7 +105,7 @@ def test_the_true_ring_wins_under_its_true_labels(rng):
 @pytest.mark.parametrize("seed", range(8))
 def test_more_tracks_never_lower_the_best_score(seed):
     tracks, params = crowd(np.random.default_rng(seed), 9), with_rules(**rules_of(drawn_rig()))
-    params = params._replace(candidates=params.candidates._replace(most=100.0))
+    params = params._replace(candidates=replace(params.candidates, max_candidates=100))
 
     scores = [exact_score(tracks[:count], params) for count in (4, 7, 10, len(tracks))]
 
@@ -246,9 +247,11 @@ def test_a_laser_beyond_the_rig_is_rejected(rng, laser):
         ring_faces(tracks, ANY, planes(), *RULES)
 
 
-@pytest.mark.parametrize("wrong", [{"most": 0.0}, {"most": 1e9}, {"most": np.nan}, {"rounds": 100.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"max_candidates": 0}, {"max_candidates": 10**9}, {"max_gap": np.nan}, {"rounds": 100}]
+)
 def test_parameters_out_of_range_are_a_value_error(rng, wrong):
-    with pytest.raises(ValueError, match="params"):
+    with pytest.raises(ValueError, match=f"{next(iter(wrong))}: is"):
         ring_faces(crowd(rng, 4), ANY, planes(), *with_rules(**wrong))
 
 

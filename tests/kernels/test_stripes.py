@@ -1,5 +1,7 @@
 """Stripe centres against the zero of a Gaussian derivative, known sections and symmetries."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, stripe_rig, switched_frames
@@ -8,8 +10,8 @@ from scipy.ndimage import gaussian_filter1d
 from ringpose.detect.stripes import StripeParams, stripe_centers, stripe_filters
 
 FILTERS = stripe_filters(2.5)
-RULES = StripeParams(min_response=0.18, coarse_per_response=540.0, full_dn=255.0)
-WEAK_RULES = RULES._replace(begin_sigmas=1.5, continue_sigmas=1.0, min_response=0.01, coarse_per_response=0.0)
+RULES = StripeParams(min_response=0.18, coarse_per_response=540.0, full_dn=255)
+WEAK_RULES = replace(RULES, begin_sigmas=1.5, continue_sigmas=1.0, min_response=0.01, coarse_per_response=0.0)
 """Under these noise is full of pieces."""
 
 SEVENTH_RIG = stripe_rig(1 / 3.5)
@@ -49,7 +51,7 @@ def test_centres_are_zeros_of_the_slope_under_a_filter_somewhat_wider_than_the_s
 def test_centres_have_no_bias_and_scatter_no_more_than_reported_under_any_ridge_filter(sigma, filter_sigma, rng):
     image, truth = drawn(sigma, rng, noise=3.0)
 
-    found = stripe_centers(image, None, None, stripe_filters(filter_sigma), RULES._replace(coarse_per_response=5.0))
+    found = stripe_centers(image, None, None, stripe_filters(filter_sigma), replace(RULES, coarse_per_response=5.0))
 
     error_px = found.position_px[:, 1] - truth[found.position_px[:, 0].astype(int)]
     assert len(error_px) > 190
@@ -86,7 +88,7 @@ def test_centres_before_a_dark_frame_are_those_of_the_difference(dtype, rng):
 @pytest.mark.parametrize("kind", [Kind.DARK, Kind.FOIL, Kind.SPECKLE])
 def test_sixteen_bits_of_the_same_light_give_the_same_centres(kind):
     image = switched_frames(kind, 1, SEVENTH_RIG)[0].image
-    wide = RULES._replace(full_dn=255.0 * 257, min_response=RULES.min_response * 257)
+    wide = replace(RULES, full_dn=255 * 257, min_response=RULES.min_response * 257)
 
     eight, sixteen = (
         stripe_centers(image, None, None, FILTERS, RULES),
@@ -131,7 +133,7 @@ def test_a_part_of_an_image_has_the_centres_that_the_image_has_there(shape, move
 def test_pieces_of_noise_ascend_column_by_column(dtype, gap, shortest, rng):
     image = rng.integers(0, np.iinfo(dtype).max, (160, 150), dtype, endpoint=True)
 
-    found = stripe_centers(image, None, None, FILTERS, WEAK_RULES._replace(gap=gap, shortest=shortest))
+    found = stripe_centers(image, None, None, FILTERS, replace(WEAK_RULES, gap=gap, shortest=shortest))
 
     assert (np.diff(found.piece) >= 0).all()
     assert np.isfinite(found.position_px).all()
@@ -174,7 +176,7 @@ def test_images_of_one_value_have_no_stripe(shape, value):
 
 @pytest.mark.parametrize("shape", [(1, 50), (2, 50), (3, 40), (5, 300), (50, 1)])
 def test_centres_of_few_rows_or_columns_lie_in_the_image(shape, rng):
-    found = stripe_centers(rng.integers(0, 256, shape, np.uint8), None, None, FILTERS, WEAK_RULES._replace(shortest=1))
+    found = stripe_centers(rng.integers(0, 256, shape, np.uint8), None, None, FILTERS, replace(WEAK_RULES, shortest=1))
 
     assert ((found.position_px >= -0.5) & (found.position_px <= np.array(shape[::-1]) - 0.5)).all()
 

@@ -1,5 +1,7 @@
 """Straight tracks: the kernel finds the lines that were drawn."""
 
+from dataclasses import astuple, replace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,8 +10,8 @@ from ringpose.detect.stripes import straight_segments
 from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
 
 RULES = TrackParams(image_width=800, border_px=3.0)
-STRAIGHT = Lens(900.0, 900.0, 400.0, 300.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-BENT = Lens(900.0, 905.0, 400.0, 300.0, -0.2, 0.1, 0.001, -0.002, 0.03, 0.01, 0.002, 0.0)
+STRAIGHT = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0)
+BENT = Lens(fx=900.0, fy=905.0, cx=400.0, cy=300.0, k1=-0.2, k2=0.1, p1=0.001, p2=-0.002, k3=0.03, k4=0.01, k5=0.002)
 
 
 def line(x, y, laser=-1):
@@ -25,7 +27,7 @@ def columns(rows, name):
 @pytest.mark.parametrize("wrong", [{"min_columns": 3}, {"image_width": 0}, {"max_lag": -1}, {"kink_px": np.nan}])
 def test_parameters_out_of_range_are_a_value_error(wrong):
     with pytest.raises(ValueError, match="params"):
-        straight_segments(*line(np.arange(100, 300), np.zeros(200)), STRAIGHT, RULES._replace(**wrong))
+        straight_segments(*line(np.arange(100, 300), np.zeros(200)), STRAIGHT, replace(RULES, **wrong))
 
 
 def test_a_drawn_line_comes_back():
@@ -115,7 +117,7 @@ def test_distortion_is_undone():
     rays = np.column_stack([(x - 400) / 900, np.full(400, 0.25), np.ones(400)])
 
     matrix = np.array([[900.0, 0, 400], [0, 905.0, 300], [0, 0, 1]])
-    coefficients = np.array(BENT[4:])
+    coefficients = np.array(astuple(BENT)[4:])
     bent = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, coefficients)[0].reshape(-1, 2)
 
     rows = straight_segments(bent, np.full(400, 0.1), np.zeros(400, np.int64), np.zeros(1, np.int64), BENT, RULES)

@@ -9,12 +9,16 @@
 
 enum { STEP = 7, AXES = 3 };
 
-typedef struct {
-    double width, height;    /* of the image */
-    double sigma, max_sigma; /* largest predicted sigma across the edge: pixels, and metres before the image is known */
-    double margin, wider;    /* distance from the image border; bound of the distortion, share of the image size */
-    double nudge;            /* metres */
-} PlaceParams;
+#define PLACE_PARAMS(REAL, COUNT)                                                                                   \
+    COUNT(image_width, 1, INT32_MAX)                                                                                \
+    COUNT(image_height, 1, INT32_MAX)                                                                               \
+    REAL(sigma_px, 0, INFINITY)                                                                                     \
+    REAL(max_sigma_m, 0, INFINITY)                                                                                  \
+    REAL(margin_px, NOT_NEGATIVE)                                                                                   \
+    REAL(wider, NOT_NEGATIVE)                                                                                       \
+    REAL(nudge_m, POSITIVE)
+RECORD_STRUCT(PlaceParams, PLACE_PARAMS);
+RECORD(PlaceParams, PLACE_PARAMS);
 
 /* What the ring's model (geometry/ring.py) predicts: points on edges, unit vectors off the face there, the edge's sign
    and a number, the normals of the face (one for each point, or one for all), and the derivatives of the distance from
@@ -85,32 +89,32 @@ static int within(double value, double size, double wider) { return value > -wid
 static int see_place(const Predicted *predicted, size_t i, const double *covariance, const Lens *lens,
                      const PlaceParams *params, Place *place) {
     double at[2];
-    if (!project(lens, predicted->point[i], at) || !within(at[0], params->width, params->wider * params->width) ||
-        !within(at[1], params->height, params->wider * params->height))
+    if (!project(lens, predicted->point[i], at) || !within(at[0], params->image_width, params->wider * params->image_width) ||
+        !within(at[1], params->image_height, params->wider * params->image_height))
         return 0;
     const double sigma = predicted->wrt_step ? predicted_sigma(predicted, i, covariance) : 0;
-    if (!(sigma <= params->max_sigma)) return 0;
+    if (!(sigma <= params->max_sigma_m)) return 0;
     memcpy(place->point, predicted->point[i], sizeof place->point);
     memcpy(place->off_face, predicted->off_face[i], sizeof place->off_face);
     place->sign = predicted->sign[i];
     place->number = predicted->number[i];
-    if (!image_place(predicted->normal[predicted->normals > 1 ? i : 0], lens, params->nudge, place)) return 0;
-    return sigma <= params->sigma * place->metres_per_px &&
-           within(place->position[0], params->width - 1, -params->margin) &&
-           within(place->position[1], params->height - 1, -params->margin);
+    if (!image_place(predicted->normal[predicted->normals > 1 ? i : 0], lens, params->nudge_m, place)) return 0;
+    return sigma <= params->sigma_px * place->metres_per_px &&
+           within(place->position[0], params->image_width - 1, -params->margin_px) &&
+           within(place->position[1], params->image_height - 1, -params->margin_px);
 }
 
 PyObject *call_edge_places(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"point", 'd', {N, AXES}},
-                                          {"off_face", 'd', {N, AXES}},
-                                          {"sign", 'd', {N}},
-                                          {"number", 'd', {N}},
-                                          {"normal", 'd', {ANY, AXES}},
-                                          {"?wrt_step", 'd', {STEP, N}},
-                                          {"?covariance", 'd', {STEP, STEP}},
-                                          {"lens", 'T', {NUMBERS(Lens)}},
-                                          {"params", 'T', {NUMBERS(PlaceParams)}}};
+    static const Parameter parameter[] = {{"point", FLOAT64, {N, AXES}},
+                                          {"off_face", FLOAT64, {N, AXES}},
+                                          {"sign", FLOAT64, {N}},
+                                          {"number", FLOAT64, {N}},
+                                          {"normal", FLOAT64, {ANY, AXES}},
+                                          {"?wrt_step", FLOAT64, {STEP, N}},
+                                          {"?covariance", FLOAT64, {STEP, STEP}},
+                                          {"lens", &Lens_record, {0}},
+                                          {"params", &PlaceParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const size_t count = (size_t)a.view[0].shape[0], normals = (size_t)a.view[4].shape[0];

@@ -17,10 +17,16 @@ typedef struct {
     int wide;             /* uint16_t instead of uint8_t */
 } EdgePicture;
 
-typedef struct {
-    double reach, inside, outside, along; /* pixels */
-    double noise, pooled, saturation;
-} ProfileParams;
+#define PROFILE_PARAMS(REAL, COUNT)                                                                                 \
+    COUNT(reach_px, 0, INT32_MAX)                                                                                   \
+    COUNT(inside_px, 2, INT32_MAX)                                                                                  \
+    COUNT(outside_px, 0, INT32_MAX)                                                                                 \
+    COUNT(along_px, 1, INT32_MAX)                                                                                   \
+    REAL(noise_dn, NOT_NEGATIVE)                                                                                    \
+    COUNT(pooled, 1, INT32_MAX)                                                                                     \
+    COUNT(saturation_dn, 1, UINT16_MAX)
+RECORD_STRUCT(ProfileParams, PROFILE_PARAMS);
+RECORD(ProfileParams, PROFILE_PARAMS);
 
 typedef struct {
     double *value, *noise;
@@ -34,9 +40,13 @@ typedef struct {
     size_t places;
 } Templates;
 
-typedef struct {
-    double flat, touched, spacing, pooled;
-} StepParams;
+#define STEP_PARAMS(REAL, COUNT)                                                                                    \
+    REAL(flat, NOT_NEGATIVE)                                                                                        \
+    REAL(touched_px, NOT_NEGATIVE)                                                                                  \
+    REAL(spacing_px, POSITIVE)                                                                                      \
+    COUNT(pooled, 1, INT32_MAX)
+RECORD_STRUCT(StepParams, STEP_PARAMS);
+RECORD(StepParams, STEP_PARAMS);
 
 typedef struct {
     double offset, sigma, height, height_dn, cost;
@@ -46,13 +56,13 @@ typedef struct {
 typedef struct {
     int wide;  /* elements of 16 bits */
     int inner; /* none lies at the image's border or beyond */
-} Kind;
+} SampleKind;
 
 /* NaN becomes 0. */
 static double clamped(double value, double maximum) { return !(value > 0) ? 0 : value > maximum ? maximum : value; }
 
 /* Bilinear interpolation; the border is replicated. */
-static inline double between(const EdgePicture *picture, const Kind kind, double x, double y) {
+static inline double between(const EdgePicture *picture, const SampleKind kind, double x, double y) {
     const size_t width = picture->width;
     if (!kind.inner) {
         x = clamped(x, picture->right);
@@ -90,13 +100,13 @@ static int pool(double *values, size_t count, size_t window) {
 }
 
 /* Mean values of one profile, and which samples are saturated. */
-static inline void take_samples(const EdgePicture *picture, const Kind kind, const double place[2],
+static inline void take_samples(const EdgePicture *picture, const SampleKind kind, const double place[2],
                                 const double normal[2], const ProfileParams *params, double *value, uint8_t *saturated,
                                 size_t samples) {
-    const int along = (int)params->along;
-    const double hiding = params->saturation - 0.5;
+    const int along = (int)params->along_px;
+    const double hiding = params->saturation_dn - 0.5;
     for (size_t s = 0; s < samples; s++) {
-        const double across = (double)s - params->reach - params->inside;
+        const double across = (double)s - params->reach_px - params->inside_px;
         const double x = place[0] + across * normal[0], y = place[1] + across * normal[1];
         double sum = 0;
         int hidden = 0;
@@ -114,15 +124,15 @@ static inline void take_samples(const EdgePicture *picture, const Kind kind, con
 VECTOR_LOOP
 static void take_profile(const EdgePicture *picture, const double place[2], const double normal[2],
                          const ProfileParams *params, double *value, uint8_t *saturated, size_t samples) {
-    const double reach = params->reach + params->inside + params->outside + params->along;
+    const double reach = params->reach_px + params->inside_px + params->outside_px + params->along_px;
     const int inner = place[0] > reach && place[0] < picture->right - reach && place[1] > reach &&
                       place[1] < picture->bottom - reach && fabs(normal[0]) < 1.01 && fabs(normal[1]) < 1.01;
     if (picture->wide)
-        take_samples(picture, (Kind){1, 0}, place, normal, params, value, saturated, samples);
+        take_samples(picture, (SampleKind){1, 0}, place, normal, params, value, saturated, samples);
     else if (inner)
-        take_samples(picture, (Kind){0, 1}, place, normal, params, value, saturated, samples);
+        take_samples(picture, (SampleKind){0, 1}, place, normal, params, value, saturated, samples);
     else
-        take_samples(picture, (Kind){0, 0}, place, normal, params, value, saturated, samples);
+        take_samples(picture, (SampleKind){0, 0}, place, normal, params, value, saturated, samples);
 }
 
 /* Subtracts the mean of the first values from all; returns the variance of the first ones. */
@@ -143,11 +153,11 @@ static int edge_profiles(const EdgePicture *picture, const double *place, const 
     for (size_t i = 0; i < profiles->count; i++) {
         double *value = profiles->value + i * samples;
         take_profile(picture, place + 2 * i, normal + 2 * i, params, value, profiles->saturated + i * samples, samples);
-        profiles->noise[i] = level(value, samples, (size_t)params->inside);
+        profiles->noise[i] = level(value, samples, (size_t)params->inside_px);
     }
     if (!pool(profiles->noise, profiles->count, (size_t)params->pooled)) return 0;
     for (size_t i = 0; i < profiles->count; i++) {
-        profiles->noise[i] = sqrt(profiles->noise[i] + params->noise * params->noise / params->along);
+        profiles->noise[i] = sqrt(profiles->noise[i] + params->noise_dn * params->noise_dn / params->along_px);
         for (size_t s = 0; s < samples; s++) profiles->value[i * samples + s] /= profiles->noise[i];
     }
     return 1;
@@ -207,10 +217,10 @@ static EdgeStep most_likely_step(const Profiles *profiles, size_t i, const Templ
     const double left = cost[best - 1], minimum = cost[best], right = cost[best + 1];
     const double curvature = left - 2 * minimum + right;
     const int found = curvature > params->flat && minimum <= left && minimum <= right;
-    const double shift = found ? (left - right) / (2 * curvature) * params->spacing : 0;
+    const double shift = found ? (left - right) / (2 * curvature) * params->spacing_px : 0;
     const double offset = templates->place[best] + shift, size = fabs(height[best]);
-    const int hidden = !found || is_touched(profiles, i, templates, offset, params->touched);
-    return (EdgeStep){hidden ? NAN : offset, params->spacing * sqrt(2 / (found ? curvature : 1)), size,
+    const int hidden = !found || is_touched(profiles, i, templates, offset, params->touched_px);
+    return (EdgeStep){hidden ? NAN : offset, params->spacing_px * sqrt(2 / (found ? curvature : 1)), size,
                       size * profiles->noise[i] / templates->unit[best], minimum};
 }
 
@@ -235,18 +245,18 @@ static int edge_steps(const Profiles *profiles, const Templates *templates, cons
 
 PyObject *call_edge_profiles(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"image", 'I', {ANY, ANY}},
-                                          {"place", 'd', {N, 2}},
-                                          {"normal", 'd', {N, 2}},
-                                          {"params", 'T', {NUMBERS(ProfileParams)}},
-                                          {">value", 'd', {N, M}},
-                                          {">saturated", '?', {N, M}},
-                                          {">noise", 'd', {N}}};
+    static const Parameter parameter[] = {{"image", IMAGE, {ANY, ANY}},
+                                          {"place", FLOAT64, {N, 2}},
+                                          {"normal", FLOAT64, {N, 2}},
+                                          {"params", &ProfileParams_record, {0}},
+                                          {">value", FLOAT64, {N, M}},
+                                          {">saturated", BOOL, {N, M}},
+                                          {">noise", FLOAT64, {N}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const Py_buffer *image = &a.view[0], *value = &a.view[4];
     const ProfileParams *params = (const ProfileParams *)a.number[3];
-    if (!require(params->inside >= 2 && (double)value->shape[1] >= params->inside,
+    if (!require(value->shape[1] >= params->inside_px,
                  "value: must have more samples than lie inside"))
         return close_arguments(&a, NULL);
     Profiles profiles = {value->buf, a.view[6].buf, a.view[5].buf, (size_t)value->shape[0], (size_t)value->shape[1]};
@@ -262,9 +272,9 @@ PyObject *call_edge_profiles(PyObject *module, PyObject *tuple) {
 
 PyObject *call_edge_steps(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"value", 'd', {N, M}},  {"saturated", '?', {N, M}}, {"noise", 'd', {N}},
-                                          {"across", 'd', {M}},    {"place", 'd', {K}},        {"unit", 'd', {K}},
-                                          {"table", 'd', {3, M, K}}, {"params", 'T', {NUMBERS(StepParams)}}};
+    static const Parameter parameter[] = {{"value", FLOAT64, {N, M}},  {"saturated", BOOL, {N, M}}, {"noise", FLOAT64, {N}},
+                                          {"across", FLOAT64, {M}},    {"place", FLOAT64, {K}},        {"unit", FLOAT64, {K}},
+                                          {"table", FLOAT64, {3, M, K}}, {"params", &StepParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const size_t count = (size_t)a.view[0].shape[0], samples = (size_t)a.view[0].shape[1];

@@ -5,11 +5,12 @@ The sources are profile.c (intensity along the stripe), end_noise.c (noise model
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _kernels
+from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import INSIDE_COLUMNS, MIN_NOISE, OUTSIDE_COLUMNS, WIDTH_SPREAD
 from ringpose.types.arrays import Array, Float64, UInt
@@ -19,14 +20,16 @@ FACET_SIGMAS = 6.0
 across the stripe."""
 
 
-class EndParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndParams:
     """Parameters of the endpoint search. The face is the part of the stripe on the ring's rim."""
 
-    saturation_dn: float
-    beyond_columns: float = 40
+    saturation_dn: int
+    beyond_columns: int = 40
     """Columns beyond a track in which its end is searched."""
-    inside_columns: float = INSIDE_COLUMNS
-    outside_columns: float = OUTSIDE_COLUMNS
+    inside_columns: int = INSIDE_COLUMNS
+    outside_columns: int = OUTSIDE_COLUMNS
     flank_sigmas: float = 3.0
     """Half height of the evaluated window about the line, in sigmas of the cross-section."""
     flanks_share: float = 0.6

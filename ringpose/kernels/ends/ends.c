@@ -8,6 +8,8 @@
 #include "end_sigmas.h"
 #include "median.h"
 
+RECORD(EndParams, END_PARAMS);
+
 /* A row of the result. */
 typedef struct {
     double x, y, slope, sigma, outside, saturated, width, section_sigma, blunt, background;
@@ -57,7 +59,7 @@ static double clipped_error(const Columns *columns, const Edge *edge, const EndP
     for (int i = 0; i < columns->count; i++)
         if (columns->along[i] < edge->position) headroom[inside++] = columns->headroom[FULL][i];
     double visible = fmax(inside ? median(headroom, inside) : 1, params->min_headroom);
-    double excess = fmax(1 / fmin(visible, 1), columns->level / params->saturation);
+    double excess = fmax(1 / fmin(visible, 1), columns->level / params->saturation_dn);
     return params->clipped_shape * 0.55 * log(1 + excess) * edge->width;
 }
 
@@ -159,20 +161,19 @@ static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, Strip
 /* Appends the ends of the lines of one image, (lit, dark, lines), to the drafts; 0 and a Python exception if that fails. */
 static int draft_image(PyObject *image, const Lens *lens, const EndParams *params, List *drafts) {
     static const Parameter parameter[] = {
-        {"lit", 'I', {N, M}}, {"?dark", 'I', {N, M}}, {"lines", 'd', {ANY, NUMBERS(StripeLine)}}};
+        {"lit", IMAGE, {N, M}}, {"?=dark", IMAGE, {N, M}}, {"lines", FLOAT64, {ANY, NUMBERS(StripeLine)}}};
     Arguments a;
     if (!OPEN(image, parameter, &a)) return 0;
     const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL;
     const Images images = {lit->buf, dark ? dark->buf : NULL, lit->shape[0], lit->shape[1], lit->itemsize == 2};
     const StripeLine *line = a.view[2].buf;
     const Py_ssize_t lines = a.view[2].shape[0];
-    int valid = require(!dark || dark->itemsize == lit->itemsize, "dark: must be of the same type as lit");
-    int done = valid && reserve(drafts, 2 * (size_t)lines);
+    int done = reserve(drafts, 2 * (size_t)lines);
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = 0; done && i < lines; i++, drafts->used += 2)
         done = draft_ends(&images, &line[i], lens, params, (Draft *)drafts->data + drafts->used);
     Py_END_ALLOW_THREADS
-    if (valid && !done) PyErr_NoMemory();
+    if (!done) PyErr_NoMemory();
     close_arguments(&a, NULL);
     return done;
 }
@@ -180,7 +181,7 @@ static int draft_image(PyObject *image, const Lens *lens, const EndParams *param
 PyObject *call_ends(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {
-        {"images", 'O', {0}}, {"lens", 'T', {NUMBERS(Lens)}}, {"params", 'T', {NUMBERS(EndParams)}}};
+        {"images", TUPLE, {0}}, {"lens", &Lens_record, {0}}, {"params", &EndParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     PyObject *images = PyTuple_GetItem(tuple, 0);

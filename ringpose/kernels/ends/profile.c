@@ -409,13 +409,13 @@ static double unclipped_peak(const Images *images, const Profile *profile, int r
     double shown[PEAK_COLUMNS], before = 0;
     const ptrdiff_t face = profile->face_last - profile->face_first + 1;
     const ptrdiff_t some = face < PEAK_COLUMNS ? face : PEAK_COLUMNS;
-    for (double peak = observed; peak < MAX_PEAK * params->saturation; peak *= PEAK_STEP) {
+    for (double peak = observed; peak < MAX_PEAK * params->saturation_dn; peak *= PEAK_STEP) {
         for (ptrdiff_t first = 0; first < some; first += TOGETHER) {
             ptrdiff_t index[TOGETHER];
             Doubles found;
             for (ptrdiff_t k = 0; k < TOGETHER; k++)
                 index[k] = profile->face_first + (first + k < some ? first + k : some - 1) * face / some;
-            fit_clipped_peaks(images, profile, index, reach, parts, params->saturation, &peak, 1, &found);
+            fit_clipped_peaks(images, profile, index, reach, parts, params->saturation_dn, &peak, 1, &found);
             for (ptrdiff_t k = 0; k < TOGETHER && first + k < some; k++) shown[first + k] = found[k];
         }
         const double here = median(shown, (size_t)some);
@@ -424,7 +424,7 @@ static double unclipped_peak(const Images *images, const Profile *profile, int r
         if (before > 0 && here < MIN_GROWTH * before) return peak; /* what is visible hardly depends on the peak */
         before = here;
     }
-    return MAX_PEAK * params->saturation;
+    return MAX_PEAK * params->saturation_dn;
 }
 
 /* Indices of columns next to each other; beyond the last one it is repeated. */
@@ -441,7 +441,7 @@ static void fill_room(const Images *images, Profile *profile, int reach, const P
         ptrdiff_t index[TOGETHER];
         Doubles shown[LIGHT_LEVELS];
         neighbours(profile, i, index);
-        fit_clipped_peaks(images, profile, index, reach, parts, params->saturation, peak, LIGHT_LEVELS, shown);
+        fit_clipped_peaks(images, profile, index, reach, parts, params->saturation_dn, peak, LIGHT_LEVELS, shown);
         for (int level = 0; level < LIGHT_LEVELS; level++)
             for (int k = 0; k < TOGETHER; k++) profile->headroom[level][index[k]] = shown[level][k] / peak[level];
     }
@@ -478,9 +478,9 @@ static double scan_column(const Images *images, Profile *profile, ptrdiff_t i, i
         double ambient = ambient_at(images, top, reach, k, column);
         brightest = ambient > brightest ? ambient : brightest;
         darkest = ambient < darkest ? ambient : darkest;
-        if (pixel(images, images->lit, row, column) < params->saturation) continue;
+        if (pixel(images, images->lit, row, column) < params->saturation_dn) continue;
         profile->saturated[i] = 1;
-        if (ambient < params->saturation / 2) profile->scratch[i] = fmax(profile->scratch[i], fabs((double)row - y));
+        if (ambient < 0.5 * (double)params->saturation_dn) profile->scratch[i] = fmax(profile->scratch[i], fabs((double)row - y));
     }
     profile->ambient[i] = images->dark ? brightest - darkest : INFINITY;
     return brightest;
@@ -502,7 +502,7 @@ static void fill_profile(const Images *images, Profile *profile, const EndParams
         expected = fill_peaks(images, profile, reach, &parts);
         for (ptrdiff_t i = 0; i < profile->count; i++) profile->ambient[i] = 0; /* nothing lit that has a texture */
     }
-    if (expected + brightest > params->saturation) {
+    if (expected + brightest > params->saturation_dn) {
         expected = unclipped_peak(images, profile, reach, &parts, expected, params);
         fill_room(images, profile, reach, &parts, expected, params);
     }
@@ -514,7 +514,7 @@ int read_profile(const Images *images, const StripeLine *line, const Lens *lens,
     int laid = distort_line(line, lens, params, images->width, profile);
     if (laid < 1) return laid;
     ptrdiff_t first = profile->face_first, face = profile->face_last - first + 1;
-    profile->sigma = section_sigma(images, profile->y + first, profile->first + first, face, params->saturation);
+    profile->sigma = section_sigma(images, profile->y + first, profile->first + first, face, params->saturation_dn);
     fill_profile(images, profile, params);
     return 1;
 }

@@ -14,11 +14,24 @@ typedef struct {
     int wide; /* 16 bits a pixel */
 } Images;
 
-typedef struct {
-    double saturation, beyond_columns, inside_columns, outside_columns, flank_sigmas, flanks_share, undimmed_level,
-        min_headroom, min_noise, shape_sigma, texture_factor, facet_sigmas, near_columns, width_spread, blunt_gain,
-        clipped_shape;
-} EndParams;
+#define END_PARAMS(REAL, COUNT)                                                                                     \
+    COUNT(saturation_dn, 1, UINT16_MAX)                                                                             \
+    COUNT(beyond_columns, 0, 10000)                                                                                 \
+    COUNT(inside_columns, 0, 10000)                                                                                 \
+    COUNT(outside_columns, 0, 10000)                                                                                \
+    REAL(flank_sigmas, POSITIVE)                                                                                    \
+    REAL(flanks_share, 0, 1)                                                                                        \
+    REAL(undimmed_level, NOT_NEGATIVE)                                                                              \
+    REAL(min_headroom, POSITIVE)                                                                                    \
+    REAL(min_noise, NOT_NEGATIVE)                                                                                   \
+    REAL(shape_sigma, NOT_NEGATIVE)                                                                                 \
+    REAL(texture_factor, NOT_NEGATIVE)                                                                              \
+    REAL(facet_sigmas, POSITIVE)                                                                                    \
+    REAL(near_columns, NOT_NEGATIVE)                                                                                \
+    REAL(width_spread, NOT_NEGATIVE)                                                                                \
+    REAL(blunt_gain, FINITE)                                                                                        \
+    REAL(clipped_shape, NOT_NEGATIVE)
+RECORD_STRUCT(EndParams, END_PARAMS);
 
 typedef struct {
     double middle_x, middle_y, slope, x_start, x_end; /* undistorted */

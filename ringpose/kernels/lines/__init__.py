@@ -4,32 +4,37 @@ The sources are tracks.c (segmentation and line fits) and rim.c (which segments 
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
+from ringpose.kernels import kernel_record
 from ringpose.optics.feature_errors import FIT_DOF_CORRECTION, MIN_COLUMNS, MIN_SEGMENT_COLUMNS
 
 
-class Lens(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
     """Pinhole camera and distortion coefficients, named as in OpenCV."""
 
     fx: float
     fy: float
     cx: float
     cy: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    k3: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
 
 
-class TrackParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackParams:
     """Parameters of the segmentation of stripe centres into straight tracks."""
 
-    image_width: float
+    image_width: int
     border_px: float
     """A track that ends closer than this to the image's left or right border is clipped."""
     kink_px: float = 0.6
@@ -40,8 +45,8 @@ class TrackParams(NamedTuple):
     """Bias correction of the autocorrelations: fitting a line removes a part of those of a short series."""
     on_line_px: float = 2.5
     """A centre belongs to a line if it is closer than this; the nearest body behind a ring is 4 px away at 1 m."""
-    min_columns: float = MIN_COLUMNS
-    max_lag: float = 40
+    min_columns: int = MIN_COLUMNS
+    max_lag: int = 40
     """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
 
@@ -57,10 +62,12 @@ LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION,
 )
 
 
-class UnionParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnionParams:
     """Conditions under which tracks on a common line are also tried as one merged track."""
 
-    min_beyond_ends: float = 5
+    min_beyond_ends: int = 5
     """Fewest centres on a track's line beyond its ends; with fewer there is nothing to merge it with."""
     max_gap: float = 0.5
     """Longest gap, as a share of the length of both tracks together."""
@@ -70,7 +77,7 @@ class UnionParams(NamedTuple):
     """to which this many of its sigmas are added."""
     max_separation_px: float = 6.0
     """Limit of that distance, whatever the sigmas."""
-    rounds: float = 2
+    rounds: int = 2
     """Number of rounds of pairwise merging: up to four tracks become one."""
     fit_dof: float = FIT_DOF_CORRECTION
     min_columns: float = MIN_SEGMENT_COLUMNS
@@ -84,7 +91,9 @@ FACE_LENGTH_M = (0.003, 0.1)
 at 45 degrees or more."""
 
 
-class CandidateParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateParams:
     """Which tracks are candidates for the rim, and how they are ranked for each laser."""
 
     min_depth_m: float = DEPTH_RANGE_M[0]
@@ -94,7 +103,7 @@ class CandidateParams(NamedTuple):
     typical_scatter_px: float = 0.3
     """Scatter of a stripe's centres about its line, on metal. The merit of a track is 2 log(columns) -
     (scatter / typical_scatter)^2 / 2, less the penalties below."""
-    max_counted_columns: float = 120
+    max_counted_columns: int = 120
     """Columns beyond this number do not increase the merit: the longest tracks are on the body."""
     spill_penalty: float = 15.0
     """Penalty if all centres on the line lie beyond the ends of the track, where the face should end; proportional to
@@ -109,18 +118,20 @@ class CandidateParams(NamedTuple):
     """Penalty of a track that is truncated by the image border: its end was not observed."""
     union_penalty: float = 3.0
     """Penalty of a merged track: merging also favours the body's stripes, which shadows and glints break."""
-    most: float = 20
+    max_candidates: int = 20
     """Largest number of candidates for each laser."""
 
 
-class RingParams(NamedTuple):
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RingParams:
     """Ring model that groups of tracks are tested against; costs and penalties are chi-square / 2."""
 
     focal_x: float
     focal_y: float
     principal_x: float
     principal_y: float
-    image_height: float
+    image_height: int
     border_px: float = 15.0
     """A stripe closer than this to the upper or lower border may be missed without penalty."""
     along_sigma_px: float = 2.0

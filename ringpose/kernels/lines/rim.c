@@ -12,29 +12,57 @@
 #include "kernels.h"
 #include "tracks.h"
 
-typedef struct {
-    double min_beyond_ends, max_gap;
-    double separation, separation_sigmas, max_depth; /* px, 1, px */
-    double rounds, fit_dof, min_columns;
-} UnionParams;
+#define UNION_PARAMS(REAL, COUNT)                                                                                   \
+    COUNT(min_beyond_ends, 0, INT32_MAX)                                                                            \
+    REAL(max_gap, NOT_NEGATIVE)                                                                                     \
+    REAL(separation_px, NOT_NEGATIVE)                                                                               \
+    REAL(separation_sigmas, NOT_NEGATIVE)                                                                           \
+    REAL(max_separation_px, NOT_NEGATIVE)                                                                           \
+    COUNT(rounds, 0, 10)                                                                                            \
+    REAL(fit_dof, NOT_NEGATIVE)                                                                                     \
+    REAL(min_columns, POSITIVE)
+RECORD_STRUCT(UnionParams, UNION_PARAMS);
+RECORD(UnionParams, UNION_PARAMS);
 
-typedef struct {
-    double min_depth, max_depth, min_length, max_length; /* m */
-    double typical_scatter, max_counted_columns;
-    double spill_penalty, coincidence_penalty, min_behind, max_behind; /* 1, 1, m, m */
-    double clipped_penalty, union_penalty;
-    double maximum;
-} CandidateParams;
+#define CANDIDATE_PARAMS(REAL, COUNT)                                                                               \
+    REAL(min_depth_m, POSITIVE)                                                                                     \
+    REAL(max_depth_m, POSITIVE)                                                                                     \
+    REAL(min_length_m, NOT_NEGATIVE)                                                                                \
+    REAL(max_length_m, POSITIVE)                                                                                    \
+    REAL(typical_scatter_px, POSITIVE)                                                                              \
+    COUNT(max_counted_columns, 1, INT32_MAX)                                                                        \
+    REAL(spill_penalty, FINITE)                                                                                     \
+    REAL(coincidence_penalty, FINITE)                                                                               \
+    REAL(min_behind_m, FINITE)                                                                                      \
+    REAL(max_behind_m, FINITE)                                                                                      \
+    REAL(clipped_penalty, FINITE)                                                                                   \
+    REAL(union_penalty, FINITE)                                                                                     \
+    COUNT(max_candidates, 1, 1000)
+RECORD_STRUCT(CandidateParams, CANDIDATE_PARAMS);
+RECORD(CandidateParams, CANDIDATE_PARAMS);
 
-typedef struct {
-    double focal_x, focal_y, principal_x, principal_y, height; /* px */
-    double border, along_sigma, across_sigma;                  /* px */
-    double plane_limit, circle_limit, dropped_end_penalty, unseen_penalty;     /* squared sigmas over two */
-    double tilt;                                               /* radians */
-    double min_radius, min_band;                       /* metres */
-    double left, right;                                        /* normalised x beyond which an end is cut off, */
-    double top, bottom;                                        /* and y */
-} RingParams;
+#define RING_PARAMS(REAL, COUNT)                                                                                    \
+    REAL(focal_x, POSITIVE)                                                                                         \
+    REAL(focal_y, POSITIVE)                                                                                         \
+    REAL(principal_x, FINITE)                                                                                       \
+    REAL(principal_y, FINITE)                                                                                       \
+    COUNT(image_height, 1, INT32_MAX)                                                                               \
+    REAL(border_px, FINITE)                                                                                         \
+    REAL(along_sigma_px, POSITIVE)                                                                                  \
+    REAL(across_sigma_px, POSITIVE)                                                                                 \
+    REAL(plane_limit, FINITE)                                                                                       \
+    REAL(circle_limit, FINITE)                                                                                      \
+    REAL(dropped_end_penalty, FINITE)                                                                               \
+    REAL(unseen_penalty, FINITE)                                                                                    \
+    REAL(max_tilt_rad, FINITE)                                                                                      \
+    REAL(min_radius_m, POSITIVE)                                                                                    \
+    REAL(min_band_m, NOT_NEGATIVE)                                                                                  \
+    REAL(left_x, -INFINITY, INFINITY)                                                                               \
+    REAL(right_x, -INFINITY, INFINITY)                                                                              \
+    REAL(top_y, -INFINITY, INFINITY)                                                                                \
+    REAL(bottom_y, -INFINITY, INFINITY)
+RECORD_STRUCT(RingParams, RING_PARAMS);
+RECORD(RingParams, RING_PARAMS);
 
 /* A track with a hypothetical laser. */
 typedef struct {
@@ -68,10 +96,10 @@ static int may_continue(const Track *first, const Track *second, const UnionPara
     double lengths = first->x_end - first->x_start + second->x_end - second->x_start;
     if (first->laser != second->laser || !(gap > 0 && gap <= params->max_gap * lengths)) return 0;
     double middle = first->x_end + gap / 2, separation = fabs(line_y(first, middle) - line_y(second, middle));
-    if (!(separation < params->max_depth)) return 0;
+    if (!(separation < params->max_separation_px)) return 0;
     double sigma = hypot(line_sigma(first, middle, middle_sigma(first, params->fit_dof, params->min_columns)),
                          line_sigma(second, middle, middle_sigma(second, params->fit_dof, params->min_columns)));
-    return separation < params->separation + params->separation_sigmas * sigma;
+    return separation < params->separation_px + params->separation_sigmas * sigma;
 }
 
 /* The merged track: line and scatter of all centres together, from the moments of both. */
@@ -149,14 +177,14 @@ static int possible(const double light[3], const CandidateParams *params, Candid
     double point[2][3], length = 0;
     for (int side = 0; side < 2; side++) {
         double x = candidate->x[side], y = candidate->y[side], w = light[0] * x + light[1] * y + light[2];
-        if (!(w > 1 / params->max_depth && w < 1 / params->min_depth)) return 0;
+        if (!(w > 1 / params->max_depth_m && w < 1 / params->min_depth_m)) return 0;
         candidate->inverse_depth[side] = w;
         point[side][0] = x * (1 / w);
         point[side][1] = y * (1 / w);
         point[side][2] = 1 / w;
     }
     for (int k = 0; k < 3; k++) length += (point[1][k] - point[0][k]) * (point[1][k] - point[0][k]);
-    return length > params->min_length * params->min_length && length < params->max_length * params->max_length;
+    return length > params->min_length_m * params->min_length_m && length < params->max_length_m * params->max_length_m;
 }
 
 /* True if centres on an unlabelled track's line may be another laser's stripe on the body behind. */
@@ -167,8 +195,8 @@ static int may_be_other_laser(const Track *track, const Candidate *candidate, co
     for (int laser = 0; track->laser < 0 && laser < scene->lasers; laser++) {
         const double *light = scene->plane[laser];
         double behind = 1 / (light[0] * x + light[1] * y + light[2]) - depth;
-        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && behind > params->min_behind &&
-            behind < params->max_behind)
+        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && behind > params->min_behind_m &&
+            behind < params->max_behind_m)
             return 1;
     }
     return 0;
@@ -179,7 +207,7 @@ static int may_be_other_laser(const Track *track, const Candidate *candidate, co
 static void rate(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
     const CandidateParams *params = scene->candidates;
     double share = track->beyond_ends / (track->beyond_ends + track->count);
-    double scatter = track->scatter / params->typical_scatter;
+    double scatter = track->scatter / params->typical_scatter_px;
     double straight = 2 * log(fmin(track->count, params->max_counted_columns)) - 0.5 * scatter * scatter;
     double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
     candidate->merit = straight - beyond_ends - params->clipped_penalty * track->clipped -
@@ -190,7 +218,7 @@ static void rate(const Track *track, int is_union, const Scene *scene, Candidate
 /* Contribution of the ends to the normal equations of a plane, 1/z = p . (x, y, 1); the weight is the inverse variance
    of the inverse depth, propagated from a pixel error across the track. */
 static void complete(const double light[3], const RingParams *ring, Candidate *candidate) {
-    double sigma = fmax(ring->across_sigma * fabs(light[1]) / ring->focal_y, 1e-12), weight = 1 / (sigma * sigma);
+    double sigma = fmax(ring->across_sigma_px * fabs(light[1]) / ring->focal_y, 1e-12), weight = 1 / (sigma * sigma);
     for (int side = 0; side < 2; side++) {
         double x = candidate->x[side], y = candidate->y[side], w = candidate->inverse_depth[side];
         double product[6] = {x * x, x * y, x, y * y, y, 1};
@@ -224,7 +252,7 @@ static int find_candidates(const Track *track, size_t count, size_t unions, cons
             place(&track[i], scene->ring, &candidate);
             if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
             rate(&track[i], i >= count - unions, scene, &candidate);
-            own = rank(&candidate, all + found, own, (int)scene->candidates->maximum);
+            own = rank(&candidate, all + found, own, (int)scene->candidates->max_candidates);
         }
         for (int i = 0; i < own; i++) complete(scene->plane[laser], scene->ring, &all[found + i]);
         found += own;
@@ -275,7 +303,7 @@ static int count_unseen_lasers(const Candidate *const member[], int size, const 
         const double *light = scene->plane[laser];
         double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
         double row = y * params->focal_y + params->principal_y;
-        unseen_penalty += !in_group && row > params->border && row < params->height - params->border;
+        unseen_penalty += !in_group && row > params->border_px && row < params->image_height - params->border_px;
     }
     return unseen_penalty;
 }
@@ -370,14 +398,14 @@ static double arcs_band(const Arcs *arcs) { return fabs(arcs->c[1] - arcs->c[0])
 static double arcs_cost(const End *end, int ends, double sigma, const RingParams *params) {
     Arcs arcs;
     double cost = 0;
-    int fitted = fit_wide_arcs(end, ends, params->min_radius, &arcs);
+    int fitted = fit_wide_arcs(end, ends, params->min_radius_m, &arcs);
     if (!fitted) return 0; /* all ends of one edge are truncated by the border: nothing to test */
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             double outside = outside_arc(&arcs, &end[k]) / sigma;
             cost += 0.5 * outside * outside;
         }
-    return arcs_band(&arcs) < params->min_band ? INFINITY : cost;
+    return arcs_band(&arcs) < params->min_band_m ? INFINITY : cost;
 }
 
 /* Coordinates of a group's ends in their plane, x along the stripes; ends truncated by the border are marked as unused.
@@ -409,7 +437,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
         double x = member[e / 2]->x[e % 2], y = member[e / 2]->y[e % 2];
         end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
                        d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
-                       !(x < params->left || x > params->right || y < params->top || y > params->bottom)};
+                       !(x < params->left_x || x > params->right_x || y < params->top_y || y > params->bottom_y)};
     }
     return middle[2];
 }
@@ -417,7 +445,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     End end[2 * MAX_MEMBERS] = {{0}};
     const RingParams *params = scene->ring;
-    double sigma = params->along_sigma * flat_ends(member, size, plane, params, end) / params->focal_x;
+    double sigma = params->along_sigma_px * flat_ends(member, size, plane, params, end) / params->focal_x;
     double best = arcs_cost(end, 2 * size, sigma, params);
     if (size < 3 || best < params->dropped_end_penalty) return best;
     for (int e = 0; e < 2 * size; e++) {
@@ -438,7 +466,7 @@ static double group_score(const Candidate *const member[], int size, const Scene
     double cost = plane_cost(member, size, plane);
     if (!(cost < params->plane_limit * size && merit - cost > minimum)) return -INFINITY;
     double tilt = size == 1 ? 0 : atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
-    if (tilt > params->tilt) return -INFINITY;
+    if (tilt > params->max_tilt_rad) return -INFINITY;
     double oblique = 0.5 * (tilt / 0.5) * (tilt / 0.5);
     if (!(merit - cost - oblique > minimum)) return -INFINITY;
     if (size > 1) {
@@ -518,7 +546,7 @@ static Best best_group(const Candidate *all, int count, int size, const Scene *s
     return best;
 }
 
-enum { MAX_LASERS = 32, MAX_CANDIDATES = 1000, MAX_ROUNDS = 10 };
+enum { MAX_LASERS = 32 };
 
 static int check_lasers(const Track *track, Py_ssize_t tracks, Py_ssize_t lasers) {
     for (Py_ssize_t i = 0; i < tracks; i++) {
@@ -539,7 +567,7 @@ typedef struct {
 /* Returns 0 if there is no memory. */
 static int find(const Track *track, size_t count, const Scene *scene, Found *found) {
     List *all = &found->tracks;
-    size_t room = (size_t)scene->lasers * (size_t)scene->candidates->maximum;
+    size_t room = (size_t)scene->lasers * (size_t)scene->candidates->max_candidates;
     found->candidate = malloc((room ? room : 1) * sizeof *found->candidate);
     if (found->candidate == NULL || !reserve(all, count + 1)) return 0;
     if (count) memcpy(all->data, track, count * sizeof *track);
@@ -565,25 +593,22 @@ static PyObject *group(const Found *found, int size) {
 
 PyObject *call_faces(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"tracks", 'd', {ANY, NUMBERS(Track)}},
-                                          {"unlabelled", 'L', {0, INT32_MAX}},
-                                          {"planes", 'd', {ANY, 3}},
-                                          {"unions", 'T', {NUMBERS(UnionParams)}},
-                                          {"candidates", 'T', {NUMBERS(CandidateParams)}},
-                                          {"ring", 'T', {NUMBERS(RingParams)}}};
+    static const Parameter parameter[] = {{"tracks", FLOAT64, {ANY, NUMBERS(Track)}},
+                                          {"unlabelled", WHOLE, {0, INT32_MAX}},
+                                          {"planes", FLOAT64, {ANY, 3}},
+                                          {"unions", &UnionParams_record, {0}},
+                                          {"candidates", &CandidateParams_record, {0}},
+                                          {"ring", &RingParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const Py_ssize_t tracks = a.view[0].shape[0], lasers = a.view[2].shape[0];
     const Scene scene = {(int)lasers,
-                         (unsigned)a.number[1][0],
+                         (unsigned)a.number[1][0].whole,
                          (const double(*)[3])a.view[2].buf,
                          (const UnionParams *)a.number[3],
                          (const CandidateParams *)a.number[4],
                          (const RingParams *)a.number[5]};
     if (!require(lasers <= MAX_LASERS && tracks <= INT32_MAX / 2, "planes, tracks: there are too many") ||
-        !require(scene.candidates->maximum >= 1 && scene.candidates->maximum <= MAX_CANDIDATES &&
-                     scene.unions->rounds >= 0 && scene.unions->rounds <= MAX_ROUNDS,
-                 "params: a parameter of the rim search is out of range") ||
         !check_lasers(a.view[0].buf, tracks, lasers))
         return close_arguments(&a, NULL);
     Found found = {.tracks = {NULL, 0, 0, sizeof(Track)}};

@@ -11,10 +11,18 @@
 #include "median.h"
 #include "tracks.h"
 
-/* min_columns: of a piece; width: of the image; lengths in px. */
-typedef struct {
-    double width, border, kink, joined, short_series, count_on_line, min_columns, max_lag;
-} TrackParams;
+/* A piece must be at least as long as half the window of the running median. */
+#define TRACK_PARAMS(REAL, COUNT)                                                                                   \
+    COUNT(image_width, 1, 1000000)                                                                                  \
+    REAL(border_px, FINITE)                                                                                         \
+    REAL(kink_px, NOT_NEGATIVE)                                                                                     \
+    REAL(joined_px, FINITE)                                                                                         \
+    REAL(short_series, FINITE)                                                                                      \
+    REAL(on_line_px, FINITE)                                                                                        \
+    COUNT(min_columns, 4, INT32_MAX)                                                                                \
+    COUNT(max_lag, 0, INT32_MAX)
+RECORD_STRUCT(TrackParams, TRACK_PARAMS);
+RECORD(TrackParams, TRACK_PARAMS);
 
 typedef struct {
     size_t n;
@@ -156,7 +164,7 @@ static void fit_line(Draft *draft, const Work *work) {
     track->x_end = x[n - 1];
     double left = work->centers->column[draft->first[0]];
     double right = work->centers->column[draft->last[draft->blocks - 1] - 1];
-    double border = work->params->border, width = work->params->width;
+    double border = work->params->border_px, width = work->params->image_width;
     track->clipped = left < border || left > width - 1 - border || right < border || right > width - 1 - border;
 }
 
@@ -168,13 +176,13 @@ typedef struct {
 } ByColumn;
 
 static size_t column_of(double x, const Work *work) {
-    double width = work->params->width;
+    double width = work->params->image_width;
     return (size_t)(x < 0 ? 0 : x < width ? x : width);
 }
 
 static int sort_by_column(const Work *work, ByColumn *sorted) {
     const Centers *c = work->centers;
-    sorted->columns = (size_t)work->params->width + 1;
+    sorted->columns = (size_t)work->params->image_width + 1;
     sorted->x = malloc(3 * c->n * sizeof(double) + 1);
     sorted->start = calloc(sorted->columns + 2, sizeof(int32_t));
     if (sorted->x == NULL || sorted->start == NULL) return 0;
@@ -196,7 +204,7 @@ static int sort_by_column(const Work *work, ByColumn *sorted) {
 static double count_on_line(const Track *track, double from, double to, const ByColumn *sorted, const Work *work) {
     const double *restrict x = sorted->x, *restrict y = sorted->y, *restrict laser = sorted->laser;
     double own = track->laser, middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;
-    double limit = work->params->count_on_line;
+    double limit = work->params->on_line_px;
     size_t first = (size_t)sorted->start[column_of(from, work)];
     size_t end = (size_t)sorted->start[column_of(to, work) + 1];
     int count = 0;
@@ -306,11 +314,11 @@ static ptrdiff_t kink_index(size_t first, size_t n, const Work *work, double *si
     const double *x = work->centers->x + first, *y = work->centers->y + first;
     Chord chord = chord_of(x, y, (ptrdiff_t)n);
     double maximum = max_possible_distance(&chord, x, y, (ptrdiff_t)n);
-    if (maximum <= work->params->kink) return -1;
+    if (maximum <= work->params->kink_px) return -1;
     memcpy(work->scratch, work->centers->sigma + first, n * sizeof(double));
     *sigma = fmin(*sigma, median(work->scratch, n));
     *sigma = fmin(*sigma, scatter_of(y, n, work->scratch));
-    double allowed = work->params->kink + 1.5 * *sigma, max_step = 0;
+    double allowed = work->params->kink_px + 1.5 * *sigma, max_step = 0;
     if (maximum <= allowed) return -1;
     for (size_t i = 1; i < n; i++) max_step = x[i] - x[i - 1] > max_step ? x[i] - x[i - 1] : max_step;
     double slack = fabs(chord.slope) * max_step * (SMOOTHED / 2);
@@ -342,7 +350,7 @@ static int continues(const Track *first, const Track *second, const TrackParams 
     double middle = (first->x_end + second->x_start) / 2;
     double apart = fabs(line_y(first, middle) - line_y(second, middle));
     double turned = fabs(first->slope - second->slope) * fmin(fmin(length, other), fmax(length, other) / 2) / 2;
-    double allowed = params->joined + 2 * hypot(sigma_at(first, middle), sigma_at(second, middle));
+    double allowed = params->joined_px + 2 * hypot(sigma_at(first, middle), sigma_at(second, middle));
     return fmax(apart, turned) < allowed;
 }
 
@@ -414,16 +422,6 @@ static int centers_in_order(const Py_buffer view[4]) {
     return 1;
 }
 
-enum { MIN_COLUMNS = 4 };
-
-/* A piece must be at least as long as half the window of the running median. */
-static int track_params_fit(const TrackParams *params) {
-    const double *number = (const double *)params;
-    int fit = params->min_columns >= MIN_COLUMNS && params->width >= 1 && params->width < 1e6 && params->max_lag >= 0;
-    for (int i = 0; i < NUMBERS(TrackParams); i++) fit = fit && isfinite(number[i]);
-    return require(fit, "params: a parameter of the tracks is out of range");
-}
-
 static int find_tracks(const Py_buffer view[4], const Lens *lens, const TrackParams *params, List *tracks) {
     const size_t n = (size_t)view[0].shape[0];
     const double(*at)[2] = view[0].buf;
@@ -443,13 +441,13 @@ static int find_tracks(const Py_buffer view[4], const Lens *lens, const TrackPar
 
 PyObject *call_tracks(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"position", 'd', {N, 2}}, {"sigma", 'd', {N}},
-                                          {"piece", 'q', {N}},       {"laser", 'q', {ANY}},
-                                          {"lens", 'T', {NUMBERS(Lens)}}, {"params", 'T', {NUMBERS(TrackParams)}}};
+    static const Parameter parameter[] = {{"position", FLOAT64, {N, 2}}, {"sigma", FLOAT64, {N}},
+                                          {"piece", INT64, {N}},       {"laser", INT64, {ANY}},
+                                          {"lens", &Lens_record, {0}}, {"params", &TrackParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const TrackParams *params = (const TrackParams *)a.number[5];
-    if (!track_params_fit(params) || !centers_in_order(a.view)) return close_arguments(&a, NULL);
+    if (!centers_in_order(a.view)) return close_arguments(&a, NULL);
     List tracks = {NULL, 0, 0, sizeof(Track)};
     int done;
     Py_BEGIN_ALLOW_THREADS

@@ -3,11 +3,12 @@
 Rays are intersected with boxes and surfaces of revolution in closed form; light is reflected once.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _kernels
+from ringpose.kernels import _kernels, kernel_record
 from ringpose.types.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8
 
 BOX, REVOLUTION = 0, 1
@@ -43,6 +44,41 @@ class TargetTables(NamedTuple):
     slopes: Float32[Array, "relief texel_y texel_x uv=2"]
 
 
+@kernel_record
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneLight:
+    """Other light than that of lamps, and properties that all lasers have in common.
+
+    Directions are unit vectors towards the light, in the camera frame.
+    """
+
+    ambient_w_m2: float
+    """Irradiance by a laboratory."""
+    sun_w_m2: float
+    """Irradiance across the rays."""
+    sun_x: float
+    sun_y: float
+    sun_z: float
+    sun_radius_rad: float
+    earth_w_m2: float = 0.0
+    earth_x: float = 0.0
+    earth_y: float = 0.0
+    earth_z: float = 0.0
+    earth_radius_rad: float = 0.0
+    lit_x: float = 0.0
+    lit_y: float = 0.0
+    lit_z: float = 0.0
+    """The middle of the Earth's lit part."""
+    earth_radiance: float = 0.0
+    """Where the sun is in the zenith, W/(m2 sr)."""
+    power_w: float
+    sigma_m: float
+    divergence_rad: float
+    fan_rad: float
+    angle_per_px: float
+    """Width of a pixel at depth 1."""
+
+
 class View(NamedTuple):
     """A target, its light, and the rays of an image's pixels; columns are the members of the structs in render.c."""
 
@@ -51,8 +87,7 @@ class View(NamedTuple):
     """camera_from_target (rotation in rows, translation) at equal steps of the exposure."""
     lamps: Float64[Array, "lamp=4 column=5"]
     lasers: Float64[Array, "laser column=11"]
-    light: tuple[float, ...]
-    """The members of the struct `Light`: other light, and properties that all lasers have in common."""
+    light: SceneLight
     xy: Float64[Array, "xy=2 pixel"]
     """Rays (x, y, 1) of the pixels."""
     per_px: Float64[Array, "axis=2 xy=2 pixel"] | None

@@ -32,15 +32,20 @@ enum { WIDE = 1, THIN = 2 };
 enum { ENTRIES = 6 };
 
 /* Directions are unit vectors towards the light, in the camera frame. */
-typedef struct {
-    double ambient; /* irradiance by a laboratory, W/m2 */
-    double sun, sun_x, sun_y, sun_z, sun_radius; /* irradiance across the rays, angular radius */
-    double earth, earth_x, earth_y, earth_z, earth_radius;
-    double lit_x, lit_y, lit_z;  /* the middle of the Earth's lit part */
-    double earth_radiance;       /* where the sun is in the zenith */
-    double power, sigma, divergence, fan; /* of each laser */
-    double angle_per_px;
-} Light;
+#define SCENE_LIGHT(REAL, COUNT)                                                                                    \
+    REAL(ambient_w_m2, NOT_NEGATIVE) /* irradiance by a laboratory */                                               \
+    REAL(sun_w_m2, NOT_NEGATIVE)     /* irradiance across the rays */                                               \
+    REAL(sun_x, FINITE) REAL(sun_y, FINITE) REAL(sun_z, FINITE)                                                     \
+    REAL(sun_radius_rad, NOT_NEGATIVE) /* angular radius */                                                         \
+    REAL(earth_w_m2, NOT_NEGATIVE)                                                                                  \
+    REAL(earth_x, FINITE) REAL(earth_y, FINITE) REAL(earth_z, FINITE)                                               \
+    REAL(earth_radius_rad, NOT_NEGATIVE)                                                                            \
+    REAL(lit_x, FINITE) REAL(lit_y, FINITE) REAL(lit_z, FINITE) /* the middle of the Earth's lit part */            \
+    REAL(earth_radiance, NOT_NEGATIVE) /* where the sun is in the zenith */                                         \
+    REAL(power_w, FINITE) REAL(sigma_m, FINITE) REAL(divergence_rad, FINITE) REAL(fan_rad, FINITE) /* of a laser */ \
+    REAL(angle_per_px, FINITE)
+RECORD_STRUCT(SceneLight, SCENE_LIGHT);
+RECORD(SceneLight, SCENE_LIGHT);
 
 typedef struct {
     Vector direction;
@@ -64,7 +69,7 @@ typedef struct {
 
 typedef struct {
     Target target;
-    Light light;
+    SceneLight light;
     Lamp lamp[LAMPS];
     Laser laser[MAX_LASERS]; /* in the camera frame */
     Stand stand[MAX_TIMES];
@@ -87,15 +92,15 @@ static void fill_disc(Vector middle, double radius, Vector place[DISC]) {
 }
 
 static void place(const Scene *scene, Stand *stand, const double pose[12]) {
-    const Light *light = &scene->light;
+    const SceneLight *light = &scene->light;
     const Vector translation = {pose[9], pose[10], pose[11]};
     memcpy(stand->rotation, pose, sizeof stand->rotation);
     stand->eye = times(-1, rotated_back(pose, translation));
     stand->sun = rotated_back(pose, (Vector){light->sun_x, light->sun_y, light->sun_z});
     stand->earth = rotated_back(pose, (Vector){light->earth_x, light->earth_y, light->earth_z});
     stand->lit = rotated_back(pose, (Vector){light->lit_x, light->lit_y, light->lit_z});
-    if (light->sun > 0) fill_disc(stand->sun, light->sun_radius, stand->on_sun);
-    if (light->earth > 0) fill_disc(stand->earth, light->earth_radius, stand->on_earth);
+    if (light->sun_w_m2 > 0) fill_disc(stand->sun, light->sun_radius_rad, stand->on_sun);
+    if (light->earth_w_m2 > 0) fill_disc(stand->earth, light->earth_radius_rad, stand->on_earth);
     for (int i = 0; i < LAMPS; i++) stand->lamp[i] = rotated_back(pose, scene->lamp[i].direction);
     for (int i = 0; i < scene->lasers; i++)
         stand->projector[i] = rotated_back(pose, minus(scene->laser[i].projector, translation));
@@ -202,7 +207,7 @@ VECTOR_LOOP static void add_laboratory(const Scene *restrict scene, const Block 
     const int count = block->hits.count;
     const Hits *hits = &block->hits;
     const Stand *stand = scene->stand + scene->times / 2;
-    const float irradiance = (float)(scene->light.ambient / PI);
+    const float irradiance = (float)(scene->light.ambient_w_m2 / PI);
     float mx[BLOCK], my[BLOCK], mz[BLOCK], matt[BLOCK], glossy[BLOCK], walls = 1;
     for (int k = 0; k < LAMPS; k++) walls -= (float)scene->lamp[k].share;
     for (int i = 0; i < count; i++) { /* the directions that the eye sees mirrored */
@@ -277,27 +282,27 @@ static void find_disc(const Scene *scene, const Block *block, int is_sun, double
 }
 
 static void add_ambient(const Scene *scene, Block *block) {
-    const Light *light = &scene->light;
+    const SceneLight *light = &scene->light;
     const Hits *hits = &block->hits;
     float radiance[BLOCK] = {0}, reflected[BLOCK];
     uint8_t sunlit[BLOCK] = {0};
     Beam beam;
-    if (light->ambient > 0) add_laboratory(scene, block, radiance);
-    if (light->sun > 0) {
-        find_disc(scene, block, 1, light->sun_radius, &beam);
+    if (light->ambient_w_m2 > 0) add_laboratory(scene, block, radiance);
+    if (light->sun_w_m2 > 0) {
+        find_disc(scene, block, 1, light->sun_radius_rad, &beam);
         reflect(block, &beam, 0, reflected);
         for (int i = 0; i < hits->count; i++) {
             sunlit[i] = beam.on[i] && !beam.shadowed[i];
             if (beam.shadowed[i]) block->code[hits->ray[i]] |= SUN_SHADOW;
-            radiance[i] += (float)light->sun * reflected[i];
+            radiance[i] += (float)light->sun_w_m2 * reflected[i];
         }
     }
-    if (light->earth > 0) { /* its disc widens reflections by its own width */
-        find_disc(scene, block, 0, light->earth_radius, &beam);
-        reflect(block, &beam, (float)light->earth_radius / 2, reflected);
+    if (light->earth_w_m2 > 0) { /* its disc widens reflections by its own width */
+        find_disc(scene, block, 0, light->earth_radius_rad, &beam);
+        reflect(block, &beam, (float)light->earth_radius_rad / 2, reflected);
         for (int i = 0; i < hits->count; i++) {
             if (beam.shadowed[i] && !sunlit[i]) block->code[hits->ray[i]] |= EARTH_SHADOW;
-            radiance[i] += (float)light->earth * reflected[i];
+            radiance[i] += (float)light->earth_w_m2 * reflected[i];
         }
     }
     for (int i = 0; i < hits->count; i++) add(block, 0, hits->ray[i], radiance[i]);
@@ -306,7 +311,7 @@ static void add_ambient(const Scene *scene, Block *block) {
 /* Distances of the hits from a sheet of light, and its thickness there, in the camera frame. */
 VECTOR_LOOP static void find_sheet(const Scene *scene, const Laser *laser, const Block *block, double off[BLOCK],
                                    double sigma[BLOCK], double range[BLOCK]) {
-    const double least2 = scene->light.sigma * scene->light.sigma, divergence = scene->light.divergence;
+    const double least2 = scene->light.sigma_m * scene->light.sigma_m, divergence = scene->light.divergence_rad;
     const Vector normal = laser->normal, projector = laser->projector;
     for (int i = 0; i < block->hits.count; i++) {
         const double z = block->depth[i], x = z * block->cx[i], y = z * block->cy[i];
@@ -318,7 +323,7 @@ VECTOR_LOOP static void find_sheet(const Scene *scene, const Laser *laser, const
 }
 
 static void add_laser(const Scene *scene, int number, Block *block) {
-    const Light *light = &scene->light;
+    const SceneLight *light = &scene->light;
     const Laser *laser = scene->laser + number;
     const Hits *hits = &block->hits;
     double off[BLOCK], sigma[BLOCK], range[BLOCK];
@@ -351,18 +356,18 @@ static void add_laser(const Scene *scene, int number, Block *block) {
         if (reflected[i] <= 0 || hits->fx[i] * beam.x[i] + hits->fy[i] * beam.y[i] + hits->fz[i] * beam.z[i] <= 0) continue;
         const double z = block->depth[i];
         const Vector from = minus((Vector){z * block->cx[i], z * block->cy[i], z}, laser->projector);
-        if (fabs(atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from))) > light->fan / 2) continue;
+        if (fabs(atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from))) > light->fan_rad / 2) continue;
         const double across = exp(-0.5 * off[i] * off[i] / (sigma[i] * sigma[i])) / (sqrt(2 * PI) * sigma[i]);
-        add(block, 1 + number, hits->ray[i], light->power / (light->fan * range[i]) * across * reflected[i]);
+        add(block, 1 + number, hits->ray[i], light->power_w / (light->fan_rad * range[i]) * across * reflected[i]);
     }
 }
 
 /* Black sky, with the discs of Earth and sun. */
 static double sky(const Scene *scene, const Stand *stand, Vector direction, uint32_t *code) {
-    const Light *light = &scene->light;
+    const SceneLight *light = &scene->light;
     const Vector view = unit(direction);
-    if (light->earth > 0) {
-        const double sine = sin(light->earth_radius), cosine = dot(view, stand->earth);
+    if (light->earth_w_m2 > 0) {
+        const double sine = sin(light->earth_radius_rad), cosine = dot(view, stand->earth);
         const double under = sine * sine - (1 - cosine * cosine);
         if (cosine > 0 && under > 0) { /* in units of the Earth's distance */
             const Vector zenith = times(1 / sine, minus(times(cosine - sqrt(under), view), stand->earth));
@@ -370,9 +375,9 @@ static double sky(const Scene *scene, const Stand *stand, Vector direction, uint
             return light->earth_radiance * greater(0, dot(zenith, stand->sun));
         }
     }
-    if (light->sun > 0 && dot(view, stand->sun) > cos(light->sun_radius)) {
+    if (light->sun_w_m2 > 0 && dot(view, stand->sun) > cos(light->sun_radius_rad)) {
         *code |= SKY_SUN;
-        return light->sun / (PI * light->sun_radius * light->sun_radius);
+        return light->sun_w_m2 / (PI * light->sun_radius_rad * light->sun_radius_rad);
     }
     return 0;
 }
@@ -382,8 +387,8 @@ VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Bloc
                                          uint8_t *restrict wanted) {
     const Rays *rays = &block->rays;
     const int count = rays->count;
-    const double least = MAX_SIGMAS * (scene->light.sigma + scene->light.divergence * scene->baseline) + scene->relief;
-    const double slope = MAX_SIGMAS * scene->light.divergence, per_px = scene->light.angle_per_px;
+    const double least = MAX_SIGMAS * (scene->light.sigma_m + scene->light.divergence_rad * scene->baseline) + scene->relief;
+    const double slope = MAX_SIGMAS * scene->light.divergence_rad, per_px = scene->light.angle_per_px;
     double limit[BLOCK];
     uint32_t lasers = 0;
     memset(wanted, 0, BLOCK);
@@ -625,6 +630,7 @@ static int next_pixels(const PixelRays *rays, const int64_t *chosen, size_t coun
     return entries;
 }
 
+__attribute__((noinline)) /* inlined, gcc's warnings of its loops are false */
 static void render_all(const Scene *scene, const PixelRays *rays, const int64_t *chosen, size_t count, int samples,
                        int step, float *radiance, uint32_t *code, uint8_t *stripe) {
     Block block;
@@ -642,11 +648,11 @@ static void render_all(const Scene *scene, const PixelRays *rays, const int64_t 
 
 /* The arguments that describe a target; those of a function follow. */
 #define TARGET \
-    {"parts", 'd', {ANY, NUMBERS(Part)}}, {"points", 'd', {ANY, 2}}, {"gaps", 'd', {ANY, NUMBERS(Gap)}}, \
-        {"forms", 'd', {ANY, NUMBERS(Form)}}, {"material_of", 'i', {ANY}}, \
-        {"materials", 'd', {ANY, NUMBERS(Material)}}, {"print_x", 'd', {ANY}}, {"print_y", 'd', {ANY}}, \
-        {"print", 'B', {ANY, ANY}}, {"texels", 'd', {K, 2}}, {"heights", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS}}, \
-        {"slopes", 'f', {K, RELIEF_TEXELS, RELIEF_TEXELS, 2}}
+    {"parts", FLOAT64, {ANY, NUMBERS(Part)}}, {"points", FLOAT64, {ANY, 2}}, {"gaps", FLOAT64, {ANY, NUMBERS(Gap)}}, \
+        {"forms", FLOAT64, {ANY, NUMBERS(Form)}}, {"material_of", INT32, {ANY}}, \
+        {"materials", FLOAT64, {ANY, NUMBERS(Material)}}, {"print_x", FLOAT64, {ANY}}, {"print_y", FLOAT64, {ANY}}, \
+        {"print", UINT8, {ANY, ANY}}, {"texels", FLOAT64, {K, 2}}, {"heights", FLOAT32, {K, RELIEF_TEXELS, RELIEF_TEXELS}}, \
+        {"slopes", FLOAT32, {K, RELIEF_TEXELS, RELIEF_TEXELS, 2}}
 enum { AFTER_TARGET = 12 };
 
 static int open_target(const Arguments *arguments, Target *target) {
@@ -670,9 +676,9 @@ static int open_target(const Arguments *arguments, Target *target) {
 
 /* The arguments that describe light, placements and rays; they follow those of the target. */
 #define VIEW \
-    {"poses", 'd', {ANY, 12}}, {"lamps", 'd', {LAMPS, NUMBERS(Lamp)}}, {"lasers", 'd', {ANY, NUMBERS(Laser)}}, \
-        {"light", 'T', {NUMBERS(Light)}}, {"xy", 'd', {2, N}}, {"?per_px", 'd', {2, 2, N}}, \
-        {"width", 'L', {1, 1 << 30}}, {"?pixels", 'q', {ANY}}
+    {"poses", FLOAT64, {ANY, 12}}, {"lamps", FLOAT64, {LAMPS, NUMBERS(Lamp)}}, {"lasers", FLOAT64, {ANY, NUMBERS(Laser)}}, \
+        {"light", &SceneLight_record, {0}}, {"xy", FLOAT64, {2, N}}, {"?per_px", FLOAT64, {2, 2, N}}, \
+        {"width", WHOLE, {1, 1 << 30}}, {"?pixels", INT64, {ANY}}
 enum { AFTER_VIEW = AFTER_TARGET + 8 };
 
 typedef struct {
@@ -684,12 +690,12 @@ typedef struct {
 /* The scene and the chosen pixels; NULL and an exception if the arguments do not fit each other. */
 static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
     const Py_buffer *view = arguments->view + AFTER_TARGET;
-    const double(*number)[MAX_NUMBERS] = arguments->number + AFTER_TARGET;
+    const Number(*number)[MAX_NUMBERS] = arguments->number + AFTER_TARGET;
     const size_t all = (size_t)view[4].shape[1];
     const double *xy = view[4].buf, *per_px = view[5].obj ? view[5].buf : NULL;
     Scene *scene = calloc(1, sizeof *scene);
     if (!scene) return (Scene *)PyErr_NoMemory();
-    *pixels = (Pixels){{xy, xy + all, {{NULL, NULL}, {NULL, NULL}}, all, (int)number[6][0]},
+    *pixels = (Pixels){{xy, xy + all, {{NULL, NULL}, {NULL, NULL}}, all, (int)number[6][0].whole},
                        view[7].obj ? view[7].buf : NULL, view[7].obj ? (size_t)view[7].shape[0] : all};
     int fits = open_target(arguments, &scene->target) &&
                require(view[0].shape[0] >= 1 && view[0].shape[0] <= MAX_TIMES && view[2].shape[0] <= MAX_LASERS,
@@ -701,7 +707,7 @@ static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
         return NULL;
     }
     for (int i = 0; per_px && i < 4; i++) pixels->rays.per_px[i / 2][i % 2] = per_px + (size_t)i * all;
-    memcpy(&scene->light, number[3], sizeof(Light));
+    memcpy(&scene->light, number[3], sizeof(SceneLight));
     memcpy(scene->lamp, view[1].buf, sizeof scene->lamp);
     scene->times = (int)view[0].shape[0];
     scene->lasers = (int)view[2].shape[0];
@@ -710,7 +716,7 @@ static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
     memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
     for (int i = 0; i < scene->lasers; i++)
         scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
-    scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
+    scene->dark = !(scene->light.ambient_w_m2 > 0 || scene->light.sun_w_m2 > 0 || scene->light.earth_w_m2 > 0);
     for (int i = 0; i < scene->times; i++) place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i);
     const Stand *begin = scene->stand, *end = scene->stand + scene->times - 1;
     const Vector eye = minus(end->eye, begin->eye);
@@ -724,14 +730,15 @@ static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
 
 PyObject *call_render(PyObject *module, PyObject *tuple) {
     static const Parameter parameter[] = {
-        TARGET, VIEW, {"samples", 'L', {1, 1 << 16}}, {"step", 'L', {1, 1 << 16}}, {">radiance", 'f', {ANY, N}},
-        {">?code", 'i', {N}}, {">?stripe", 'B', {N}}};
+        TARGET, VIEW, {"samples", WHOLE, {1, 1 << 16}}, {"step", WHOLE, {1, 1 << 16}}, {">radiance", FLOAT32, {ANY, N}},
+        {">?code", INT32, {N}}, {">?stripe", UINT8, {N}}};
     Arguments arguments;
     Pixels pixels;
     (void)module;
     if (!OPEN(tuple, parameter, &arguments)) return NULL;
     const Py_buffer *view = arguments.view + AFTER_VIEW;
-    const int samples = (int)arguments.number[AFTER_VIEW][0], step = (int)arguments.number[AFTER_VIEW + 1][0];
+    const int samples = (int)arguments.number[AFTER_VIEW][0].whole;
+    const int step = (int)arguments.number[AFTER_VIEW + 1][0].whole;
     Scene *scene = open_scene(&arguments, &pixels);
     const int fits = scene && require(view[2].shape[0] == scene->lasers + 1 && (pixels.rays.per_px[0][0] || samples == 1),
                                       "lasers, samples and radiance do not fit each other");
@@ -748,12 +755,12 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
 
 PyObject *call_hits(PyObject *module, PyObject *tuple) {
     static const Parameter parameter[] = {TARGET,
-                                          {"origin", 'd', {3, N}},
-                                          {"direction", 'd', {3, N}},
-                                          {">parameter", 'd', {N}},
-                                          {">surface", 'i', {N}},
-                                          {">point", 'd', {3, N}},
-                                          {">normal", 'd', {3, N}}};
+                                          {"origin", FLOAT64, {3, N}},
+                                          {"direction", FLOAT64, {3, N}},
+                                          {">parameter", FLOAT64, {N}},
+                                          {">surface", INT32, {N}},
+                                          {">point", FLOAT64, {3, N}},
+                                          {">normal", FLOAT64, {3, N}}};
     Arguments arguments;
     Target target;
     (void)module;
@@ -805,7 +812,7 @@ VECTOR_LOOP static void find_changes(const int32_t *restrict code, Py_ssize_t wi
 }
 
 PyObject *call_code_edges(PyObject *module, PyObject *tuple) {
-    static const Parameter parameter[] = {{"code", 'i', {ANY, ANY}}, {">edge", 'B', {N, M}}};
+    static const Parameter parameter[] = {{"code", INT32, {ANY, ANY}}, {">edge", UINT8, {N, M}}};
     Arguments arguments;
     (void)module;
     if (!OPEN(tuple, parameter, &arguments)) return NULL;

@@ -276,18 +276,18 @@ static int anchors_inside(const Py_buffer *magnitude, const Py_buffer *index) {
 
 PyObject *call_chains(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{">magnitude", 'h', {ANY, ANY}},
-                                          {"anchors", 'i', {N}},
-                                          {"orientation", 'B', {N}},
-                                          {"lower", 'L', {1, INT16_MAX}},
-                                          {"shortest", 'L', {1, INT32_MAX}}};
+    static const Parameter parameter[] = {{">magnitude", INT16, {ANY, ANY}},
+                                          {"anchors", INT32, {N}},
+                                          {"orientation", UINT8, {N}},
+                                          {"lower", WHOLE, {1, INT16_MAX}},
+                                          {"shortest", WHOLE, {1, INT32_MAX}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     if (!anchors_inside(&a.view[0], &a.view[1])) return close_arguments(&a, NULL);
-    const size_t anchors = (size_t)a.view[1].shape[0], min_pixels = (size_t)a.number[4][0];
+    const size_t anchors = (size_t)a.view[1].shape[0], min_pixels = (size_t)a.number[4][0].whole;
     if (!anchors)
         return close_arguments(&a, Py_BuildValue("(y#y#)", "", (Py_ssize_t)0, "\0\0\0\0", (Py_ssize_t)4));
-    const EdgeArea area = {a.view[0].buf, (size_t)a.view[0].shape[0], (size_t)a.view[0].shape[1], (int)a.number[3][0]};
+    const EdgeArea area = {a.view[0].buf, (size_t)a.view[0].shape[0], (size_t)a.view[0].shape[1], (int)a.number[3][0].whole};
     List pixels = {NULL, 0, 0, sizeof(Pixel)}, starts = {NULL, 0, 0, sizeof(int32_t)};
     int done;
     Py_BEGIN_ALLOW_THREADS
@@ -306,13 +306,14 @@ static int starts_ascend(const Py_buffer *starts, Py_ssize_t pixels) {
 
 PyObject *call_cuts(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"pixels", 'i', {ANY, 2}},       {"starts", 'i', {ANY}},
-                                          {"deviation", 'R', {0}},         {"share_change", 'R', {0}},
-                                          {"window", 'L', {2, INT32_MAX}}, {"shortest", 'L', {2, INT32_MAX}}};
+    static const Parameter parameter[] = {{"pixels", INT32, {ANY, 2}},       {"starts", INT32, {ANY}},
+                                          {"deviation", REAL, {0}},         {"share_change", REAL, {0}},
+                                          {"window", WHOLE, {2, INT32_MAX}}, {"shortest", WHOLE, {2, INT32_MAX}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     if (!starts_ascend(&a.view[1], a.view[0].shape[0])) return close_arguments(&a, NULL);
-    const CutParams params = {a.number[2][0], a.number[3][0], (size_t)a.number[4][0], (size_t)a.number[5][0]};
+    const CutParams params = {a.number[2][0].real, a.number[3][0].real, (size_t)a.number[4][0].whole,
+                              (size_t)a.number[5][0].whole};
     List pieces = {NULL, 0, 0, sizeof(Piece)};
     int done;
     Py_BEGIN_ALLOW_THREADS

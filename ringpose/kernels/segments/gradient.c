@@ -226,11 +226,11 @@ static int find_gradient(const Image *image, int upper, int16_t *magnitude, Anch
 PyObject *call_gradient(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {
-        {"image", 'I', {N, M}}, {"bits", 'L', {8, 16}}, {"upper", 'L', {1, INT16_MAX}}, {">magnitude", 'h', {N, M}}};
+        {"image", IMAGE, {N, M}}, {"bits", WHOLE, {8, 16}}, {"upper", WHOLE, {1, INT16_MAX}}, {">magnitude", INT16, {N, M}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const Py_buffer *image = &a.view[0];
-    const int bits = (int)a.number[1][0];
+    const int bits = (int)a.number[1][0].whole;
     if (image->itemsize != (bits > 8 ? 2 : 1)) {
         PyErr_Format(PyExc_TypeError, "image: elements of %zd bytes do not hold %d bits", image->itemsize, bits);
         return close_arguments(&a, NULL);
@@ -239,7 +239,7 @@ PyObject *call_gradient(PyObject *module, PyObject *tuple) {
     Anchors anchors = {{NULL, 0, 0, sizeof(int32_t)}, {NULL, 0, 0, sizeof(uint8_t)}};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find_gradient(&data, (int)a.number[2][0], a.view[3].buf, &anchors);
+    done = find_gradient(&data, (int)a.number[2][0].whole, a.view[3].buf, &anchors);
     Py_END_ALLOW_THREADS
     PyObject *result = Py_BuildValue("(NN)", list_bytes(done, &anchors.index), list_bytes(done, &anchors.orientation));
     return close_arguments(&a, result);

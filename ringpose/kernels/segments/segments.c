@@ -266,15 +266,15 @@ static int pieces_inside(const Py_buffer *pieces, Py_ssize_t pixels) {
 
 PyObject *call_fits(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"magnitude", 'h', {ANY, ANY}},
-                                          {"pixels", 'i', {ANY, 2}},
-                                          {"pieces", 'i', {ANY, 2}},
-                                          {"trim", 'L', {0, INT32_MAX}}};
+    static const Parameter parameter[] = {{"magnitude", INT16, {ANY, ANY}},
+                                          {"pixels", INT32, {ANY, 2}},
+                                          {"pieces", INT32, {ANY, 2}},
+                                          {"trim", WHOLE, {0, INT32_MAX}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     if (!pieces_inside(&a.view[2], a.view[1].shape[0])) return close_arguments(&a, NULL);
     const Magnitude area = {a.view[0].buf, (size_t)a.view[0].shape[0], (size_t)a.view[0].shape[1]};
-    const size_t count = (size_t)a.view[2].shape[0], trim = (size_t)a.number[3][0];
+    const size_t count = (size_t)a.view[2].shape[0], trim = (size_t)a.number[3][0].whole;
     List lines = {NULL, 0, 0, sizeof(Line)}, moments = {NULL, 0, 0, sizeof(Moments)};
     int done;
     Py_BEGIN_ALLOW_THREADS
@@ -285,12 +285,12 @@ PyObject *call_fits(PyObject *module, PyObject *tuple) {
 
 PyObject *call_joins(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"lines", 'd', {N, 4}}, {"moments", 'd', {N, 6}},
-                                          {"pieces", 'i', {N, 2}}, {"gap", 'R', {0}},
-                                          {"aside", 'R', {0}},    {"shortest", 'L', {0, INT32_MAX}}};
+    static const Parameter parameter[] = {{"lines", FLOAT64, {N, 4}}, {"moments", FLOAT64, {N, 6}},
+                                          {"pieces", INT32, {N, 2}}, {"gap", REAL, {0}},
+                                          {"aside", REAL, {0}},    {"shortest", WHOLE, {0, INT32_MAX}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    const JoinParams params = {a.number[3][0], a.number[4][0], (int64_t)a.number[5][0]};
+    const JoinParams params = {a.number[3][0].real, a.number[4][0].real, a.number[5][0].whole};
     if (!require(params.max_gap >= 0 && params.max_gap < 1e6 && params.max_offset > 0 && params.max_offset < 1e6,
                  "gap, aside: must be 0 to 1e6, and aside more than 0"))
         return close_arguments(&a, NULL);

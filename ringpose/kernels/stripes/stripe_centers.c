@@ -502,8 +502,8 @@ static int is_saturated_beside(const Job *job, const Ridge *ridge, double width)
     ptrdiff_t rows = (ptrdiff_t)(FULL_WIDTHS * width + 0.5);
     size_t above = clamped(ridge->row - rows, image->height), below = clamped(ridge->row + rows, image->height);
     size_t x = (size_t)ridge->x;
-    return lit_at(image, above * image->width + x) >= job->params->full &&
-           lit_at(image, below * image->width + x) >= job->params->full;
+    return lit_at(image, above * image->width + x) >= (float)job->params->full_dn &&
+           lit_at(image, below * image->width + x) >= (float)job->params->full_dn;
 }
 
 /* True if the flanks of a piece are neither disturbed by other ridges nor saturated. */
@@ -550,7 +550,7 @@ static const Columns *measure_piece(Job *job, const int32_t *order, size_t count
 /* ---- pieces ---- */
 
 static int is_kept(const StripePiece *piece, const StripeParams *params) {
-    return (size_t)piece->columns >= params->shortest && (size_t)piece->strong_columns >= params->shortest;
+    return piece->columns >= params->shortest && piece->strong_columns >= params->shortest;
 }
 
 size_t kept_ridges(const StripeParams *params, const List *pieces) {
@@ -591,7 +591,7 @@ static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order
         size_t count = (size_t)piece[i].columns;
         PieceScatter *own = measured + number;
         const Columns *columns = measure_piece(job, order + ((size_t)end[i] - count), count, &own->of, &own->first);
-        if (columns->count < job->params->shortest) continue;
+        if ((int64_t)columns->count < job->params->shortest) continue;
         own->columns = columns->count;
         append_columns(columns, number++, centers);
     }

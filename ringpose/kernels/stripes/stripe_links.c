@@ -112,7 +112,7 @@ static void follow(Track *track, Ridge *ridge, const StripeParams *params) {
     track->expected += off * gain[n] + track->slope;
     track->scatter += SCATTER_SHARE * (distance(off, 0) - track->scatter);
     track->y = ridge->y;
-    track->strong_columns += ridge->response >= params->begin_sigmas * ridge->noise;
+    track->strong_columns += ridge->response >= (float)params->begin_sigmas * ridge->noise;
     track->missing = 0;
     track->nearest = -1;
     ridge->piece = track->piece;
@@ -169,7 +169,7 @@ static int begin_pieces(Course *course, Ridge *ridge, size_t count) {
         if (ridge[i].piece >= 0) continue;
         while (t < course->count && course->tracks[t].expected <= ridge[i].y) spare[all++] = course->tracks[t++];
         ridge[i].piece = (int32_t)course->pieces->used++;
-        int strong = ridge[i].response >= course->params->begin_sigmas * ridge[i].noise;
+        int strong = ridge[i].response >= (float)course->params->begin_sigmas * ridge[i].noise;
         spare[all++] = (Track){ridge[i].y, ridge[i].y, 0, FIRST_SCATTER_PX, 0, -1, 0, 1, strong, ridge[i].piece};
     }
     while (t < course->count) spare[all++] = course->tracks[t++];

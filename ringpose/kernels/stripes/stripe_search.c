@@ -272,7 +272,7 @@ static int add_run(Search *search, size_t block, int32_t first, int32_t last) {
 /* A window that may hold a ridge, and its neighbours where a stripe may end. */
 static int keep_window(Search *search, ptrdiff_t cell, size_t block, const int32_t *window) {
     size_t row = clamped((cell + 1) * CELL, search->noise->image->height);
-    float minimum = search->params->coarse_per_response *
+    float minimum = (float)search->params->coarse_per_response *
                   min_response(search->params, noise_at(search->noise, row, block));
     if ((float)window[block] < minimum) return 1;
     size_t from = block > 0 ? block - 1 : 0, to = block + 1 < search->blocks ? block + 1 : block;
@@ -336,7 +336,7 @@ static int mark_bands(Search *search, const Bands *bands) {
 
 /* Keeps windows from row to row. */
 static int keep_rows(Search *search, ptrdiff_t from, ptrdiff_t to) {
-    double minimum = (double)search->params->coarse_per_response * search->params->min_response;
+    double minimum = (double)(float)search->params->coarse_per_response * (float)search->params->min_response;
     int32_t minimum_sum = minimum < 1 ? 1 : minimum < 1e9 ? (int32_t)minimum : 1000000000;
     for (ptrdiff_t cell = from; cell < to; cell++)
         if (!keep_windows(search, cell, minimum_sum)) return 0;

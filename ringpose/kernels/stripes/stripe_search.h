@@ -7,13 +7,15 @@
 /* Rows of a cell of the coarse search. */
 enum { CELL = 4 };
 
-typedef struct {
-    float begin_sigmas, continue_sigmas; /* response over its noise: of the strong columns of a piece, of all columns */
-    float min_response;
-    float coarse_per_response; /* window sum of a ridge with a response of 1 */
-    float full;                /* grey value of a saturated pixel */
-    size_t gap, shortest;      /* columns */
-} StripeParams;
+#define STRIPE_PARAMS(REAL, COUNT)                                                                                  \
+    REAL(min_response, POSITIVE)                                                                                    \
+    REAL(coarse_per_response, NOT_NEGATIVE)                                                                         \
+    COUNT(full_dn, 1, UINT16_MAX)                                                                                   \
+    REAL(begin_sigmas, NOT_NEGATIVE)                                                                                \
+    REAL(continue_sigmas, NOT_NEGATIVE)                                                                             \
+    COUNT(gap, 0, 1000)                                                                                             \
+    COUNT(shortest, 1, INT32_MAX)
+RECORD_STRUCT(StripeParams, STRIPE_PARAMS);
 
 /* First column, column after the last, first row, row after the last of each band; NULL for the whole image. */
 typedef struct {
@@ -37,8 +39,8 @@ float noise_at(const Noise *noise, size_t row, size_t block);
 
 /* Smallest response of a ridge. */
 static inline float min_response(const StripeParams *params, float noise) {
-    float enough = params->continue_sigmas * noise;
-    return enough > params->min_response ? enough : params->min_response;
+    float enough = (float)params->continue_sigmas * noise, minimum = (float)params->min_response;
+    return enough > minimum ? enough : minimum;
 }
 
 /* Cells of a block that are to be smoothed. */

@@ -7,8 +7,7 @@
 /* Figures of a filter: sigma, taps on one side, response of either derivative to white noise. */
 enum { FIGURES = 4 };
 
-/* Columns that may be missing in a piece. */
-enum { MAX_GAP = 1000 };
+RECORD(StripeParams, STRIPE_PARAMS);
 
 static int filters_fit(const Py_buffer *taps, const Py_buffer *figures) {
     int fit = figures->shape[0] >= 2;
@@ -17,13 +16,6 @@ static int filters_fit(const Py_buffer *taps, const Py_buffer *figures) {
         fit = figure[0] > 0 && figure[0] <= MAX_REACH && figure[1] >= 1 && figure[1] < (double)taps->shape[2] &&
               figure[1] <= MAX_REACH && figure[2] > 0 && figure[3] > 0;
     return require(fit, "filters: figures and taps do not fit together");
-}
-
-static int params_fit(const StripeParams *params, double gap, double shortest) {
-    return require(params->begin_sigmas >= 0 && params->continue_sigmas >= 0 && params->min_response > 0 &&
-                       params->coarse_per_response >= 0 && gap >= 0 && gap <= MAX_GAP && shortest >= 1 &&
-                       shortest <= INT32_MAX,
-                   "params: a number is out of range");
 }
 
 static Filter *filters_of(const Py_buffer *taps, const Py_buffer *figures) {
@@ -108,19 +100,14 @@ static PyObject *centers_of(const StripeImage *image, const Filter *filters, siz
 
 PyObject *call_stripes(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"image", 'I', {N, M}},      {"?dark", 'I', {N, M}},
-                                          {"?bands", 'i', {ANY, SIDES}}, {"taps", 'f', {K, 2, ANY}},
-                                          {"filters", 'd', {K, FIGURES}}, {"params", 'T', {7}}};
+    static const Parameter parameter[] = {{"image", IMAGE, {N, M}},      {"?=dark", IMAGE, {N, M}},
+                                          {"?bands", INT32, {ANY, SIDES}}, {"taps", FLOAT32, {K, 2, ANY}},
+                                          {"filters", FLOAT64, {K, FIGURES}}, {"params", &StripeParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL, *sides = &a.view[2];
-    const double *rule = a.number[5];
-    StripeParams params = {(float)rule[3], (float)rule[4], (float)rule[0], (float)rule[1], (float)rule[2], 0, 0};
-    if (!require(!dark || dark->itemsize == lit->itemsize, "dark: must have the type and the shape of the image") ||
-        !filters_fit(&a.view[3], &a.view[4]) || !params_fit(&params, rule[5], rule[6]))
-        return close_arguments(&a, NULL);
-    params.gap = (size_t)rule[5];
-    params.shortest = (size_t)rule[6];
+    const StripeParams *params = (const StripeParams *)a.number[5];
+    if (!filters_fit(&a.view[3], &a.view[4])) return close_arguments(&a, NULL);
     StripeImage image = {lit->buf, dark ? dark->buf : NULL, (size_t)lit->shape[0], (size_t)lit->shape[1],
                          lit->itemsize == 2};
     Bands bands = {NULL, 0};
@@ -129,10 +116,10 @@ PyObject *call_stripes(PyObject *module, PyObject *tuple) {
     Filter *filters = filters_of(&a.view[3], &a.view[4]);
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = filters && find_pieces(&image, filters, &params, &bands, &lists);
+    done = filters && find_pieces(&image, filters, params, &bands, &lists);
     Py_END_ALLOW_THREADS
     PyObject *result =
-        done ? centers_of(&image, filters, (size_t)a.view[4].shape[0], &params, &lists) : PyErr_NoMemory();
+        done ? centers_of(&image, filters, (size_t)a.view[4].shape[0], params, &lists) : PyErr_NoMemory();
     give_lists_back(&lists);
     free(filters);
     return close_arguments(&a, result);
