@@ -14,6 +14,7 @@ import scipy.interpolate
 import scipy.optimize
 
 import ringpose.capture.lasers.watchdog
+import ringpose.capture.live
 import ringpose.cli.acquisition
 import ringpose.cli.capture
 import ringpose.cli.live_input

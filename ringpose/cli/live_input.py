@@ -1,59 +1,23 @@
-"""Input that arrives while a command runs: shots of a live camera, poses of its robot, records at fixed ticks."""
+"""Input that arrives while a command runs: poses of the robot that carries a live camera, records at fixed ticks."""
 
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from contextlib import contextmanager
 from pathlib import Path
-from time import monotonic, perf_counter, sleep
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, TypeVar
 
 from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
-    from ringpose.capture.latest_frame import LiveShot
-    from ringpose.capture.source import CaptureRequest, TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.measure.stream import Measured, Stream
 
 Item = TypeVar("Item")
 
 PATIENCE_S = 0.2
 """Time for which a live shot waits for the pose of the robot that follows it."""
-
-
-@contextmanager
-def live_lines(
-    request: "CaptureRequest", stream: "Stream", batch: "Batch", sequence: "TrackedSequence | None" = None
-) -> "Iterator[Iterator[Measured]]":
-    """The lines of a live camera: after each measurement, the latest shot is measured next.
-
-    `sequence`: chooses the lasers of the next shot by the track. A shot that is lost to changing ambient light has a
-    line, too. A bad shot ends the stream, as all that follow would be bad for the same reason. At the end of the block
-    the lasers are off and the devices closed.
-    """
-    from ringpose.capture.latest_frame import NewestShots
-    from ringpose.cli.acquisition import source_of
-    from ringpose.files.images.shots import checked_shot
-
-    def measured(live: "LiveShot") -> "Measured":
-        found = stream.measure(checked_shot(live.shot, stream.setup.rig, request.camera))
-        if sequence is not None:
-            sequence.report(is_assigned=stream.assigns_lasers)
-        latency_s = perf_counter() - live.taken_s
-        return replace(found, line=replace(found.line, shots_dropped=live.dropped, latency_s=latency_s))
-
-    source = source_of(replace(request, yields_lost=True), batch)
-    with ExitStack() as stack:
-        for device in source.devices:
-            stack.enter_context(device)
-        shots = source.shots(lambda _: None, ())  # live shots are not read from files
-        newest = stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
-        import ringpose.detect.pipeline  # noqa: F401  # imported while the first shot is taken
-
-        yield map(measured, newest)
 
 
 @contextmanager

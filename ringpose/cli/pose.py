@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
+    from ringpose.types.rig import Rig
 
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
@@ -122,7 +123,7 @@ def pose(
                 batch.reported(_recorded(inputs or [], in_stream(), SourceReader(loaded_rig, channel), jobs, batch))
             )
         else:
-            found = _live(camera, shots, in_stream, batch)
+            found = _live(camera, shots, loaded_rig, in_stream, batch)
         pictures = None
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures
@@ -145,18 +146,14 @@ def _recorded(
 
 
 def _live(
-    camera: str, shots: ShotOptions, in_stream: "Callable[..., Stream]", batch: Batch
+    camera: str, shots: ShotOptions, rig: "Rig", in_stream: "Callable[..., Stream]", batch: Batch
 ) -> "AbstractContextManager[Iterator[Measured]]":
-    """The lines of a live camera, whose lasers the track chooses unless the options do."""
-    from ringpose.capture.latest_frame import EarlyStripes
-    from ringpose.capture.source import TrackedSequence
-    from ringpose.cli.live_input import live_lines
+    """The lines of a live camera."""
+    from ringpose.capture.live import live_lines
+    from ringpose.cli.acquisition import source_of
+    from ringpose.files.images.shots import checked_shot
 
-    early = EarlyStripes()
-    stream = in_stream(early=early.stripes_of)
-    sequence = TrackedSequence() if stream.is_tracking else None
-    choose = None if shots.sequence else sequence
-    return live_lines(shots.request(camera, stream.rig, choose=choose, on_frame=early.add), stream, batch, sequence)
+    return live_lines(shots.request(camera, rig), partial(source_of, batch=batch), in_stream, checked_shot)
 
 
 def _check_source(inputs: list[str] | None, camera: str | None, shots: ShotOptions) -> None:
