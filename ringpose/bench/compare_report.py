@@ -9,7 +9,8 @@ from ringpose.bench.assumptions import assumption_lines, counted_records
 from ringpose.bench.compare import COMPARED, Pair, Row, RowVerdict, testable_shots
 from ringpose.bench.score import Judgement
 from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
-from ringpose.bench.table import COLUMNS, NEES, aligned, group_cells
+from ringpose.bench.table import COLUMNS, NEES, group_cells
+from ringpose.types.table import Table
 
 SCHEMA = "bench_compare/1"
 
@@ -82,9 +83,9 @@ def comparison_text(
     of_row = ("quantity", "shots", "A", "B", "difference", "95 % interval", "p", "verdict", "needs shots")
     changed = [row for row in rows if row.verdict is not RowVerdict.SAME]
     shown = [row for row in changed if testable_shots(row.changed)]
-    cells = [_cells(row, by) for row in shown]
+    table = Table(headings=["method", *by, *of_row], rows=[_cells(row, by) for row in shown])
     lines = ["B beside A; a positive difference is worse"]
-    lines += [*aligned([["method", *by, *of_row], *cells], left=2 + len(by)), ""] if cells else []
+    lines += [*table.lines(left=2 + len(by)), ""] if shown else []
     if len(shown) < len(changed):
         lines.append(f"{len(changed) - len(shown)} more rows cannot tell, with fewer than 6 shots that changed")
     lines += _named("newly wrong", [f"{shot} {name} ({method})" for method, shot, name in newly_wrong(paired)])

@@ -1,6 +1,6 @@
 """Summaries and scores as plain values for JSON and CSV, in metres and radians, and scores from these values."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Literal, cast
 
@@ -17,6 +17,7 @@ from ringpose.errors import DataError
 from ringpose.files.records.codec import definition_of
 from ringpose.files.schema import Fields
 from ringpose.types.pose import Priors, RigPriors
+from ringpose.types.table import Table
 
 SCHEMA = "bench/3"
 
@@ -51,17 +52,21 @@ def report(
     }
 
 
-def csv_rows(scores: Sequence[Score]) -> Iterator[Sequence[str | float | int | bool]]:
-    """A heading, then a row for each shot and method; missing errors are empty, wrong quantities share a cell."""
+def score_table(scores: Sequence[Score]) -> Table:
+    """A row for each shot and method, in metres and radians; wrong quantities share a cell."""
     names = list(dict.fromkeys(name for score in scores for name in score.groups))
-    yield ["shot", "method", "outcome", *names, *QUANTITIES, "status", "wrong", "latency_s", "assumptions"]
-    for score in scores:
-        groups = [score.groups.get(name, "") for name in names]
-        errors = [score.errors.get(name, "") for name in QUANTITIES]
-        latency = "" if score.latency_s is None else score.latency_s
-        assumptions = "" if score.assumptions is None else assumptions_text(score.assumptions)
-        judged = [score.status, " ".join(score.wrong), latency, assumptions]
-        yield [score.shot, score.method, score.outcome, *groups, *errors, *judged]
+    rows = [
+        [
+            *(score.shot, score.method, str(score.outcome)),
+            *(score.groups.get(name) for name in names),
+            *(score.errors.get(name) for name in QUANTITIES),
+            *(score.status, " ".join(score.wrong), score.latency_s),
+            None if score.assumptions is None else assumptions_text(score.assumptions),
+        ]
+        for score in scores
+    ]
+    headings = ["shot", "method", "outcome", *names, *QUANTITIES, "status", "wrong", "latency_s", "assumptions"]
+    return Table(headings=headings, rows=rows)
 
 
 def _group_record(line: Summary) -> Mapping[str, Any]:

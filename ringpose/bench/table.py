@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from ringpose.bench.assumptions import StatedAssumptions, assumption_lines
 from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
 from ringpose.bench.summary import ABSENT, Summary, Value
+from ringpose.types.table import Table
 
 OUTCOMES = {outcome: outcome.value for outcome in Outcome}
 OUTCOMES |= {Outcome.PARTIAL_NONE: "part.none", Outcome.NO_TARGET: "no target"}
@@ -68,27 +69,17 @@ def _block(
         for heading in (of_lines[0] if of_lines else ())
         if heading not in OPTIONAL or any(of_line[heading] not in (ABSENT, "0/0") for of_line in of_lines)
     ]
-    rows = [["method", *by, *shown]]
-    for line, of_line in zip(summaries, of_lines, strict=True):
-        rows.append([*group_cells(line.method, line.group, by), *(of_line[heading] for heading in shown)])
-    return "\n".join([title, *aligned(rows, left=1 + len(by))])
+    rows = [
+        [*group_cells(line.method, line.group, by), *(of_line[heading] for heading in shown)]
+        for line, of_line in zip(summaries, of_lines, strict=True)
+    ]
+    table = Table(headings=["method", *by, *shown], rows=rows)
+    return "\n".join([title, *table.lines(left=1 + len(by))])
 
 
 def group_cells(method: str, group: Mapping[str, Value], by: Sequence[str]) -> list[str]:
     """The cells of a method and of the values of a group; `all` for the empty one."""
     return [method or ABSENT, *(str(group.get(name, ABSENT)) if group else "all" for name in by)]
-
-
-def aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
-    """Rows of cells as lines; the first `left` columns are left-aligned, the others right-aligned."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.ljust(width) if column < left else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 def _outcomes(line: Summary) -> Mapping[str, str]:

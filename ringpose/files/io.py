@@ -4,10 +4,11 @@ import csv
 import errno
 import hashlib
 import io
+import math
 import shlex
 import stat
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -16,6 +17,7 @@ from typing import Any
 
 from ringpose.errors import DataError, InputOutputError, NoInputError
 from ringpose.files import atomic, records
+from ringpose.types.table import Cell, Table
 
 MAX_BYTES = 2**31
 """Four times the size of the largest allowed shot, uncompressed."""
@@ -71,11 +73,27 @@ def read_secret(path: Path) -> bytes:
     return secret
 
 
-def csv_text(rows: Iterable[Sequence[str | float | int | bool]]) -> str:
-    """Rows as CSV (RFC 4180), with line feeds instead of CR LF."""
+def csv_text(table: Table) -> str:
+    """A table as CSV."""
     stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows(rows)
+    write_csv(stream, table)
     return stream.getvalue()
+
+
+def write_csv(stream: io.TextIOBase, table: Table) -> None:
+    """Write a table row by row as CSV (RFC 4180), with line feeds instead of CR LF.
+
+    Cells without a value, and numbers that are not finite, are empty; truth values are `true` and `false`.
+    """
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(table.headings)
+    writer.writerows(map(_csv_cell, row) for row in table.rows)
+
+
+def _csv_cell(value: Cell) -> Cell:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None or (isinstance(value, float) and not math.isfinite(value)) else value
 
 
 def write_result(target: str, text: str, *, force: bool) -> None:

@@ -11,10 +11,11 @@ from ringpose.calibrate.camera.outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.calibrate.camera.parameters import parameters_of
 from ringpose.calibrate.camera.quality import projection_sigma_m
 from ringpose.report.figures import canvas, drawn, png_of
-from ringpose.report.page import Picture, Section, Table, page, verdict_section
+from ringpose.report.page import Picture, Section, page, verdict_section
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, ModelComparison, Verdict
 from ringpose.types.rig import CAMERA_PARAMETERS, Camera
+from ringpose.types.table import Table
 
 
 def camera_report(assessment: CameraAssessment, verdict: Verdict, without_board: Sequence[tuple[str, str]] = ()) -> str:

@@ -13,6 +13,7 @@ from string import Template
 
 from ringpose.errors import UsageError
 from ringpose.types.calibration import Grade, Verdict
+from ringpose.types.table import Table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,14 +22,6 @@ class Picture:
 
     png: bytes
     caption: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """Rows of text under headings."""
-
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,7 +79,7 @@ def _section(section: Section) -> str:
 
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(heading)}</th>" for heading in table.headings)
-    rows = ["".join(map(_cell, row)) for row in table.rows]
+    rows = ["".join(_cell(str(cell)) for cell in row) for row in table.rows]
     return "\n".join(["<table>", *(f"<tr>{cells}</tr>" for cells in (head, *rows)), "</table>"])
 
 

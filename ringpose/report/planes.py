@@ -7,8 +7,9 @@ from ringpose.calibrate.acceptance import PLANES_LIMITS
 from ringpose.calibrate.planes.covariance import worst_depth_sd_m
 from ringpose.calibrate.planes.quality import PlanesAssessment, calibrated_rig, planes_summary
 from ringpose.report.figures import canvas, drawn, png_of
-from ringpose.report.page import Picture, Section, Table, page, verdict_section
+from ringpose.report.page import Picture, Section, page, verdict_section
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
+from ringpose.types.table import Table
 
 _BIN_SHARE = 0.04
 """Bin width of residuals along a stripe, in tangents of the viewing angle."""

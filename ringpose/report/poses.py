@@ -10,9 +10,10 @@ from matplotlib.ticker import MaxNLocator
 
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.report.figures import canvas, png_of
-from ringpose.report.page import Picture, Section, Table, page
+from ringpose.report.page import Picture, Section, page
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseLine, RingPose, Status
+from ringpose.types.table import Table
 
 STATUS_COLORS: dict[Status, str] = {"ok": "#2a7d3b", "degraded": "#c77f00", "none": "#c0392b"}
 

@@ -18,10 +18,10 @@ from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
 from benchmarks.stripe_images import Kind, StripeImage, shot_of, stripe_image, stripe_rig
 from benchmarks.timing import median_times_s, one_core
 
-from ringpose.bench.table import aligned
 from ringpose.detect.pipeline import detect
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import Segments
+from ringpose.types.table import Table
 
 CHAIN = "ringpose detect"
 """From the image to break points, without the edges of the ring between them.
@@ -150,10 +150,11 @@ def _chain_figures(images: Sequence[StripeImage]) -> dict[str, float]:
 
 def table(title: str, figures: Mapping[str, Mapping[str, Any]]) -> str:
     """A line for each detector."""
-    rows = [["detector", *COLUMNS]]
-    for name, of_detector in figures.items():
-        rows.append([name, *(number(of_detector.get(key, math.nan), form) for key, form in COLUMNS.items())])
-    return "\n".join([title, *aligned(rows, left=1)]) + "\n"
+    rows = [
+        [name, *(number(of_detector.get(key, math.nan), form) for key, form in COLUMNS.items())]
+        for name, of_detector in figures.items()
+    ]
+    return "\n".join([title, *Table(headings=["detector", *COLUMNS], rows=rows).lines()]) + "\n"
 
 
 def main() -> None:

@@ -12,9 +12,10 @@ import pytest
 
 from ringpose.errors import UsageError
 from ringpose.report.figures import canvas, drawn, png_of
-from ringpose.report.page import Picture, Section, Table, page, require_matplotlib, verdict_section
+from ringpose.report.page import Picture, Section, page, require_matplotlib, verdict_section
 from ringpose.report.poses import pose_report
 from ringpose.types.calibration import Check, Verdict
+from ringpose.types.table import Table
 
 
 class Tags(HTMLParser):

@@ -30,6 +30,7 @@ from ringpose.types.detection import BreakPoints
 from ringpose.types.pose import KnownRadii, PoseFlag
 from ringpose.types.rig import Rig
 from ringpose.types.scene import RingView, Scene
+from ringpose.types.table import Table
 
 WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN
 """Flags of a pose whose errors are not at the bound: a linear approximation does not describe them."""
@@ -248,8 +249,8 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
     return False
 
 
-def design_rows(found: Sequence[Design]) -> list[list[str]]:
-    """A row for each design and distance: medians over the places."""
+def median_table(found: Sequence[Design]) -> Table:
+    """A row of text for each design and distance: medians over the places."""
     medians = {
         "center mm": ("center_m", 1e3),
         "normal deg": ("normal_rad", degrees(1.0)),
@@ -257,7 +258,7 @@ def design_rows(found: Sequence[Design]) -> list[list[str]]:
         "grasp mm": ("grasp_m", 1e3),
         "center mm (r known)": ("center_known_m", 1e3),
     }
-    rows = [["rig", "distance", "in view", *medians, "above bound"]]
+    rows = []
     for design in found:
         for distance_m in sorted({result.place.distance_m for result in design.results}):
             results = tuple(result for result in design.results if result.place.distance_m == distance_m)
@@ -265,7 +266,7 @@ def design_rows(found: Sequence[Design]) -> list[list[str]]:
             shares = [f"{100 * share:.0f} %" for share in (here.coverage(), here.share("above_bound"))]
             values = [number(factor * here.median(name)) for name, factor in medians.values()]
             rows.append([design.name, f"{1e3 * distance_m:.0f} mm", shares[0], *values, shares[1]])
-    return rows
+    return Table(headings=["rig", "distance", "in view", *medians, "above bound"], rows=rows)
 
 
 def summary_lines(found: Sequence[Design]) -> list[str]:
@@ -288,24 +289,24 @@ def summary_lines(found: Sequence[Design]) -> list[str]:
 PLACE_FLAGS = ("weak", "weak_known", "light_beyond", "ambiguous")
 """What is true or false of a place (`PlaceResult`)."""
 
-CSV_HEADING = (
-    "rig", "reference", *SWEPT, "distance_m", "offset_x", "offset_y", "pitch_rad", "yaw_rad", "stripes",
-    *(f"sd_{name}" for name in QUANTITIES), *PLACE_FLAGS,
-)  # fmt: skip
 
-
-def csv_rows(found: Iterable[Design]) -> Iterator[list[str | float | int]]:
-    """The heading, then a row for each design and place; undetermined quantities are empty."""
-    yield list(CSV_HEADING)
-    for design in found:
-        for result in design.results:
-            place, sds = result.place, [result.sd[name] for name in QUANTITIES]
-            yield [
-                design.name,
-                str(design.reference).lower(),
-                *(design.changes.get(name, "") for name in SWEPT),
-                *(place.distance_m, place.offset_x, place.offset_y, place.pitch_rad, place.yaw_rad),
-                result.stripes,
-                *(sd if np.isfinite(sd) else "" for sd in sds),
-                *(str(getattr(result, name)).lower() for name in PLACE_FLAGS),
-            ]
+def place_table(found: Iterable[Design]) -> Table:
+    """A row for each design and place, in metres and radians."""
+    headings = (
+        "rig", "reference", *SWEPT, "distance_m", "offset_x", "offset_y", "pitch_rad", "yaw_rad", "stripes",
+        *(f"sd_{name}" for name in QUANTITIES), *PLACE_FLAGS,
+    )  # fmt: skip
+    rows = [
+        [
+            *(design.name, design.reference),
+            *(design.changes.get(name) for name in SWEPT),
+            *(place.distance_m, place.offset_x, place.offset_y, place.pitch_rad, place.yaw_rad),
+            result.stripes,
+            *(result.sd[name] for name in QUANTITIES),
+            *(bool(getattr(result, name)) for name in PLACE_FLAGS),
+        ]
+        for design in found
+        for result in design.results
+        for place in [result.place]
+    ]
+    return Table(headings=headings, rows=rows)

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from ringpose.bench.design.maps import Design, design_rows, summary_lines
+from ringpose.bench.design.maps import Design, median_table, summary_lines
 from ringpose.report.figures import canvas, drawn, png_of
-from ringpose.report.page import Picture, Section, Table, page
+from ringpose.report.page import Picture, Section, page
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 
@@ -34,7 +34,7 @@ _ABOVE_BOUND = {"center_known_m": "above_bound_known"}
 def design_report(found: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
     """HTML page: what was chosen, tables, maps, curves and sketches."""
     shown = _shown(found, chosen, quantity)
-    label, (heading, *rows) = UNITS[quantity][0], design_rows(found)
+    label = UNITS[quantity][0]
     sections = [
         Section(
             title="Result",
@@ -51,7 +51,7 @@ def design_report(found: Sequence[Design], chosen: Design | None, quantity: str,
             title="Maps", pictures=[_maps(shown, name) for name in dict.fromkeys((quantity, "normal_rad", "grasp_m"))]
         ),
         Section(title="Fields of view and stripes", points=summary_lines(found)),
-        Section(title="Medians by distance", table=Table(headings=heading, rows=rows)),
+        Section(title="Medians by distance", table=median_table(found)),
         Section(title="Provenance", text=[f"{key}: {value}" for key, value in provenance.items()]),
     ]
     return page("Rig design", sections)

@@ -14,18 +14,19 @@ from ringpose.bench.design.report import draw_side_view
 from ringpose.bench.study.table import (
     Key,
     StudySummary,
-    cell_rows,
+    cell_table,
     factor_text,
     failure_rows,
-    paper_rows,
+    paper_table,
     value_text,
     violation_lines,
     wide_columns,
 )
 from ringpose.bench.table import number
 from ringpose.report.figures import canvas, drawn, png_of
-from ringpose.report.page import Picture, Section, Table, page
+from ringpose.report.page import Picture, Section, page
 from ringpose.types.study import Row, Study
+from ringpose.types.table import Table
 
 MAX_POINTS = 4000
 """Maximum number of shots of each method in a scatter plot; of more, every n-th is drawn."""
@@ -137,20 +138,23 @@ CONSISTENCY_SHOWN = ("shots", "pose %", "center %", "ok %", "wrong", "center NEE
 
 def _paper_table(study: Study, summary: StudySummary) -> Table:
     """Root mean square errors by components, a column for each value of the study's main factor."""
-    rows, heading = [], ["all"]
-    for method in summary.methods:
-        heading, first, *further = paper_rows(study, summary, method)
-        rows += [[method, *first], *(["", *row] for row in further)]
-    return Table(headings=("method", "root mean square", *heading), rows=rows)
+    tables = {method: paper_table(study, summary, method) for method in summary.methods}
+    rows = [
+        [method if number == 0 else "", *row]
+        for method, table in tables.items()
+        for number, row in enumerate(table.rows)
+    ]
+    values = list(tables.values())[-1].headings[1:]
+    return Table(headings=("method", "root mean square", *values), rows=rows)
 
 
 def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
     """A row for each cell and method; only the first row of a cell shows the values of its factors."""
-    heading, *rows = cell_rows(summary, shown)
-    factors = len(summary.by)
+    table, factors = cell_table(summary, shown), len(summary.by)
+    rows = [list(row) for row in table.rows]
     repeated = [number > 0 and row[:factors] == rows[number - 1][:factors] for number, row in enumerate(rows)]
     rows = [[*([""] * factors), *row[factors:]] if again else row for row, again in zip(rows, repeated, strict=True)]
-    return Table(headings=(*map(factor_name, summary.by), *heading[factors:]), rows=rows)
+    return Table(headings=(*map(factor_name, summary.by), *table.headings[factors:]), rows=rows)
 
 
 def factor_name(name: str) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
-from ringpose.bench.table import aligned, number
+from ringpose.bench.table import number
 from ringpose.types.study import BOUNDS, CASE, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
+from ringpose.types.table import Table
 
 Key = tuple[Value, ...]
 
@@ -161,9 +162,8 @@ def study_text(study: Study, summary: StudySummary) -> str:
     heading = [f"{study.title}: {study.shots} shots ({study.level}), seed {study.seed}", *violation_lines(study)]
     blocks = ["\n".join(heading)]
     for method in summary.methods:
-        columns, *rows = paper_rows(study, summary, method)
-        blocks.append("\n".join(aligned([[f"{method}, root mean square", *columns], *rows], 1)))
-    cells = aligned(cell_rows(summary, HEADINGS), len(summary.by) + 1)
+        blocks.append("\n".join(paper_table(study, summary, method).lines()))
+    cells = cell_table(summary, HEADINGS).lines(left=len(summary.by) + 1)
     blocks.append("\n".join(["errors beside their bounds, root mean square", *cells]))
     if failures := failure_rows(summary):
         blocks.append("\n".join(["shots with a visible ring but without a pose", *map("  ".join, failures)]))
@@ -191,21 +191,18 @@ def factor_text(factor: Factor) -> str:
     return f"{factor.name} {'drawn from ' if factor.drawn else ''}" + ", ".join(map(str, factor.values))
 
 
-def paper_rows(study: Study, summary: StudySummary, method: str) -> list[list[str]]:
-    """The table in the paper's form: a column for each distance or light, a row for each component of the error.
-
-    The first row is the heading of the columns of values; the column of the row labels has no heading.
-    """
+def paper_table(study: Study, summary: StudySummary, method: str) -> Table:
+    """The table in the paper's form: a column for each distance or light, a row for each component of the error."""
     keys, found = wide_columns(summary, method)
-    rows = [[value_text(study.table, key[0]) if key else "all" for key in keys]]
-    rows += [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
+    rows = [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
     if study.level == "images":
         rows += [[label, *(number(each.median(name) * 1e3) for each in found)] for label, name in PAPER_TIMES]
     rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
     rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
     if any(each.targets < each.shots for each in found):
         rows.append(["poses without a ring", *(f"{each.false_poses}/{each.shots - each.targets}" for each in found)])
-    return rows
+    columns = [value_text(study.table, key[0]) if key else "all" for key in keys]
+    return Table(headings=[f"{method}, root mean square", *columns], rows=rows)
 
 
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
@@ -223,16 +220,16 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def cell_rows(summary: StudySummary, shown: Sequence[str]) -> list[list[str]]:
-    """A table of all cells and methods as text: a row of headings, then the columns `shown` (of `HEADINGS`)."""
-    rows = [[*summary.by, "method", *shown]]
+def cell_table(summary: StudySummary, shown: Sequence[str]) -> Table:
+    """A table of all cells and methods as text, with the columns `shown` (of `HEADINGS`)."""
+    rows = []
     for key in sorted_keys(key for _, key in summary.cells):
         for method in summary.methods:
             if (method, key) in summary.cells:
                 cells = dict(zip(HEADINGS, _statistics_cells(summary.cells[method, key]), strict=True))
                 values = [value_text(name, value) for name, value in zip(summary.by, key, strict=True)]
                 rows.append([*values, method, *(cells[heading] for heading in shown)])
-    return rows
+    return Table(headings=[*summary.by, "method", *shown], rows=rows)
 
 
 def _statistics_cells(each: Statistics) -> list[str]:

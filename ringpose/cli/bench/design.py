@@ -102,8 +102,7 @@ def design(
     """Map the accuracy that a rig allows (Cramer-Rao bounds), and find the best of a sweep."""
     from math import radians
 
-    from ringpose.bench.design.maps import best, csv_rows, design_rows, designs, places, summary_lines
-    from ringpose.bench.table import aligned
+    from ringpose.bench.design.maps import best, designs, median_table, place_table, places, summary_lines
     from ringpose.files import records
     from ringpose.files.atomic import reject_existing
     from ringpose.files.io import csv_text, write_result
@@ -128,10 +127,10 @@ def design(
         best_line = (
             f"best by {minimize.value}: {name} with all stripes in view at {100 * min_coverage:g} % of the places"
         )
-        lines = [*aligned(design_rows(found), 1), "", *summary_lines(found), "", best_line]
+        lines = [*median_table(found).lines(), "", *summary_lines(found), "", best_line]
         records.write_text("\n".join(lines) + "\n")
     if csv is not None:
-        write_result(csv, csv_text(csv_rows(found)), force=force)
+        write_result(csv, csv_text(place_table(found)), force=force)
     if chosen is not None and output is not None:
         from ringpose.files.rigs import write_rig
 

@@ -117,7 +117,7 @@ def bench(
 
     Further commands, each with its own --help: bench compare, bench study, bench design.
     """
-    from ringpose.bench.report import csv_rows, report
+    from ringpose.bench.report import report, score_table
     from ringpose.bench.summary import summaries
     from ringpose.bench.table import table
     from ringpose.files import records
@@ -151,7 +151,7 @@ def bench(
         made["provenance"] = provenance(list(filter(Path.is_file, files)))
         write_result(json, records.line_of(made), force=force)
     if csv is not None:
-        write_result(csv, csv_text(csv_rows(scores)), force=force)
+        write_result(csv, csv_text(score_table(scores)), force=force)
     batch.finish()
 
 

@@ -13,7 +13,6 @@ import csv
 import heapq
 import io
 import json
-import math
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -25,9 +24,10 @@ from typing import Any
 
 from ringpose.errors import CannotCreateError, DataError
 from ringpose.files import atomic
-from ringpose.files.io import read_bytes
+from ringpose.files.io import read_bytes, write_csv
 from ringpose.files.records import line_of, parsed_record, plain
 from ringpose.types.study import CASE, INTEGERS, SWITCHES, TEXT_COLUMNS, TEXTS, Row
+from ringpose.types.table import Table
 
 ROWS_PER_GROUP = 5_000
 """Rows of a table that are in memory at once while it is written."""
@@ -81,9 +81,8 @@ class ResultFolder:
         paths = [self.folder / "results.csv"]
         with atomic.replacing(paths[0], force=True) as stream:
             text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
-            writer = csv.writer(text, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows([_cell(row.get(name)) for name in columns] for row in self.rows())
+            rows = ([row.get(name) for name in columns] for row in self.rows())
+            write_csv(text, Table(headings=list(columns), rows=rows))
             text.detach()
         if find_spec("pyarrow") is not None:
             paths.append(self.folder / "results.parquet")
@@ -186,12 +185,6 @@ def _read_part(part: Path) -> Iterator[tuple[int, list[Row]]]:
             except (ValueError, KeyError, TypeError):
                 found = "is damaged: this line is not a shot"
                 raise DataError(f"{part}:{number}", found, "delete the file, its shots are computed again") from None
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else ""
-    return "" if value is None else str(value).lower() if isinstance(value, bool) else value
 
 
 def _read_csv(path: Path) -> Iterator[Row]:
