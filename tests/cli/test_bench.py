@@ -81,14 +81,15 @@ def track_values(**changes) -> dict:
     """A track record whose pose is 3 mm off, with the keys that are compared."""
     line = PoseLine(shot="a", stamp_s=0.0, pose=pose_off_by(0.003))
     return pose_record(line) | {
-        "schema": "ringpose/track/1", "validity": "valid", "fusion_status": "fused", "status": "ok", **changes,
+        "schema": "ringpose/track/1", "validity": "valid", "fusion_status": "fused", "status": "ok",
+        "measurement_stamp_s": 0.0, "camera": "inertial_assumed", **changes,
     }  # fmt: skip
 
 
 def test_track_records_are_scored_by_their_shots_and_stamps(capsys):
     moving = truth_of(shot="a", stamp_s=10.0, velocity_m_s=np.array([0.0, 0.0, 0.1]), normal=pose_off_by(0.003).normal)
     write_truths("truth.jsonl", [moving])
-    records = [track_values(stamp_s=10.03), track_values(stamp_s=10.5, shot=None, fusion_status="none_yet")]
+    records = [track_values(stamp_s=10.03), track_values(stamp_s=10.5, shot=None, fusion_status="none")]
     Path("track.jsonl").write_text("".join(line_of(each) for each in records))
 
     status, report = report_of(capsys, "track.jsonl")

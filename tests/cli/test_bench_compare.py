@@ -194,8 +194,8 @@ def refused(tmp_path_factory) -> Path:
         write_lines("rig.jsonl", [line(f"s{n}", rig="r2") for n in range(SHOTS)])
         for name in ("truth", "elsewhere"):
             main(["bench", "a.jsonl", "--truth", f"{name}.jsonl", "--json", f"{name}.json", "--by", ""])
-        moving = '"motion": {"speed_sd_m_s": 0.05, "rate_sd_rad_s": 0.09}'
-        Path("moving.json").write_text(Path("truth.json").read_text().replace('"motion": "still"', moving))
+        moving = '"motion":{"speed_sd_m_s":0.05,"rate_sd_rad_s":0.09}'
+        Path("moving.json").write_text(Path("truth.json").read_text().replace('"motion":"still"', moving))
         tolerant = Priors(assumptions=Assumptions(ring_tolerance_m=1e-4))
         write_lines(
             "tolerant.jsonl", [replace(line(f"s{n}"), priors=tolerant if n > 3 else None) for n in range(SHOTS)]
