@@ -93,7 +93,9 @@ def _aravis() -> None:
 def forker() -> Iterator[socket.socket]:
     """A process that has imported the command and forks for each job."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    words = [sys.executable, "-W", "error", str(Path(__file__).with_name("forker.py")), str(theirs.fileno())]
+    # a signal may arrive between the opening of a file and its `with` block
+    flags = ("-W", "error", "-W", "ignore::ResourceWarning")
+    words = [sys.executable, *flags, str(Path(__file__).with_name("forker.py")), str(theirs.fileno())]
     with subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL):
         theirs.close()
         yield ours

@@ -1,7 +1,7 @@
 """A process that forks the real command for each job, so that its modules are imported once for all tests.
 
-A job has three descriptors: one on which the process's number and finally its status (as in `subprocess`) are
-reported, its standard output, and its standard error.
+A job has four descriptors: one on which the process's number and finally its status (as in `subprocess`) are
+reported, and its standard input, output and error.
 """
 
 import json
@@ -29,11 +29,12 @@ from ringpose.cli.main import run
 LOADED = (scipy, ringpose)
 
 
-def carry_out(job, out, said):
+def carry_out(job, streams):
     """Become the command."""
-    os.dup2(out, 1)
-    os.dup2(said, 2)
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
     os.closerange(3, 256)
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115
     sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
     os.chdir(job["folder"])
     os.environ.clear()
@@ -45,13 +46,13 @@ def carry_out(job, out, said):
     run()
 
 
-def look_after(job, reply, out, said):
+def look_after(job, reply, *streams):
     """Start the command and report its exit status; the intermediate process waits only for this command."""
     pid = os.fork()
     if not pid:
-        carry_out(job, out, said)
-    os.close(out)
-    os.close(said)
+        carry_out(job, streams)
+    for stream in streams:
+        os.close(stream)
     os.write(reply, str(pid).encode())
     _, status = os.waitpid(pid, 0)
     os.write(reply, str(os.waitstatus_to_exitcode(status)).encode())
@@ -60,7 +61,7 @@ def look_after(job, reply, out, said):
 jobs = socket.socket(fileno=int(sys.argv[1]))
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)
 while True:
-    line, descriptors, _, _ = socket.recv_fds(jobs, 1 << 20, 3)
+    line, descriptors, _, _ = socket.recv_fds(jobs, 1 << 20, 4)
     if not line:
         break
     if not os.fork():

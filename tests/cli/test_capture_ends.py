@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import resource
 import signal
 import termios
 from pathlib import Path
@@ -22,11 +21,11 @@ SLOWLY = ("capture", "--camera", "files:in", "--rate", "0.001", "--output", "s")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_leaves_finished_shots_and_a_valid_session(number, started):
+def test_a_signal_leaves_finished_shots_and_a_valid_session(number, forked):
     """The name of the first shot is out before the second one is taken."""
     for name in "abc":
         recorded(Path("in"), name)
-    with started(*SLOWLY) as process:
+    with forked(SLOWLY) as process:
         first = process.stdout.readline()
 
         process.send_signal(number)
@@ -39,13 +38,13 @@ def test_a_signal_leaves_finished_shots_and_a_valid_session(number, started):
     assert sorted(path.name for path in Path("s").iterdir()) == ["a.npz", "session.yaml"]
 
 
-def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(started):
+def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(forked):
     for name in "ab":
         recorded(Path("in"), name)
     reading, writing = os.pipe()
     os.close(reading)
 
-    with started("capture", "--camera", "files:in", "--output", "s", stdout=writing) as process:
+    with forked(["capture", "--camera", "files:in", "--output", "s"], stdout=writing) as process:
         os.close(writing)
         _, said = process.communicate(timeout=300)
 
@@ -53,7 +52,7 @@ def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(started):
     assert read_session(Path("s")).captures[0].state == "stopped"
 
 
-def test_a_full_disk_keeps_what_was_finished(started, rng):
+def test_a_full_disk_keeps_what_was_finished(forked, rng):
     """No file may grow beyond 5 kB here; noise does not compress."""
     for name in "ab":
         recorded(Path("in"), name)
@@ -64,7 +63,8 @@ def test_a_full_disk_keeps_what_was_finished(started, rng):
     )
     words = ["capture", "--camera", "files:in", "--output", "s"]
 
-    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))) as process:
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))"
+    with forked(words, limit) as process:
         out, said = process.communicate(timeout=600)
 
     assert (process.returncode, out) == (74, "s/a.npz\ns/b.npz\n")
@@ -73,12 +73,12 @@ def test_a_full_disk_keeps_what_was_finished(started, rng):
     assert (capture.state, capture.shots) == ("stopped", ("a", "b"))
 
 
-def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(started):
+def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(forked):
     for name in "ab":
         recorded(Path("in"), name)
     screen, terminal = os.openpty()
 
-    with started("capture", "--camera", "files:in", "--output", "s", stderr=terminal) as process:
+    with forked(["capture", "--camera", "files:in", "--output", "s"], stderr=terminal) as process:
         out, _ = process.communicate(timeout=600)
     shown = os.read(screen, 65536).decode()
     os.close(screen)

@@ -223,7 +223,7 @@ def drawn_rig_file(path):
 
 
 @pytest.mark.slow
-def test_each_shot_that_can_be_read_comes_through_the_pipe(started, drawn_shot, tmp_path):
+def test_each_shot_that_can_be_read_comes_through_the_pipe(forked, drawn_shot, tmp_path):
     rig = drawn_rig_file(tmp_path / "rig.yaml")
     folder = tmp_path / "shots"
     folder.mkdir()
@@ -233,8 +233,8 @@ def test_each_shot_that_can_be_read_comes_through_the_pipe(started, drawn_shot, 
         write_shot(folder / f"{name}.npz", replace(shot, name=name))
     (folder / "c_broken.npz").write_bytes((folder / "a.npz").read_bytes()[:-1000])
     with (
-        started("detect", folder, "--rig", rig) as first,
-        started("pose", "-", "--rig", rig, stdin=first.stdout) as second,
+        forked(["detect", folder, "--rig", rig]) as first,
+        forked(["pose", "-", "--rig", rig], stdin=first.stdout) as second,
     ):
         out, said = second.communicate(timeout=600)
         refused = first.stderr.read()

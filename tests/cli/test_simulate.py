@@ -151,15 +151,15 @@ def test_a_camera_inside_a_part_is_rejected_before_anything_is_written(simulate,
     assert not (scene.parent / "out").exists()
 
 
-def test_the_first_shot_is_named_before_the_last_is_made(scene, started):
+def test_the_first_shot_is_named_before_the_last_is_made(scene, forked):
     """A thousand shots would take minutes; the process is stopped after the first and leaves whole files."""
     endless = SCENE | {"trajectory": [{"generate": {"distances_m": [0.5], "count": 1000}}]}
     scene.write_text(yaml.safe_dump(endless))
 
-    process = started("simulate", scene, "--output", scene.parent / "out", "--jobs", "1")
-    first = process.stdout.readline()
-    process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=300)
+    with forked(["simulate", scene, "--output", scene.parent / "out", "--jobs", "1"]) as process:
+        first = process.stdout.readline()
+        process.send_signal(signal.SIGTERM)
+        _, error = process.communicate(timeout=300)
 
     assert process.returncode == 143
     assert error == ""

@@ -5,7 +5,6 @@ import inspect
 import json
 import os
 import pty
-import resource
 import signal
 import termios
 from pathlib import Path
@@ -21,6 +20,9 @@ from ringpose.files.records.detections import detection_in
 
 DEADLINE_S = 600
 
+NO_FILE_BEYOND = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
+"""Code that limits the size of files in bytes."""
+
 
 def ended(process) -> tuple[int, str]:
     """Status and what it said on stderr."""
@@ -28,9 +30,9 @@ def ended(process) -> tuple[int, str]:
     return process.returncode, said
 
 
-def test_first_line_is_out_before_the_last_input_is_read(started, rig, detections):
+def test_first_line_is_out_before_the_last_input_is_read(forked, rig, detections):
     first, *rest = detections.read_text().splitlines(keepends=True)
-    with started("pose", "-", "--rig", rig) as process:
+    with forked(["pose", "-", "--rig", rig]) as process:
         process.stdin.write(first)
         process.stdin.flush()
         answer = process.stdout.readline()
@@ -42,10 +44,10 @@ def test_first_line_is_out_before_the_last_input_is_read(started, rig, detection
     assert (process.returncode, said) == (0, "")
 
 
-def test_detect_streams_into_pose(started, rig, picture):
+def test_detect_streams_into_pose(forked, rig, picture):
     with (
-        started("detect", "-", "--rig", rig) as detect,
-        started("pose", "-", "--rig", rig, stdin=detect.stdout) as pose,
+        forked(["detect", "-", "--rig", rig]) as detect,
+        forked(["pose", "-", "--rig", rig], stdin=detect.stdout) as pose,
     ):
         detect.stdin.write(f"{picture('a.png')}\n")
         detect.stdin.flush()
@@ -63,8 +65,8 @@ def test_detect_streams_into_pose(started, rig, picture):
     [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGHUP, 129)],
     ids=["TERM", "INT", "HUP"],
 )
-def test_signal_while_streaming_ends_with_its_status_and_no_word(started, rig, detections, number, status):
-    with started("pose", "-", "--rig", rig) as process:
+def test_signal_while_streaming_ends_with_its_status_and_no_word(forked, rig, detections, number, status):
+    with forked(["pose", "-", "--rig", rig]) as process:
         process.stdin.write(detections.read_text())
         process.stdin.flush()
         answers = [process.stdout.readline() for _ in range(3)]
@@ -132,8 +134,8 @@ cli._command = command
 """
 
 
-def test_clean_up_is_not_broken_off_by_further_signals(started):
-    with started(before=CLEANS_UP) as process:
+def test_clean_up_is_not_broken_off_by_further_signals(forked):
+    with forked([], CLEANS_UP) as process:
         process.stdout.readline()
         process.send_signal(signal.SIGTERM)
         rest, said = process.communicate(timeout=DEADLINE_S)
@@ -185,8 +187,8 @@ os._exit(0)
 
 @pytest.mark.parametrize("ends_by", [0, signal.SIGTERM], ids=["finished", "ended by SIGTERM"])
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP", "SIGPIPE"])
-def test_repeated_signals_at_any_line_of_the_end_are_no_traceback(started, number, ends_by):
-    with started(before=PELTED.format(number=number, ends_by=int(ends_by))) as process:
+def test_repeated_signals_at_any_line_of_the_end_are_no_traceback(forked, number, ends_by):
+    with forked([], PELTED.format(number=number, ends_by=int(ends_by))) as process:
         _, said = process.communicate(timeout=DEADLINE_S)
 
     runs, *statuses = (int(word) for word in said.split())
@@ -196,10 +198,10 @@ def test_repeated_signals_at_any_line_of_the_end_are_no_traceback(started, numbe
     assert set(statuses) | by_signal == {143 if ends_by else 0} | by_signal  # of two at once, either may be first
 
 
-def test_a_signal_ends_a_command_whose_reader_has_stopped_reading(started, rig, detections):
+def test_a_signal_ends_a_command_whose_reader_has_stopped_reading(forked, rig, detections):
     reading, writing = os.pipe()
     size = fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
-    with started("pose", "-", "--rig", rig, stdout=writing) as process:
+    with forked(["pose", "-", "--rig", rig], stdout=writing) as process:
         os.close(writing)
         process.stdin.write(3 * detections.read_text())
         process.stdin.flush()
@@ -212,11 +214,9 @@ def test_a_signal_ends_a_command_whose_reader_has_stopped_reading(started, rig, 
     assert (process.returncode, said) == (143, "")
 
 
-def test_signals_that_the_parent_ignores_stay_ignored(started, rig, detections):
-    def ignore() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-    with started("pose", "-", "--rig", rig, preexec_fn=ignore) as process:
+def test_signals_that_the_parent_ignores_stay_ignored(forked, rig, detections):
+    ignore = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    with forked(["pose", "-", "--rig", rig], ignore) as process:
         process.stdin.write(detections.read_text())
         process.stdin.flush()
         process.stdout.readline()
@@ -226,9 +226,9 @@ def test_signals_that_the_parent_ignores_stay_ignored(started, rig, detections):
     assert (process.returncode, said) == (0, "")
 
 
-def test_closed_pipe_ends_quietly(started, rig, detections):
+def test_closed_pipe_ends_quietly(forked, rig, detections):
     line = detections.read_text().splitlines(keepends=True)[0]
-    with started("pose", "-", "--rig", rig) as process:
+    with forked(["pose", "-", "--rig", rig]) as process:
         process.stdin.write(line)
         process.stdin.flush()
         process.stdout.readline()
@@ -242,9 +242,9 @@ def test_closed_pipe_ends_quietly(started, rig, detections):
 
 
 @pytest.mark.parametrize(("is_closed", "status"), [(False, 143), (True, 141)], ids=["signal", "closed pipe"])
-def test_repeated_findings_are_counted_at_any_end(started, rig, detections, is_closed, status):
+def test_repeated_findings_are_counted_at_any_end(forked, rig, detections, is_closed, status):
     line = detections.read_text().splitlines(keepends=True)[0]
-    with started("pose", "-", "--rig", rig) as process:
+    with forked(["pose", "-", "--rig", rig]) as process:
         process.stdin.write(3 * '{"schema": 1}\n' + line)
         process.stdin.flush()
         process.stdout.readline()
@@ -272,21 +272,21 @@ def test_help_into_a_closed_pipe_ends_quietly(started, words):
     assert (process.returncode, said) == (141, "")
 
 
-def test_full_disk_is_one_line(started, rig, detections):
-    with Path("/dev/full").open("w") as full, started("pose", detections, "--rig", rig, stdout=full) as process:
+def test_full_disk_is_one_line(forked, rig, detections):
+    with Path("/dev/full").open("w") as full, forked(["pose", detections, "--rig", rig], stdout=full) as process:
         status, said = ended(process)
 
     assert status == 74
     assert said == "ringpose: standard output: writing broke off: no space left on device\n"
 
 
-def test_full_disk_in_a_batch_leaves_what_was_finished(started, picture, tmp_path):
+def test_full_disk_in_a_batch_leaves_what_was_finished(forked, picture, tmp_path):
     """No file may grow beyond 4 kB here: enough for an image without segments, not for one with hundreds."""
     picture("a.png")
     noise = np.random.default_rng(1).integers(0, 255, (480, 640), dtype=np.uint8)
     cv2.imwrite(str(tmp_path / "b.png"), noise)
     words = ["detect", tmp_path / "a.png", tmp_path / "b.png", "--segments-only", "--output", tmp_path / "out"]
-    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))) as process:
+    with forked(words, NO_FILE_BEYOND.format(4_000)) as process:
         out, said = process.communicate(timeout=DEADLINE_S)
 
     assert (process.returncode, out) == (74, f"{tmp_path}/out/a.npz\n")
@@ -295,21 +295,22 @@ def test_full_disk_in_a_batch_leaves_what_was_finished(started, picture, tmp_pat
     assert detection_in(Archive(tmp_path / "out" / "a.npz")).shot == "a"
 
 
-def test_a_full_disk_names_the_overlay_as_well_as_the_report(started, rig, detections, tmp_path):
+def test_a_full_disk_names_the_overlay_as_well_as_the_report(forked, rig, detections, tmp_path):
     needed_module(
         "matplotlib.font_manager", "ringpose[report]"
     )  # the process could not write its cache, which it would report
     words = ["pose", detections, "--rig", rig, "--overlay", tmp_path / "drawn", "--report", tmp_path / "r.html"]
-    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))) as process:
+    with forked(words, NO_FILE_BEYOND.format(100)) as process:
         _, said = process.communicate(timeout=DEADLINE_S)
 
     assert process.returncode == 74
     assert [line.split(": ")[1] for line in said.splitlines()] == [f"{tmp_path}/r.html", f"{tmp_path}/drawn/a.png"]
 
 
-def test_progress_goes_to_a_terminal_and_leaves_the_records_alone(started, rig, detections):
+def test_progress_goes_to_a_terminal_and_leaves_the_records_alone(forked, rig, detections, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
     terminal, end = pty.openpty()
-    with started("pose", detections, "--rig", rig, stderr=end, env={**os.environ, "TERM": "xterm"}) as process:
+    with forked(["pose", detections, "--rig", rig], stderr=end) as process:
         out, _ = process.communicate(timeout=DEADLINE_S)
     os.close(end)
     said = os.read(terminal, 1 << 16).decode()
