@@ -20,7 +20,7 @@ from needed import missing
 os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")  # its threads mostly wait for each other beside other tests
 
 _TIMED = [HealthCheck.too_slow]  # says how busy the machine is
-settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50, suppress_health_check=_TIMED)
+settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=30, suppress_health_check=_TIMED)
 settings.load_profile("ringpose")
 
 for _number in (signal.SIGINT, signal.SIGHUP):  # inherited as ignored from nohup or a background job

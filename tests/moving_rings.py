@@ -174,17 +174,13 @@ def seen(motion, start_s: float, shots: Shots, rng) -> tuple[np.ndarray, np.ndar
     frames_s = start_s + shots.frame_s * np.array(FRAMES)
     lasers = moved_rig(rig, shots.offsets, shots.offsets.values()).lasers
     near = motion.at(float(frames_s.mean())).break_points_m(lasers).mean(axis=1)
-    found = []
-    for number, time_s in enumerate(frames_s):  # each laser sees the ring at its own time
-        ring = motion.at(time_s)
-        still = features(
-            ring.center_m[None], ring.normal[None], ring.radius_m[None], np.zeros((1, 3)), np.zeros((1, 3)),
-            lasers, np.zeros(3), near,
-        )[0]  # fmt: skip
-        found.append(still[4 * number : 4 * number + 4])
+    rings = [motion.at(time_s) for time_s in frames_s]
+    poses = (np.stack(parts) for parts in zip(*((r.center_m, r.normal, r.radius_m) for r in rings), strict=True))
+    still = features(*poses, np.zeros((3, 3)), np.zeros((3, 3)), lasers, np.zeros(3), near)
+    found = still.reshape(3, 3, 4)[range(3), range(3)].ravel()  # each laser sees the ring at its own time
     focal = rig.camera.camera_matrix[0, 0]
     sigma = np.tile(np.array([2 * shots.line_px, 2 * shots.line_px, shots.sigma_px, shots.sigma_px]) / focal, 3)
-    return np.concatenate(found) + (0.0 if rng is None else sigma * rng.normal(size=12)), sigma, frames_s, near
+    return found + (0.0 if rng is None else sigma * rng.normal(size=12)), sigma, frames_s, near
 
 
 def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement, float]:
@@ -206,11 +202,12 @@ def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement
         rate_rad_s=np.zeros(3),
     )
     step = 1e-6 * np.concatenate([np.zeros((1, 12)), np.eye(12), -np.eye(12)])
+    move = np.full(12, np.inf)
     for iteration in range(6):
         values = features(*rings_of(at, step), rig.lasers, times, near) / sigma
         jacobian = ((values[1:13] - values[13:]) / 2e-6).T
         residual = z / sigma - values[0]
-        if iteration == 5:
+        if iteration == 5 or np.abs(move).max() < 1e-9:
             break
         information = jacobian.T @ jacobian + np.diag(prior_sd**-2.0)
         so_far = np.concatenate([np.zeros(7), -at.velocity_m_s, -tilt_basis(at.normal) @ at.rate_rad_s])

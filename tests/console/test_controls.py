@@ -102,10 +102,11 @@ def drawn(rng, control):
 SEQUENCES = ("off,all", "all", "off", "off,1,2,3", "1+3,off", "off,all@500us", "1,1,1")
 
 
-def test_after_each_of_1000_drawn_values_the_state_renders(scene, views, controls, values, rng):
+@pytest.mark.parametrize("count", [200, pytest.param(1000, marks=pytest.mark.slow)])
+def test_after_each_drawn_value_the_state_renders(scene, views, controls, values, rng, count):
     engine, refused = Engine(scene, lambda *_: None), 0
     names = list(controls)
-    for number in range(1000):
+    for number in range(count):
         name = names[rng.integers(len(names))]
         values, refusals = taken_over(controls, {name: drawn(rng, controls[name])}, values)
         refused += len(refusals)
@@ -117,7 +118,7 @@ def test_after_each_of_1000_drawn_values_the_state_renders(scene, views, control
             line = engine.measured(small).line
             assert line.pose is not None or line.reason
 
-    assert 200 < refused < 600
+    assert 0.2 * count < refused < 0.6 * count
 
 
 def test_the_ranges_include_every_view_of_the_scene(scene, views):

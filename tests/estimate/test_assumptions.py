@@ -284,7 +284,7 @@ def with_form(distance_m, light, seed, amplitude_m=0.0, phase_rad=0.0):
 
 
 def test_waves_of_the_edges_beyond_the_tolerance_are_flagged_and_in_the_covariance():
-    for seed, phase_rad in enumerate((0.0, 0.7, 1.4, 2.1)):
+    for seed, phase_rad in enumerate((0.0, 1.4)):
         shot, rig = with_form(0.5, "normal", seed, 1e-3, phase_rad)
 
         line = pose_line(shot.detection, rig)
@@ -294,10 +294,11 @@ def test_waves_of_the_edges_beyond_the_tolerance_are_flagged_and_in_the_covarian
         assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 25.0
 
 
-def test_edges_of_a_round_ring_are_not_flagged():
+@pytest.mark.parametrize(("count", "tolerance"), [(4, 0.8), pytest.param(12, 0.45, marks=pytest.mark.slow)])
+def test_edges_of_a_round_ring_are_not_flagged(count, tolerance):
     """Chi-squared of the stripes has more degrees of freedom beside edges, which determine a part of the ring."""
     chi2, expected = [], []
-    for seed in range(12):
+    for seed in range(count):
         shot, rig = with_form(0.7, "strong", seed)
 
         result = pose_result(shot.detection.break_points, rig, ring_edges=shot.detection.ring_edges)
@@ -312,7 +313,7 @@ def test_edges_of_a_round_ring_are_not_flagged():
         chi2.append(best.estimate.chi2)
         expected.append(best.estimate.expected_chi2)
         assert best.estimate.expected_chi2 > 1.2 * best.estimate.degrees_of_freedom
-    assert sum(chi2) == pytest.approx(sum(expected), rel=0.45)
+    assert sum(chi2) == pytest.approx(sum(expected), rel=tolerance)
 
 
 def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():
