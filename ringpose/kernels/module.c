@@ -12,6 +12,7 @@
     KERNEL(joins, "(lines, moments, pieces, gap, aside, shortest) -> (lines, support)")                             \
     KERNEL(stripes, "(image, dark, bands, taps, filters, params) -> (position, sigma, peak, piece)")                \
     KERNEL(tracks, "(position, sigma, piece, laser, lens, params) -> tracks")                                       \
+    KERNEL(arcs, "(points, arc, arcs): fills the last")                                                             \
     KERNEL(faces, "(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of 1, 2 and 3)")       \
     KERNEL(ends, "(images: (lit, dark, lines), lens, params) -> ends")                                              \
     KERNEL(edge_places, "(point, off_face, sign, number, normal, wrt_step, covariance, lens, params) -> places")              \

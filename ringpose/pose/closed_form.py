@@ -17,10 +17,11 @@ from ringpose.estimate.covariance import (
     exceeds_sd,
     standard_deviation,
 )
-from ringpose.geometry.circles import arc_crossings, arc_equations, nearest_crossing
+from ringpose.geometry.circles import nearest_crossing
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
 from ringpose.geometry.rays import GRAZING, nearest_plane, project
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.kernels import _kernels
 from ringpose.measure.status import flags_of
 from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
@@ -338,6 +339,40 @@ def mid_band_point(
     outward = (axes[:, 0] + arcs.lean * axes[:, 1]) / np.hypot(1.0, arcs.lean)
     grasp: Float64[Array, "batch xyz=3"] = mean + arc_crossings(arcs).mean(axis=-1, keepdims=True) * outward
     return grasp
+
+
+class ArcEquations(NamedTuple):
+    """Two concentric arcs: bend (x^2 + y^2) + x + lean y + level = 0, x and y from the mean of their points.
+
+    `bend` is half the curvature (for `lean` 0), `lean` the tangent of the angle between their common radius and the
+    x axis, and `level` the position of each arc along x.
+    """
+
+    bend: Float64[Array, "*batch 1"]
+    lean: Float64[Array, "*batch 1"]
+    level: Float64[Array, "*batch arc=2"]
+
+
+def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"]) -> ArcEquations:
+    """Two arcs about one centre through points in a plane that cross the x axis steeply; `arc` is 0 or 1.
+
+    The detector tests groups of stripes by the same fit, which kernels/lines/arcs.c describes.
+    """
+    rows = np.empty((*points.shape[:-2], 4))
+    centred = np.ascontiguousarray(points - points.mean(axis=-2, keepdims=True)).reshape(-1, *points.shape[-2:])
+    _kernels.arcs(centred, np.ascontiguousarray(arc), rows.reshape(-1, 4))
+    return ArcEquations(bend=rows[..., :1], lean=rows[..., 1:2], level=rows[..., 2:])
+
+
+def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:
+    """Signed distance from the mean of the points to each arc, along the radius through the mean; positive towards +x.
+
+    The smaller root t of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), written without a division by bend.
+    """
+    denominator = np.hypot(1.0, arcs.lean)
+    root = np.sqrt(np.maximum(denominator**2 - 4.0 * arcs.bend * arcs.level, 0.0))
+    crossings: Float64[Array, "*batch arc=2"] = -2.0 * arcs.level / (denominator + root)
+    return crossings
 
 
 def _facing(

@@ -63,6 +63,7 @@ CALLS = {
         LENS,
         TrackParams(image_width=800, border_px=3.0),
     ),
+    "arcs": (numbers(2, 3, 2), np.array([0, 1, 0]), numbers(2, 4)),
     "faces": (TRACKS, 7, numbers(3, 3), UnionParams(), CandidateParams(), RING),
     "ends": (((IMAGE, IMAGE, numbers(2, 5)),), LENS, EndParams(saturation_dn=255)),
     "edge_places": (
@@ -100,7 +101,7 @@ CALLS = {
 
 ARRAYS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, np.ndarray)]
 RECORDS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if is_dataclass(each)]
-FILLED = [("gradient", 3), ("chains", 0), *(("edge_profiles", i) for i in (4, 5))]
+FILLED = [("gradient", 3), ("chains", 0), ("arcs", 2), *(("edge_profiles", i) for i in (4, 5))]
 
 
 def call(name, i, changed):
@@ -229,6 +230,7 @@ OUT_OF_RANGE = {
             ("shortest", 0),
         )
     ],
+    "arc": [("arcs", 1, np.array(arc), "arc: ") for arc in ([0, 0, 0], [0, 1, 2], [0, 1, -1])],
     "anchor threshold": [("gradient", 2, upper, "upper") for upper in (0, -1, 32768, 10**9)],
     "bits": [("gradient", 1, bits, "bits") for bits in (7, 17, 10**9)],
     "bits for other elements": [("gradient", 1, 9, "image"), ("gradient", 0, IMAGE.astype(np.uint16), "image")],

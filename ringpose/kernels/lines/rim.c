@@ -9,6 +9,7 @@
 #include <string.h>
 #include <stdint.h>
 
+#include "arcs.h"
 #include "kernels.h"
 #include "tracks.h"
 
@@ -308,98 +309,11 @@ static int count_unseen_lasers(const Candidate *const member[], int size, const 
     return unseen_penalty;
 }
 
-/* ---- two short arcs about one centre through points in a plane ---- */
-
-typedef struct {
-    double x, y;
-    int arc, used;
-} End;
-
-/* a (x^2 + y^2) + x + b y + c_arc = 0, by least squares over the used points. */
-typedef struct {
-    double a, b, c[2];
-} Arcs;
-
-/* Moments of the normal equations for a and b; the c are eliminated by centring each arc. */
-typedef struct {
-    double mean_x[2], mean_y[2], mean_q[2];
-    double uu, uv, vv, ut, vt;
-} Moments;
-
-/* Returns 0 if an arc has no point. */
-static int moments_of(const End *end, int ends, Moments *m) {
-    double count[2] = {0};
-    *m = (Moments){.uu = 0};
-    for (int k = 0; k < ends; k++)
-        if (end[k].used) {
-            int arc = end[k].arc;
-            count[arc] += 1;
-            m->mean_x[arc] += end[k].x;
-            m->mean_y[arc] += end[k].y;
-            m->mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
-        }
-    if (count[0] == 0 || count[1] == 0) return 0;
-    for (int arc = 0; arc < 2; arc++) {
-        m->mean_x[arc] /= count[arc];
-        m->mean_y[arc] /= count[arc];
-        m->mean_q[arc] /= count[arc];
-    }
-    for (int k = 0; k < ends; k++)
-        if (end[k].used) {
-            int arc = end[k].arc;
-            double u = end[k].x * end[k].x + end[k].y * end[k].y - m->mean_q[arc];
-            double v = end[k].y - m->mean_y[arc], t = end[k].x - m->mean_x[arc];
-            m->uu += u * u;
-            m->uv += u * v;
-            m->vv += v * v;
-            m->ut += u * t;
-            m->vt += v * t;
-        }
-    return 1;
-}
-
-static void solve_arcs(const Moments *m, int straight, Arcs *arcs) {
-    double determinant = m->uu * m->vv - m->uv * m->uv;
-    arcs->a = arcs->b = 0;
-    if (!straight && determinant > 1e-12 * m->uu * m->vv) {
-        arcs->a = -(m->vv * m->ut - m->uv * m->vt) / determinant;
-        arcs->b = -(m->uu * m->vt - m->uv * m->ut) / determinant;
-    } else if (m->vv > 0)
-        arcs->b = -m->vt / m->vv;
-    for (int arc = 0; arc < 2; arc++)
-        arcs->c[arc] = -m->mean_x[arc] - arcs->a * m->mean_q[arc] - arcs->b * m->mean_y[arc];
-}
-
-/* One over the radius; positive if the centre lies on the side of positive x. */
-static double arcs_curvature(const Arcs *arcs) {
-    double level = 1 + arcs->b * arcs->b - 2 * arcs->a * (arcs->c[0] + arcs->c[1]);
-    return -2 * arcs->a / sqrt(fmax(level, 1e-12));
-}
-
-/* 0 if an arc has no point. Straight lines if the radius would be smaller than `radius`: two arcs pass through any four
-   ends, and if these form a square, the radius is not determined. */
-static int fit_wide_arcs(const End *end, int ends, double radius, Arcs *arcs) {
-    Moments moments;
-    if (!moments_of(end, ends, &moments)) return 0;
-    solve_arcs(&moments, 0, arcs);
-    if (fabs(arcs_curvature(arcs)) > 1 / radius) solve_arcs(&moments, 1, arcs);
-    return 1;
-}
-
-/* Distance of a point from its arc, positive towards positive x. */
-static double outside_arc(const Arcs *arcs, const End *end) {
-    double x = end->x, y = end->y, residual = arcs->a * (x * x + y * y) + x + arcs->b * y + arcs->c[end->arc];
-    return residual / fmax(hypot(2 * arcs->a * x + 1, 2 * arcs->a * y + arcs->b), 1e-9);
-}
-
-static double arcs_band(const Arcs *arcs) { return fabs(arcs->c[1] - arcs->c[0]) / sqrt(1 + arcs->b * arcs->b); }
-
 /* Half the chi-square of two concentric arcs through the used ends; infinite if the rim is too narrow. */
-static double arcs_cost(const End *end, int ends, double sigma, const RingParams *params) {
+static double arcs_cost(const ArcPoint *end, int ends, double sigma, const RingParams *params) {
     Arcs arcs;
     double cost = 0;
-    int fitted = fit_wide_arcs(end, ends, params->min_radius_m, &arcs);
-    if (!fitted) return 0; /* all ends of one edge are truncated by the border: nothing to test */
+    if (!fit_arcs(end, ends, params->min_radius_m, &arcs)) return 0; /* all ends of one edge are truncated by the border: nothing to test */
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             double outside = outside_arc(&arcs, &end[k]) / sigma;
@@ -411,7 +325,7 @@ static double arcs_cost(const End *end, int ends, double sigma, const RingParams
 /* Coordinates of a group's ends in their plane, x along the stripes; ends truncated by the border are marked as unused.
    Returns the mean depth. */
 static double flat_ends(const Candidate *const member[], int size, const double plane[3], const RingParams *params,
-                        End *end) {
+                        ArcPoint *end) {
     double point[2 * MAX_MEMBERS][3], middle[3] = {0}, along[3] = {0};
     for (int i = 0; i < size; i++)
         for (int side = 0; side < 2; side++) {
@@ -435,7 +349,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
     for (int e = 0; e < 2 * size; e++) {
         double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
         double x = member[e / 2]->x[e % 2], y = member[e / 2]->y[e % 2];
-        end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
+        end[e] = (ArcPoint){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
                        d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
                        !(x < params->left_x || x > params->right_x || y < params->top_y || y > params->bottom_y)};
     }
@@ -443,7 +357,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
 }
 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
-    End end[2 * MAX_MEMBERS] = {{0}};
+    ArcPoint end[2 * MAX_MEMBERS] = {{0}};
     const RingParams *params = scene->ring;
     double sigma = params->along_sigma_px * flat_ends(member, size, plane, params, end) / params->focal_x;
     double best = arcs_cost(end, 2 * size, sigma, params);

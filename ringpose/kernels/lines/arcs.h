@@ -1,0 +1,26 @@
+/* Two short arcs about one centre through points in a plane that cross the x axis steeply. */
+#ifndef RINGPOSE_ARCS_H
+#define RINGPOSE_ARCS_H
+
+typedef struct {
+    double x, y;
+    int arc, used;
+} ArcPoint;
+
+/* bend (x^2 + y^2) + x + lean y + level = 0 for the points of either arc. `bend` is half the curvature (for `lean` 0),
+   `lean` the tangent of the angle between the common radius of the arcs and the x axis, `level` their places along x. */
+typedef struct {
+    double bend, lean, level[2];
+} Arcs;
+
+/* The arcs through the used points by least squares; 0 if an arc has no point. Straight lines if the radius would be
+   smaller than `min_radius`: two arcs pass through any four points, and if these form a square, it is not determined. */
+int fit_arcs(const ArcPoint *point, int count, double min_radius, Arcs *arcs);
+
+/* Distance of a point from its arc, positive towards positive x. */
+double outside_arc(const Arcs *arcs, const ArcPoint *point);
+
+/* Distance of the arcs from each other. */
+double arcs_band(const Arcs *arcs);
+
+#endif
