@@ -10,9 +10,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from ringpose.capture.device_discovery import FoundCamera, SerialPort
+from ringpose.capture.self_test import DeviceCheck
 from ringpose.files.records.codec import Choice, Numbers, definition_of
 from ringpose.files.schemas import RECORDS
 from ringpose.measure.status import RULES, FlagRule
+from ringpose.types.board import Board
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
 from ringpose.types.rig import RobotPose
@@ -128,8 +131,11 @@ TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
     ("ringpose-records.5", "flags"): flags,
     ("ringpose-records.5", "usable"): usable,
     **{("ringpose-records.5", f"keys of {cls.__name__}"): partial(keys, cls) for cls in PARTS},
-    **{("ringpose-conventions.7", f"keys of {cls.__name__}"): partial(keys, cls) for cls in (Truth, RobotPose)},
-    ("ringpose-capture.1", "keys of Session"): partial(keys, Session),
+    **{("ringpose-conventions.7", f"keys of {cls.__name__}"): partial(keys, cls) for cls in (Board, Truth, RobotPose)},
+    **{
+        ("ringpose-capture.1", f"keys of {cls.__name__}"): partial(keys, cls)
+        for cls in (Session, FoundCamera, SerialPort, DeviceCheck)
+    },
 }
 
 

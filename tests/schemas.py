@@ -2,9 +2,9 @@
 
 import jsonschema
 
-from ringpose.files.schemas import NAMES, schema
+from ringpose.cli.schema import json_schemas
 
-SCHEMAS = {name: schema(name) for name in NAMES}
+SCHEMAS = {name: schema() for name, schema in json_schemas().items()}
 _VALIDATORS = {name: jsonschema.Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
 
 

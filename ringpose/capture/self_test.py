@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ringpose.capture.laser_check import LitPixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
 from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
+from ringpose.types.record import Key, Presence
 
 DeviceVerdict = Literal["ok", "warning", "fault"]
 """Verdicts from best to worst."""
@@ -27,10 +28,10 @@ MIN_USABLE = 10
 class DeviceCheck:
     """The result of one check."""
 
-    check: str
-    verdict: DeviceVerdict
-    found: str
-    remedy: str = ""
+    check: Annotated[str, Key("What was tried; `verdict` in the last record.")]
+    verdict: Annotated[DeviceVerdict, Key("`ok`, `warning` or `fault`; the summary has the worst one.")]
+    found: Annotated[str, Key("What was found.", blank=True)]
+    remedy: Annotated[str, Key("What to do about it.", presence=Presence.IF_KNOWN)] = ""
 
 
 def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float | None) -> Iterator[DeviceCheck]:

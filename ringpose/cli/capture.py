@@ -27,11 +27,14 @@ def _list_devices(is_requested: bool) -> bool:
 
     from ringpose.capture import device_discovery
     from ringpose.files import records
+    from ringpose.files.records.codec import definition_of
 
     for line in device_discovery.remarks():
         messages.echo(line)
-    for found in (*device_discovery.cameras(), *device_discovery.serial_ports()):
-        records.write(found)
+    for found in device_discovery.cameras():
+        records.write(definition_of(device_discovery.FoundCamera).write(found))
+    for port in device_discovery.serial_ports():
+        records.write(definition_of(device_discovery.SerialPort).write(port))
     raise typer.Exit
 
 
@@ -107,21 +110,20 @@ def capture(
 
 def _check_devices(source: "Source", exposure_s: float | None) -> None:
     """Write one record for each check to stdout, the overall verdict last; ends the command."""
-    from dataclasses import asdict
-
-    from ringpose.capture.self_test import run_self_test, summary
+    from ringpose.capture.self_test import DeviceCheck, run_self_test, summary
     from ringpose.files import records
+    from ringpose.files.records.codec import definition_of
 
     if not source.devices:
         raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
-    checks = []
+    record, checks = definition_of(DeviceCheck).write, []
     camera, lasers = source.devices
     with camera, lasers:
         for check in run_self_test(camera, lasers, exposure_s):
             checks.append(check)
-            records.write({key: value for key, value in asdict(check).items() if value})
+            records.write(record(check))
     overall = summary(checks)
-    records.write({key: value for key, value in asdict(overall).items() if value})
+    records.write(record(overall))
     raise typer.Exit(NO_POSE if overall.verdict == "fault" else 0)
 
 

@@ -1,6 +1,8 @@
 """`ringpose schema`: the JSON Schemas of the records that are written."""
 
-from typing import Annotated
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Annotated, Any
 
 import typer
 
@@ -19,13 +21,28 @@ def schema(name: SchemaName = None) -> None:
     from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.schema import hint
-    from ringpose.files.schemas import NAMES
-    from ringpose.files.schemas import schema as json_schema
 
+    schemas = json_schemas()
     if name is None:
-        records.write_text("".join(f"{each}\n" for each in NAMES))
-    elif name in NAMES:
-        records.write_text(json.dumps(json_schema(name), indent=2) + "\n")
+        records.write_text("".join(f"{each}\n" for each in schemas))
+    elif name in schemas:
+        records.write_text(json.dumps(schemas[name](), indent=2) + "\n")
     else:
-        remedy = hint(name, NAMES) or f"give one of {', '.join(NAMES)}"
+        remedy = hint(name, schemas) or f"give one of {', '.join(schemas)}"
         raise UsageError("", f"there is no schema of {name!r:.60}", remedy)
+
+
+def json_schemas() -> Mapping[str, Callable[[], dict[str, Any]]]:
+    """The JSON Schemas of what is read, and of what is written only, by name."""
+    from ringpose.capture.device_discovery import FoundCamera, SerialPort
+    from ringpose.capture.self_test import DeviceCheck
+    from ringpose.files.records.codec import RecordType, json_schema
+    from ringpose.files.records.ros import RosLine
+    from ringpose.files.schemas import RECORDS
+
+    written: Mapping[str, RecordType[Any]] = {
+        "ros": RecordType(cls=RosLine, description="A pose or track line with --format ros: messages of ROS 2."),
+        "capture-test": RecordType(cls=DeviceCheck, description="One check of `ringpose capture --test`."),
+    }
+    devices = partial(json_schema, (FoundCamera, SerialPort), "device", "One device of ringpose capture --list.")
+    return {**{name: each.schema for name, each in {**RECORDS, **written}.items()}, "capture-list": devices}

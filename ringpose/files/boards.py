@@ -2,33 +2,28 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import get_args
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.cameras.opencv import storage_values
 from ringpose.files.io import read_bytes
+from ringpose.files.kinds import BOARD
+from ringpose.files.records.codec import Context, RecordType, definition_of
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.board import marker_dictionary
-from ringpose.types.board import Board, BoardKind
-from ringpose.types.plausible import BOARD_M, MARGIN_M, MARKER_M, SQUARE_M
+from ringpose.types.board import MAX_SQUARES, Board, BoardKind
 
-_COUNTS = ("squares_x", "squares_y")
+RECORD = RecordType(
+    cls=Board,
+    kind=BOARD,
+    description="A calibration board: its kind and its sizes in metres. Your own keys begin with x_.",
+    is_file=True,
+    strict=True,
+)
 
-_LENGTHS = {
-    "square_m": SQUARE_M,
-    "square_y_m": SQUARE_M,
-    "marker_m": MARKER_M,
-    "gap_m": MARKER_M,
-    "spacing_m": SQUARE_M,
-    "width_m": BOARD_M,
-    "height_m": BOARD_M,
-    "margin_m": MARGIN_M,
-}
-"""The lengths on a board with their plausible ranges."""
-
-_KEYS = ("ringpose", "kind", *_COUNTS, *_LENGTHS, "dictionary", "legacy_pattern", "order")
+_KEYS = ("ringpose", *(each.name for each in definition_of(Board).attributes))
 
 REQUIRED = {
     "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),
@@ -41,9 +36,6 @@ REQUIRED = {
 
 MIN_COUNT = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
 """Minimum number of squares, markers or circles a side."""
-
-MAX_SQUARES = 200
-"""Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
 
 
 def read_board(path: Path) -> Board:
@@ -68,33 +60,28 @@ def board_of(fields: Fields) -> Board:
         fields.raw(key)
     if fields.has("ringpose"):
         fields.choice("ringpose", ("board/1",))
-    sizes: dict[str, Any] = fields.given(
-        _COUNTS, lambda key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES)
-    )
-    sizes |= fields.given(_LENGTHS, lambda key: fields.quantity(key, _LENGTHS[key]))
-    sizes |= fields.given(("dictionary", "order"), fields.text)
-    sizes |= fields.given(("legacy_pattern",), fields.boolean)
-    _check_fit(fields, sizes)
-    return Board(kind=cast(BoardKind, kind), **sizes)
+    for key in ("squares_x", "squares_y"):
+        fields.optional(key, lambda key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES))
+    board = definition_of(Board).read(fields, Context())
+    _check_fit(fields, board)
+    return board
 
 
 def write_board(path: Path, board: Board, *, force: bool = False) -> None:
     """Write a board file."""
-    values = {key: getattr(board, key) for key in _KEYS if key not in ("ringpose", "legacy_pattern")}
-    if board.legacy_pattern:
-        values["legacy_pattern"] = True
     with atomic.replacing(path, force) as stream:
-        write_yaml(stream, {key: value for key, value in values.items() if value is not None})
+        write_yaml(stream, RECORD.write(board))
 
 
-def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:
-    if "square_y_m" in sizes and fields.text("kind") != "chessboard":
+def _check_fit(fields: Fields, board: Board) -> None:
+    marker_m = board.marker_m or 0.0
+    if board.square_y_m is not None and board.kind != "chessboard":
         raise fields.problem("square_y_m", "is allowed only for a chessboard: markers are square")
-    if "square_m" in sizes and sizes.get("marker_m", 0) >= sizes["square_m"]:
-        raise fields.problem("marker_m", f"is {sizes['marker_m']:g}, must be smaller than square_m")
-    if "width_m" in sizes and "height_m" in sizes:
-        occupied = 2 * (sizes.get("marker_m", 0) + sizes.get("margin_m", 0))
-        if occupied > min(sizes["width_m"], sizes["height_m"]):
+    if board.square_m is not None and marker_m >= board.square_m:
+        raise fields.problem("marker_m", f"is {marker_m:g}, must be smaller than square_m")
+    if board.width_m is not None and board.height_m is not None:
+        occupied = 2 * (marker_m + (board.margin_m or 0.0))
+        if occupied > min(board.width_m, board.height_m):
             raise fields.problem("marker_m", "two markers and their margins are wider than the board")
 
 

@@ -1,8 +1,9 @@
-"""The JSON Schemas that `ringpose schema` prints, by name."""
+"""The kinds of records and files that are read, by the names of their JSON Schemas."""
 
 from collections.abc import Mapping
 from typing import Any
 
+from ringpose.files import boards
 from ringpose.files.images import sessions
 from ringpose.files.records import detections, poses, robot_poses, tracks, truths
 from ringpose.files.records.codec import RecordType
@@ -14,11 +15,5 @@ RECORDS: Mapping[str, RecordType[Any]] = {
     "truth": truths.RECORD,
     "session": sessions.RECORD,
     "robot-pose": robot_poses.RECORD,
+    "board": boards.RECORD,
 }
-
-NAMES = tuple(RECORDS)
-
-
-def schema(name: str) -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of one kind of record."""
-    return RECORDS[name].schema()

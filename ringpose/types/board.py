@@ -4,36 +4,67 @@ Board frame: origin at the top-left outer corner, x right, y down, z into the bo
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.plausible import Range
+from ringpose.types.record import Key, Presence
+
+MAX_SQUARES = 200
+"""Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
 
 BoardKind = Literal["charuco", "chessboard", "four_markers", "aruco_grid", "asymmetric_circles"]
+
+
+def _length(description: str, length: Range) -> Key:
+    return Key(description, plausible=length, presence=Presence.IF_KNOWN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
     """Contents of a board file; dimensions that do not apply to its kind are None."""
 
-    kind: BoardKind
-    squares_x: int | None = None
-    squares_y: int | None = None
-    square_m: float | None = None
-    square_y_m: float | None = None
-    """Height of a chessboard's squares where the print made it differ from the width."""
-    marker_m: float | None = None
-    gap_m: float | None = None
-    spacing_m: float | None = None
-    width_m: float | None = None
-    height_m: float | None = None
-    margin_m: float | None = None
-    dictionary: str | None = None
-    """Name of an OpenCV dictionary, or of the file that contains `marker_bits`."""
+    kind: Annotated[BoardKind, Key("Kind of the board.")]
+    squares_x: Annotated[
+        int | None,
+        Key("Number of squares, markers or circles in a row.", least=1, most=MAX_SQUARES, presence=Presence.IF_KNOWN),
+    ] = None
+    squares_y: Annotated[int | None, Key("Number of rows.", least=1, most=MAX_SQUARES, presence=Presence.IF_KNOWN)] = (
+        None
+    )
+    square_m: Annotated[float | None, _length("Width of a square, and its height.", plausible.SQUARE_M)] = None
+    square_y_m: Annotated[
+        float | None,
+        _length("Height of a chessboard's squares where the print made it differ from the width.", plausible.SQUARE_M),
+    ] = None
+    marker_m: Annotated[float | None, _length("Side of a marker.", plausible.MARKER_M)] = None
+    gap_m: Annotated[float | None, _length("Gap between markers.", plausible.MARKER_M)] = None
+    spacing_m: Annotated[float | None, _length("Distance of neighbouring circles.", plausible.SQUARE_M)] = None
+    width_m: Annotated[float | None, _length("Width of the board.", plausible.BOARD_M)] = None
+    height_m: Annotated[float | None, _length("Height of the board.", plausible.BOARD_M)] = None
+    margin_m: Annotated[float | None, _length("Distance of the markers from its border.", plausible.MARGIN_M)] = None
+    dictionary: Annotated[
+        str | None,
+        Key(
+            "Name of an OpenCV dictionary, or of a file with the bits of its markers (OpenCV FileStorage).",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
     marker_bits: tuple[str, ...] = ()
     """Custom dictionary: the bits of each marker row by row, 1 for white, without the border."""
-    legacy_pattern: bool = False
-    order: str | None = None
-    """Numbering of the markers in words; informative only."""
+    order: Annotated[
+        str | None,
+        Key(
+            "Numbering of the markers in words; it is not evaluated: those of `four_markers` are numbered clockwise "
+            "from the top left.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    legacy_pattern: Annotated[
+        bool,
+        Key("Whether it is a ChArUco board as OpenCV before 4.6 drew it.", presence=Presence.IF_KNOWN),
+    ] = False
 
     @property
     def square_size_m(self) -> tuple[float, float]:

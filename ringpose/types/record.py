@@ -47,7 +47,7 @@ class Presence(Enum):
     NOT_BRIEF = auto()
     """It is left out of a brief record."""
     IF_KNOWN = auto()
-    """It is left out if it is None or empty."""
+    """It is left out if it is None, empty, or the default of its field."""
 
 
 REQUIRED: Any = object()

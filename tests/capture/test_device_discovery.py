@@ -28,8 +28,8 @@ def test_serial_ports_have_persistent_names(tmp_path, monkeypatch):
 
     (found,) = inventory.serial_ports()
 
-    assert found["port"] == str(by_id / "usb-1a86_USB_Serial-if00")
-    assert (found["device"], found["usb"], found["product"]) == (str(device), "1a86:7523", "USB Serial")
+    assert found.port == str(by_id / "usb-1a86_USB_Serial-if00")
+    assert (found.device, found.usb, found.product) == (str(device), "1a86:7523", "USB Serial")
 
 
 def test_video_devices_are_cameras(tmp_path, monkeypatch):
@@ -38,7 +38,7 @@ def test_video_devices_are_cameras(tmp_path, monkeypatch):
     monkeypatch.setattr(inventory, "_VIDEO", tmp_path)
     monkeypatch.setattr(inventory, "library", lambda: None)
 
-    assert {"kind": "camera", "uri": "v4l2:/dev/video0", "model": "Webcam"} in list(inventory.cameras())
+    assert inventory.FoundCamera(uri="v4l2:/dev/video0", model="Webcam") in list(inventory.cameras())
 
 
 def test_a_missing_library_is_reported(monkeypatch):

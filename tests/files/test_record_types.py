@@ -16,6 +16,7 @@ from ringpose.files import records
 from ringpose.files.records.detections import detection_of
 from ringpose.files.records.poses import pose_line_of
 from ringpose.files.schemas import RECORDS
+from ringpose.types.board import Board
 from ringpose.types.rig import RobotPose, ToolPose
 from ringpose.types.session import Capture, Session
 
@@ -40,6 +41,15 @@ KNOWN: Mapping[str, Any] = {
     "detection": full_detection(RNG, centers=2),
     "truth": complete_truth(RNG),
     "session": SESSION,
+    "board": Board(
+        kind="charuco",
+        squares_x=7,
+        squares_y=5,
+        square_m=0.03,
+        marker_m=0.02,
+        dictionary="DICT_4X4_50",
+        legacy_pattern=True,
+    ),
     "robot-pose": RobotPose(stamp_s=1.7e9, base_from_tool=TOOL),
 }
 """Of each kind a record in which everything is known."""

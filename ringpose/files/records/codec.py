@@ -468,6 +468,12 @@ class Attribute(NamedTuple):
         """What its annotation states."""
         return self.slot.value.key
 
+    def is_default(self, value: Any) -> bool:
+        """Whether a value is None or the default of its field."""
+        if value is None or isinstance(value, np.ndarray):
+            return value is None
+        return self.default is not None and bool(value == self.default())
+
     def read(self, fields: Fields, context: Context, axes: Axes) -> Any:
         """The value in a mapping."""
         given, earlier = fields.values, self.key.earlier
@@ -513,13 +519,14 @@ class Definition(Generic[T]):
     def write(self, found: T, brief: bool = False) -> dict[str, Any]:
         """The mapping of an object; with `brief`, without the keys that are then left out."""
         record: dict[str, Any] = {}
-        for attribute, name, presence, write in self.writers:
+        for each, write in self.writers:
+            presence = each.key.presence
             if brief and presence is Presence.NOT_BRIEF:
                 continue
-            value = getattr(found, attribute)
-            if presence is Presence.IF_KNOWN and (value is None or (isinstance(value, tuple | Mapping) and not value)):
+            value = getattr(found, each.attribute)
+            if presence is Presence.IF_KNOWN and each.is_default(value):
                 continue
-            record[name] = value if write is None else write(value)
+            record[each.name] = value if write is None else write(value)
         return record
 
     def values(self, found: T) -> dict[str, Any]:
@@ -533,12 +540,9 @@ class Definition(Generic[T]):
         return record
 
     @cached_property
-    def writers(self) -> list[tuple[str, str, Presence, Callable[[Any], Any] | None]]:
-        """Attribute, key, presence and `Slot.write` of each key; None for what is written as it is."""
-        return [
-            (each.attribute, each.name, each.key.presence, None if each.slot.value.is_plain else each.slot.write)
-            for each in self.attributes
-        ]
+    def writers(self) -> list[tuple[Attribute, Callable[[Any], Any] | None]]:
+        """The keys, each with its `Slot.write`; None for what is written as it is."""
+        return [(each, None if each.slot.value.is_plain else each.slot.write) for each in self.attributes]
 
     def reference(self, definitions: Schema) -> Schema:
         """Reference to the JSON Schema of an object, which is added to `definitions`."""
@@ -608,7 +612,8 @@ class RecordType(Generic[T]):
     """A kind of record, or of file, that is an object of a data class."""
 
     cls: type[T]
-    kind: Kind
+    kind: Kind | None = None
+    """What it is in messages; None for what is written and not read."""
     version: str = ""
     """Value of the key `schema`, of a file of the key `ringpose`; empty for a record without one."""
     earlier: tuple[str, ...] = ()
@@ -645,31 +650,36 @@ class RecordType(Generic[T]):
         if self.strict:
             fields.reject_unknown((self.head, *(each.name for each in definition.attributes)))
             fields.values = {key: value for key, value in record.items() if key != self.head}
-        if self.is_file:
+        if self.version and self.is_file:
             Fields(location, record).choice(self.head, (self.version, *self.earlier))
-        elif self.version:
+        elif self.version and self.kind is not None:
             fields.schema((self.version, *self.earlier), self.kind)
         return definition.read(fields, self.context)
 
     @property
     def context(self) -> Context:
         """What its parts are read with."""
-        return Context(f"{self.kind.remedy} unchanged", self.strict)
+        return Context("" if self.kind is None else f"{self.kind.remedy} unchanged", self.strict)
 
     def schema(self) -> Schema:
         """JSON Schema (draft 2020-12)."""
-        definitions: Schema = {}
-        found = definition_of(self.cls).schema(definitions)
-        name = self.version or self.cls.__name__.lower()
+        name = self.version or self.cls.__name__
+        found = json_schema((self.cls,), name, self.description) | (self.rules or {})
         if self.version:
-            found["required"].insert(0, self.head)
-            found["properties"] = {self.head: {"const": self.version}, **found["properties"]}
-        return {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "$id": f"urn:{name.replace('/', ':')}",
-            "title": name,
-            "description": self.description,
-            **found,
-            **(self.rules or {}),
-            "$defs": definitions,
-        }
+            required = [self.head, *found["required"]]
+            found |= {"required": required, "properties": {self.head: {"const": self.version}, **found["properties"]}}
+        return found
+
+
+def json_schema(classes: tuple[type, ...], name: str, description: str) -> Schema:
+    """JSON Schema (draft 2020-12) of objects of one of some data classes."""
+    definitions: Schema = {}
+    found = [definition_of(cls).schema(definitions) for cls in classes]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:ringpose:{name.removeprefix('ringpose/').replace('/', ':').lower()}",
+        "title": name,
+        "description": description,
+        **(found[0] if len(found) == 1 else {"anyOf": found}),
+        "$defs": definitions,
+    }
