@@ -22,7 +22,7 @@ import numpy as np
 
 from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
-from ringpose.optics.feature_errors import BORDER_PX, MIN_PEAK
+from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.image import full_scale_dn
@@ -100,6 +100,8 @@ class StripeParams:
     gap: int = 2
     """Largest number of missing columns inside a piece."""
     shortest: int = MIN_COLUMNS
+    reach_sigmas: float = REACH_SIGMAS
+    max_speckle: float = MAX_SPECKLE
 
 
 class Centers(NamedTuple):

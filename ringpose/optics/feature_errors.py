@@ -57,10 +57,12 @@ class Stripe:
 # Its centre in a column
 
 REACH_SIGMAS = 5.0
-"""Half height, in sigmas of a stripe, of the rows from which its centre is estimated."""
+"""Half height, in sigmas of a stripe, of the rows from which its centre is estimated; the outer ones determine the
+background."""
 
 MAX_SPECKLE = 12.0
-"""Maximum ratio of speckle to noise in the weights of a section's rows."""
+"""Maximum ratio of speckle to noise in the weights of a section's rows: with larger ones faint rows, and so a skewed
+section, would dominate."""
 
 CENTER_PHASE = 0.25
 """Position in its pixel at which a centre's variance is evaluated, midway between the best and the worst one."""

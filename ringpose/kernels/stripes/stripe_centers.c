@@ -160,12 +160,7 @@ static void measure_columns(const Measure *how, Columns *columns) {
 /* Unknowns of the fit to the rows about a centre: background (constant and slope), amplitude and offset. */
 enum { CONSTANT, SLOPE, BRIGHTNESS, OFFSET, SHAPES };
 
-/* Rows on either side, in widths of the stripe; the outer ones determine the background. */
-#define REACH_PER_WIDTH 5.0
-
-/* Largest ratio of speckle to noise in the weights: with larger ones faint rows, and so a skewed section, would
-   dominate. There are weights for this ratio, a half, a quarter and an eighth of it. */
-#define MAX_SPECKLE 12.0
+/* There are weights for the largest ratio of speckle to noise, a half, a quarter and an eighth of it. */
 enum { LEVELS = 4 };
 
 /* Weights are tabulated for this many positions of the centre within its pixel. */
@@ -297,19 +292,19 @@ static double weighted_center(const Weights *weights, const float *pixel, ptrdif
 /* State of the speckle-weighted fit of one piece. */
 typedef struct {
     const Measure *how;
-    size_t reach;
-    ptrdiff_t top;        /* first row of the pixels */
-    double most_speckled; /* variance by noise of a centre of a stripe with MAX_SPECKLE */
+    size_t reach;                      /* rows on either side; the outer ones determine the background */
+    ptrdiff_t top;                     /* first row of the pixels */
+    double max_speckle, most_speckled; /* most_speckled: variance by noise of a centre at that ratio */
     Weights weights[LEVELS];
 } Weigher;
 
-/* Variance of a centre at which speckle over noise is MAX_SPECKLE: the excess is (speckle / noise)^2 times the filter's
-   response to speckle over that to white noise. */
-static double most_speckled(const Measure *how, Scatter of, const Columns *columns) {
+/* Variance of a centre at which speckle over noise is `max_speckle`: the excess is (speckle / noise)^2 times the
+   filter's response to speckle over that to white noise. */
+static double most_speckled(const Measure *how, Scatter of, double max_speckle, const Columns *columns) {
     double width = how->width * how->width, share = width / (width + how->filter->sigma * how->filter->sigma);
     double precision = 0, square = (excess(of, 1) - 1) / (share * sqrt(share));
     for (size_t i = 0; i < columns->count; i++) precision += 1 / columns->variance[i];
-    return square * (double)columns->count / (precision * MAX_SPECKLE * MAX_SPECKLE);
+    return square * (double)columns->count / (precision * max_speckle * max_speckle);
 }
 
 /* The weights for a column in which noise causes this variance of the centre. */
@@ -318,7 +313,7 @@ static const Weights *weights_of(Weigher *weigher, double variance) {
     size_t level = square < 2 ? 0 : square < 8 ? 1 : square < 32 ? 2 : LEVELS - 1;
     Weights *weights = weigher->weights + level;
     if (weights->reach == 0)
-        find_weights(weigher->how->width, MAX_SPECKLE / (double)(1 << level), weigher->reach, weights);
+        find_weights(weigher->how->width, weigher->max_speckle / (double)(1 << level), weigher->reach, weights);
     return weights;
 }
 
@@ -347,9 +342,12 @@ static void turn_variances(Weigher *weigher, Columns *weighted) {
 /* Measures the centres again by weighted least squares, from those that the filter found, with weights for the speckle
    of each column. Columns without a centre near by are dropped. Returns the scatter of the new centres, relative to the
    variance that noise causes in the filter's centres. */
-static Scatter speckle_weighted_centers(const Measure *how, Scatter of, Columns *columns, Columns *weighted) {
-    Weigher weigher = {.how = how, .most_speckled = most_speckled(how, of, columns)};
-    size_t reach = (size_t)ceil(REACH_PER_WIDTH * how->width);
+static Scatter speckle_weighted_centers(const Measure *how, Scatter of, const StripeParams *params, Columns *columns,
+                                        Columns *weighted) {
+    Weigher weigher = {.how = how,
+                       .max_speckle = params->max_speckle,
+                       .most_speckled = most_speckled(how, of, params->max_speckle, columns)};
+    size_t reach = (size_t)ceil(params->reach_sigmas * how->width);
     weigher.reach = reach < MAX_REACH ? reach : MAX_REACH;
     weighted->count = 0;
     for (size_t i = 0; i < columns->count; i++) columns->row[i] = (int32_t)floor(columns->y[i] + 0.5);
@@ -541,7 +539,7 @@ static const Columns *measure_piece(Job *job, const int32_t *order, size_t count
     }
     if (excess(*of, 1) < SPECKLED || !shows_flanks(job, order, count, width)) return columns;
     Measure how = measure_with(job, filter, width);
-    Scatter tried = speckle_weighted_centers(&how, *of, columns, other);
+    Scatter tried = speckle_weighted_centers(&how, *of, job->params, columns, other);
     if (!keeps_columns(columns, other) || excess(tried, 1) >= BETTER * excess(*of, 1)) return columns;
     *of = scatter(other);
     return other;

@@ -14,7 +14,9 @@ enum { CELL = 4 };
     REAL(begin_sigmas, NOT_NEGATIVE)                                                                                \
     REAL(continue_sigmas, NOT_NEGATIVE)                                                                             \
     COUNT(gap, 0, 1000)                                                                                             \
-    COUNT(shortest, 1, INT32_MAX)
+    COUNT(shortest, 1, INT32_MAX)                                                                                   \
+    REAL(reach_sigmas, 2, 10)                                                                                       \
+    REAL(max_speckle, 1, 1000)
 RECORD_STRUCT(StripeParams, STRIPE_PARAMS);
 
 /* First column, column after the last, first row, row after the last of each band; NULL for the whole image. */
