@@ -1,62 +1,133 @@
-"""Acceptance of calibrations: the limits of all checks, and verdicts as keys of a file and as lines of text.
+"""Acceptance of calibrations: limits and advice of all checks, and verdicts as keys of a file and as lines of text.
 
 The limits of a camera are those of one that measures to 0.1 mm at 0.5 m (0.2 to 0.4 px) with boards of some dozens of
 corners.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import inf, isnan, radians
 from typing import Any
 
 from ringpose.types.calibration import Check, Grade, Verdict
 
-Limits = Mapping[str, tuple[float, float]]
-"""By name of a check: limit of a good value, and limit beyond which the calibration must be repeated."""
 
-BOARD_LIMITS: Limits = {
-    "marker_size_error": (0.03, 0.1),  # relative to the markers' spacing; unrefined corners alone cause 0.01
-    "bow_sigmas": (5.0, inf),  # root of chi-squared of its three coefficients: 1.5 for flat boards on average, rarely 4
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """The limits of a quantity, and the advice beyond them, in which words in braces are given with the value."""
+
+    good: float
+    """Good up to this value (or from this value, if it is the larger of the two limits)."""
+    redo: float
+    """The calibration must be repeated beyond this value; infinite if this quantity alone never requires that."""
+    advice: str
+    if_redo: str | None = None
+    """Advice beyond the limit `redo`, if it differs."""
+    if_unknown: str | None = None
+    """Advice if the value is not known (NaN), if it differs."""
+
+
+# fmt: off
+BOARD_LIMITS: Mapping[str, Limit] = {
+    "marker_size_error": Limit(0.03, 0.1,  # relative to the markers' spacing; unrefined corners alone cause 0.01
+        "relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
+        "marker_m: measure the print, a size in the board file is wrong"),
+    "bow_sigmas": Limit(5.0, inf,  # root of chi-squared of its three coefficients: 1.5 for flat boards, rarely 4
+        "the board is not flat, by about {height_mm:.2f} mm: fix it to glass or a plate"),
 }
 
-CAMERA_LIMITS: Limits = {
-    "other_camera_share": (0.0, 0.2),  # if more views fit another camera, it is ambiguous which one is calibrated
-    "views_used": (10.0, 4.0),
-    "images_used_share": (0.8, 0.5),
-    "corner_sigma_px": (0.3, 1.5),
-    "coverage_share": (0.6, 0.25),
-    "bare_regions": (0.0, 6.0),
-    "largest_tilt_rad": (radians(20), radians(10)),
-    "tilt_spread_across_rad": (radians(4), -inf),
-    "distance_ratio": (1.2, -inf),
-    "focal_sigma_share": (0.002, 0.02),
-    "projection_sigma_px": (0.3, 5.0),
-    "projection_sigma_worst_px": (1.0, inf),
-    "projection_unknown_share": (0.05, inf),
-    "view_disagreement": (2.5, 15.0),
-    "leave_one_out_px": (1.0, inf),
-    "split_half_px": (1.0, inf),
-    "held_out_ratio": (1.05, inf),
+CAMERA_LIMITS: Mapping[str, Limit] = {
+    "other_camera_share": Limit(0.0, 0.2,  # if more views fit another camera, it is ambiguous which one is calibrated
+        "views {views} look like another camera's, or another zoom's: focal length {difference}; calibrate each by "
+        "itself"),
+    "views_used": Limit(10.0, 4.0, "only {used} views were used: take ten or more"),
+    "images_used_share": Limit(0.8, 0.5, "many images could not be used: the reasons are listed with their names"),
+    "corner_sigma_px": Limit(0.3, 1.5,
+        "the corners are inexact ({worst} most): focus, more light, a flat board held still"),
+    "coverage_share": Limit(0.6, 0.25,
+        "the corners cover little of the image: bring the board to its rims, or nearer"),
+    "bare_regions": Limit(0.0, 6.0, "hardly any corners in the {regions}: add a view with the board there"),
+    "largest_tilt_rad": Limit(radians(20), radians(10),
+        "all boards are within {tilt_deg:.0f} degrees of frontal: tilt the board by 20 to 40"),
+    "tilt_spread_across_rad": Limit(radians(4), -inf,
+        "the boards are tilted about one axis only: tilt the board the other way too"),
+    "distance_ratio": Limit(1.2, -inf, "one distance only ({distance_m:.2f} m): add views nearer and farther"),
+    "focal_sigma_share": Limit(0.002, 0.02,
+        "the focal length is uncertain: tilt the board more, and take it nearer and farther"),
+    "projection_sigma_px": Limit(0.3, 5.0,
+        "the projection is uncertain: add views, tilted to different sides, in every part of the image"),
+    "projection_sigma_worst_px": Limit(1.0, inf,
+        "the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there{or_hold}"),
+    "projection_unknown_share": Limit(0.05, inf,
+        "beyond the outermost corners this distortion model is not determined, even where its covariance is small: "
+        "bring the board to the image's corners, or use --distortion-model plumb_bob"),
+    # The following are unknown if there are too few views, which another check reports.
+    "view_disagreement": Limit(2.5, 15.0,
+        "the views disagree by more than their noise: check that the board is flat and its sizes are true, that all "
+        "images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner",
+        if_unknown=""),
+    "leave_one_out_px": Limit(1.0, inf,
+        "the result depends mainly on {place}: add views like it, or leave it out", if_unknown=""),
+    "split_half_px": Limit(1.0, inf,
+        "half of the views give another camera than the rest: add views of every kind", if_unknown=""),
+    "held_out_ratio": Limit(1.05, inf,
+        "views left out fit another model better: use --distortion-model {other}", if_unknown=""),
 }
 
-PLANES_LIMITS: Limits = {
-    "board_rms_px": (0.3, 1.0),  # median over the views of the corner rms
-    "distance_ratio": (1.4, 1.05),  # farthest over nearest board: planes are valid about as far beyond
-    "variance_excess": (3.0, 100.0),  # a board flat to 0.1 mm can reach 3; above 100 the covariance is meaningless
-    "views": (5.0, 2.0),  # two determine a plane without redundancy; of five, a wrong one stands out
-    "condition": (10.0, 50.0),  # 200 mm wide views that differ by 20 mm across their stripes; 50: collinear
-    "held_out_rms_m": (2e-4, 2e-3),  # over the distance: speckle makes 0.1 mm at 0.5 m; 1 mm indicates a wrong stripe
-    "disagreement": (3.0, 100.0),
-    "depth_sd_m": (1e-3, 1e-2),  # over the distance of the farthest board
-    "ring_center_sd_m": (1e-3, 1e-2),  # over the distance; the errors of a shot at 0.5 m are five times as large
-    "angle_error_rad": (radians(1), radians(5)),
-    "middle_outside_rad": (radians(1), inf),
+PLANES_LIMITS: Mapping[str, Limit] = {
+    "board_rms_px": Limit(0.3, 1.0,  # median over the views of the corner rms
+        "see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file",
+        if_redo="the corners miss the boards by {rms_px:.1f} px: the camera file is another camera's, its lens moved, "
+        "the board's sizes are others, or the board is bent; calibrate the camera anew"),
+    "distance_ratio": Limit(1.4, 1.05,  # farthest over nearest board: planes are valid about as far beyond
+        "add views of the board nearer than {near_m:.2f} m and farther than {far_m:.2f} m"),
+    "variance_excess": Limit(3.0, 100.0,  # a board flat to 0.1 mm can reach 3; above 100 the covariance is meaningless
+        "the views disagree{stray}: see that the board is flat, stood still in each shot and has the sizes in its "
+        "file; calibrate the camera anew"),
+    "views": Limit(5.0, 2.0,  # two determine a plane without redundancy; of five, a wrong one stands out
+        "add views that show the stripe of {place}: six to ten are good"),
+    "condition": Limit(10.0, 50.0,  # 200 mm wide views that differ by 20 mm across their stripes; 50: collinear
+        "add a view of the board 100 mm or more nearer or farther than {middle_m:.2f} m"),
+    "held_out_rms_m": Limit(2e-4, 2e-3,  # over the distance: speckle makes 0.1 mm at 0.5 m; 1 mm: a wrong stripe
+        "see with --overlay whether the stripe of {place} is sharp and unsaturated, in {worst} first",
+        if_unknown="add a third view: two leave the held-out error undetermined"),
+    "disagreement": Limit(3.0, 100.0,
+        "the stripes of {place} disagree with boards and other lasers: see whether they are its own"),
+    "depth_sd_m": Limit(1e-3, 1e-2,  # over the distance of the farthest board
+        "add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {laser} over the whole image"),
+    "ring_center_sd_m": Limit(1e-3, 1e-2,  # over the distance; the errors of a shot at 0.5 m are five times as large
+        "poses {distance_m:.2f} m away will be off by {sd_mm:.1f} mm from this calibration alone: {remedy}"),
+    "angle_error_rad": Limit(radians(1), radians(5),
+        "see with --overlay whether each stripe belongs to its laser, or lasers are exchanged in all shots; check how "
+        "the lasers are mounted"),
+    "middle_outside_rad": Limit(radians(1), inf,
+        "middle is not between left and right: see whether lasers are exchanged in all shots, or give their names in "
+        "the order of their numbers (--laser-names)"),
 }
+# fmt: on
 
 
-def check(limits: Limits, name: str, value: float, advice: str, place: str = "", *, scale: float = 1.0) -> Check:
-    """The check of a value by its limits; the limits of a relative quantity are multiplied by `scale`."""
-    pass_limit, fail_limit = (scale * limit for limit in limits[name])
-    return Check(name=name, value=value, pass_limit=pass_limit, fail_limit=fail_limit, advice=advice, place=place)
+def check(
+    limits: Mapping[str, Limit],
+    name: str,
+    value: float,
+    place: str = "",
+    *,
+    scale: float = 1.0,
+    margin: float = 0.0,
+    **words: Any,
+) -> Check:
+    """The check of a value by its limits, with the words of its advice.
+
+    The limits of a relative quantity are multiplied by `scale`; to the limit of a good value, `margin` is added.
+    """
+    limit = limits[name]
+    found = Check(
+        name=name, value=value, pass_limit=scale * limit.good + margin, fail_limit=scale * limit.redo, place=place
+    )
+    special = limit.if_unknown if isnan(value) else limit.if_redo if found.grade is Grade.REDO else None
+    advice = limit.advice if special is None else special
+    return replace(found, advice=advice.format(place=place, **words))
 
 
 def verdict_values(verdict: Verdict) -> dict[str, Any]:

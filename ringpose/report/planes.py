@@ -71,7 +71,7 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
         axis.plot(middle, held_out, "o", color="tab:red", label="mean of a view, held out")
         axis.axhline(0, color="black", linewidth=0.6)
         _limits(
-            axis, 1e6 * PLANES_LIMITS["held_out_rms_m"][0] * float(np.mean(middle)), "good limit of the held-out rms"
+            axis, 1e6 * PLANES_LIMITS["held_out_rms_m"].good * float(np.mean(middle)), "good limit of the held-out rms"
         )
         axis.set_ylabel(f"{drawn(laser.name)}: residual (um)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -128,7 +128,7 @@ def _depths(calibration: PlanesCalibration) -> Picture:
         axis.plot(distances_m, 1e3 * worst, label=drawn(laser.name))
     axis.plot(
         distances_m,
-        1e3 * PLANES_LIMITS["depth_sd_m"][0] * np.array(distances_m),
+        1e3 * PLANES_LIMITS["depth_sd_m"].good * np.array(distances_m),
         "--",
         color="tab:red",
         label="good limit",

@@ -117,8 +117,7 @@ def bow_finding(
     points_m = np.concatenate([view.points_board_m for view in used])
     centered_m = points_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2
     height_m = float(np.ptp(_surface_heights(centered_m) @ (bow / scale[-3:])))
-    advice = f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate"
-    return check(BOARD_LIMITS, "bow_sigmas", significance / widening, advice)
+    return check(BOARD_LIMITS, "bow_sigmas", significance / widening, height_mm=1e3 * height_m)
 
 
 def _bow_equations(

@@ -90,11 +90,8 @@ def other_camera_finding(calibration: CameraCalibration) -> Check:
         names |= {board.name} if gain > (_GAIN_SIGMAS * usual_px) ** 2 else set()
     names = names if len(names) > 1 else set()
     listed = ", ".join(view.name for view in calibration.views if view.name in names)
-    advice = (
-        f"views {listed} look like another camera's, or another zoom's: "
-        f"focal length {focal_difference(other, camera)}; calibrate each by itself"
-    )
-    return check(CAMERA_LIMITS, "other_camera_share", len(names) / len(calibration.views), advice)
+    share, difference = len(names) / len(calibration.views), focal_difference(other, camera)
+    return check(CAMERA_LIMITS, "other_camera_share", share, views=listed, difference=difference)
 
 
 def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float) -> tuple[list[BoardView], Camera]:

@@ -155,35 +155,29 @@ def camera_verdict(assessment: CameraAssessment, images: int) -> Verdict:
 def _view_findings(calibration: CameraCalibration, images: int) -> list[Check]:
     """Checks of the number of views and of the accuracy of their corners."""
     used, different = len(calibration.used), different_poses([view.pose for view in calibration.used])
-    more_views = f"only {used} views were used: take ten or more"
+    number = check(CAMERA_LIMITS, "views_used", float(different), used=used)
     if different < used:
-        more_views = f"only {different} of the {used} views differ: move or tilt the board before each of ten or more"
+        same = f"only {different} of the {used} views differ: move or tilt the board before each of ten or more"
+        number = replace(number, advice=same)
     worst = max(calibration.used, key=lambda view: view.pose.residual_rms_px).name
-    not_used = "many images could not be used: the reasons are listed with their names"
-    inexact = f"the corners are inexact ({worst} most): focus, more light, a flat board held still"
     return [
-        check(CAMERA_LIMITS, "views_used", float(different), more_views),
-        check(CAMERA_LIMITS, "images_used_share", used / max(images, used), not_used),
-        check(CAMERA_LIMITS, "corner_sigma_px", calibration.sigma_px, inexact),
+        number,
+        check(CAMERA_LIMITS, "images_used_share", used / max(images, used)),
+        check(CAMERA_LIMITS, "corner_sigma_px", calibration.sigma_px, worst=worst),
     ]
 
 
 def _coverage_findings(covered: Coverage) -> list[Check]:
     """Checks of the corners' distribution over the image and of the boards' tilts and distances."""
-    bare, distances = covered.bare_regions, covered.distance_m
+    bare, distances, tilt_rad = covered.bare_regions, covered.distance_m, max(covered.tilt_rad)
     regions = ", ".join(bare[:-1]) + " and " + bare[-1] if len(bare) > 1 else "".join(bare)
-    empty = f"hardly any corners in the {regions}: add a view with the board there"
-    little = "the corners cover little of the image: bring the board to its rims, or nearer"
-    tilt_rad = max(covered.tilt_rad)
-    frontal = f"all boards are within {degrees(tilt_rad):.0f} degrees of frontal: tilt the board by 20 to 40"
-    one_axis = "the boards are tilted about one axis only: tilt the board the other way too"
-    one_distance = f"one distance only ({np.mean(distances):.2f} m): add views nearer and farther"
+    ratio = max(distances) / min(distances)
     return [
-        check(CAMERA_LIMITS, "coverage_share", covered.share, little),
-        check(CAMERA_LIMITS, "bare_regions", float(len(bare)), empty),
-        check(CAMERA_LIMITS, "largest_tilt_rad", tilt_rad, frontal),
-        check(CAMERA_LIMITS, "tilt_spread_across_rad", covered.tilt_spread_rad[1], one_axis),
-        check(CAMERA_LIMITS, "distance_ratio", max(distances) / min(distances), one_distance),
+        check(CAMERA_LIMITS, "coverage_share", covered.share),
+        check(CAMERA_LIMITS, "bare_regions", float(len(bare)), regions=regions),
+        check(CAMERA_LIMITS, "largest_tilt_rad", tilt_rad, tilt_deg=degrees(tilt_rad)),
+        check(CAMERA_LIMITS, "tilt_spread_across_rad", covered.tilt_spread_rad[1]),
+        check(CAMERA_LIMITS, "distance_ratio", ratio, distance_m=np.mean(distances)),
     ]
 
 
@@ -193,43 +187,26 @@ def _uncertainty_findings(assessment: CameraAssessment) -> list[Check]:
     sigma_px, deviations = assessment.sigma_px, calibration.standard_deviations
     x, y = map_points_px(calibration.camera)[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     focal_share = deviations["fx"] / float(calibration.camera.camera_matrix[0, 0])
-    focal = "the focal length is uncertain: tilt the board more, and take it nearer and farther"
-    median = "the projection is uncertain: add views, tilted to different sides, in every part of the image"
-    worst = f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there"
-    worst += ", or hold k3 (--fix-k3)" if deviations["k3"] else ""
-    unknown = (
-        "beyond the outermost corners this distortion model is not determined, even where its covariance is small: "
-        "bring the board to the image's corners, or use --distortion-model plumb_bob"
-    )
+    or_hold = ", or hold k3 (--fix-k3)" if deviations["k3"] else ""
     return [
-        check(CAMERA_LIMITS, "focal_sigma_share", focal_share, focal),
-        check(CAMERA_LIMITS, "projection_sigma_px", float(np.nanmedian(sigma_px)), median),
-        check(CAMERA_LIMITS, "projection_sigma_worst_px", float(np.nanmax(sigma_px)), worst),
-        check(CAMERA_LIMITS, "projection_unknown_share", assessment.unknown_share, unknown),
+        check(CAMERA_LIMITS, "focal_sigma_share", focal_share),
+        check(CAMERA_LIMITS, "projection_sigma_px", float(np.nanmedian(sigma_px))),
+        check(CAMERA_LIMITS, "projection_sigma_worst_px", float(np.nanmax(sigma_px)), x=x, y=y, or_hold=or_hold),
+        check(CAMERA_LIMITS, "projection_unknown_share", assessment.unknown_share),
     ]
 
 
 def _validation_findings(assessment: CameraAssessment) -> list[Check]:
-    """Checks of the agreement of the views and, where they were compared, of the distortion models.
-
-    A value is NaN, without advice, if there are too few views to determine it: another check reports that.
-    """
+    """Checks of the agreement of the views and, where they were compared, of the distortion models."""
     unknown = LeftOutView(name="", shift_px=np.nan, rms_px=np.nan)
     view = max(assessment.left_out, key=lambda view: view.shift_px, default=unknown)
-    halves_px = float(np.median(assessment.split_half_px))
-    disagree = (
-        "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
-        "that all images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner"
-    )
-    alone = f"the result depends mainly on {view.name}: add views like it, or leave it out"
-    halves = "half of the views give another camera than the rest: add views of every kind"
     checks = [
-        check(CAMERA_LIMITS, "view_disagreement", assessment.disagreement, disagree),
-        check(CAMERA_LIMITS, "leave_one_out_px", view.shift_px, alone, view.name),
-        check(CAMERA_LIMITS, "split_half_px", halves_px, halves),
+        check(CAMERA_LIMITS, "view_disagreement", assessment.disagreement),
+        check(CAMERA_LIMITS, "leave_one_out_px", view.shift_px, view.name),
+        check(CAMERA_LIMITS, "split_half_px", float(np.median(assessment.split_half_px))),
     ]
     if assessment.comparison is not None:
         own, other = assessment.comparison.fits
-        model = f"views left out fit another model better: use --distortion-model {other.distortion_model}"
-        checks.append(check(CAMERA_LIMITS, "held_out_ratio", own.held_out_rms_px / other.held_out_rms_px, model))
-    return [replace(each, advice="") if np.isnan(each.value) else each for each in checks]
+        ratio = own.held_out_rms_px / other.held_out_rms_px
+        checks.append(check(CAMERA_LIMITS, "held_out_ratio", ratio, other=other.distortion_model))
+    return checks

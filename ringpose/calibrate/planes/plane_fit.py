@@ -12,7 +12,7 @@ from ringpose.geometry.rays import nearest_plane
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PlanesMethod
 
-MAX_CONDITION = PLANES_LIMITS["condition"][1]
+MAX_CONDITION = PLANES_LIMITS["condition"].redo
 """Points with a larger condition number are collinear: views 100 mm long must differ by 2 mm across their stripe."""
 
 MIN_MEAN_WEIGHT = 0.1

@@ -128,8 +128,5 @@ def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
     if not ratios:
         return ()
     width, height = np.median(ratios, axis=0).tolist()
-    advice = (
-        f"relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
-        "marker_m: measure the print, a size in the board file is wrong"
-    )
-    return (check(BOARD_LIMITS, "marker_size_error", max(abs(width - 1), abs(height - 1)), advice),)
+    error = max(abs(width - 1), abs(height - 1))
+    return (check(BOARD_LIMITS, "marker_size_error", error, width=width, height=height),)
