@@ -91,8 +91,8 @@ def pose(
 ) -> None:
     """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
     from ringpose.cli.live_input import live_camera_motion
+    from ringpose.files.inputs import SourceReader
     from ringpose.files.rigs import read_rig, require_mount
-    from ringpose.files.sources import SourceReader
     from ringpose.measure.stream import Setup, Stream
 
     _check_source(inputs, camera, shots)

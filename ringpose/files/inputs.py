@@ -7,13 +7,19 @@ import select
 import sys
 import zlib
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ringpose.errors import DataError, InputOutputError, NoInputError
 from ringpose.files import records
 from ringpose.files.io import opened
 from ringpose.types.options import STDIN
+
+if TYPE_CHECKING:
+    from ringpose.types.detection import Detection
+    from ringpose.types.image import Shot
+    from ringpose.types.rig import Rig
 
 RECORDS_SUFFIX = ".jsonl"
 
@@ -196,3 +202,27 @@ def _chunk(descriptor: int) -> bytes:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputOutputError("standard input", f"reading broke off: {reason}") from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceReader:
+    """Reads an input, and rejects one that does not match the rig; worker processes import this class."""
+
+    rig: "Rig"
+    channel: str | None = None
+    """Channel of colour images that is read; None for their luminance."""
+
+    def __call__(self, item: Input) -> "Shot | Detection":
+        """The shot or detection in an input, by the contents of the file or record."""
+        from ringpose.files.images.shots import read_shot, shot_of  # slow to import, as all below
+        from ringpose.files.npz import Archive
+        from ringpose.files.records.detections import checked_detection, detection_in, detection_of
+
+        if isinstance(item, Record):
+            return checked_detection(detection_of(item.values, item.location), self.rig, item.location)
+        if item.suffix.lower() != ".npz":
+            return read_shot(item, self.channel, self.rig)
+        archive = Archive(item)
+        if "schema" in archive:  # a shot has none
+            return checked_detection(detection_in(archive), self.rig, str(item))
+        return shot_of(archive, self.rig)

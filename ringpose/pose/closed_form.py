@@ -17,7 +17,6 @@ from ringpose.estimate.covariance import (
     exceeds_sd,
     standard_deviation,
 )
-from ringpose.geometry.circles import nearest_crossing
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
 from ringpose.geometry.rays import GRAZING, nearest_plane, project
 from ringpose.geometry.rotations import tilt_basis
@@ -339,6 +338,25 @@ def mid_band_point(
     outward = (axes[:, 0] + arcs.lean * axes[:, 1]) / np.hypot(1.0, arcs.lean)
     grasp: Float64[Array, "batch xyz=3"] = mean + arc_crossings(arcs).mean(axis=-1, keepdims=True) * outward
     return grasp
+
+
+def nearest_crossing(
+    point: Float64[Array, "n xyz=3"],
+    direction: Float64[Array, "n xyz=3"],
+    center: Float64[Array, "3"],
+    radius: Float64[Array, "n"],
+) -> Float64[Array, "n xyz=3"]:
+    """Crossings of lines with spheres about one centre: for each line, the crossing nearer to its given point.
+
+    A line in the circle's plane meets circle and sphere at the same points. For a line that does not meet the sphere,
+    its point nearest to the centre is returned. `direction` has unit length.
+    """
+    along = np.sum((center - point) * direction, axis=-1)
+    foot = point + along[:, None] * direction
+    half_chord = np.sqrt(np.maximum(radius**2 - np.sum((foot - center) ** 2, axis=-1), 0.0))
+    step = along + np.where(along > 0, -half_chord, half_chord)
+    crossing: Float64[Array, "n xyz=3"] = point + step[:, None] * direction
+    return crossing
 
 
 class ArcEquations(NamedTuple):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
-from ringpose.calibrate.boards.views import grey_8_bit
+from ringpose.calibrate.boards.patterns.image_patch import grey_8_bit
 from ringpose.types.arrays import Array, UInt, UInt8
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView

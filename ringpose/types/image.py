@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
+from ringpose.types.rig import Camera
 
 ALL_LASERS = 255
 """Laser mask of an image file: all lasers on, whatever their number."""
@@ -15,6 +17,9 @@ PER_FRAME = (
     "lasers", "stamp_s", "exposure_s", "device_stamp_s", "gain_db", "frame_id", "seen_lasers", "read_lasers",
 )  # fmt: skip
 """Attributes of a shot with one value per frame, besides the images."""
+
+MAX_SHOT_PIXELS = 256_000_000
+"""Maximum number of pixels in all frames of a shot together."""
 
 USUAL_BITS = (8, 10, 12, 14)
 """Bit depths of cameras whose grey values occupy the lower bits of 8 or 16."""
@@ -137,6 +142,31 @@ def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[i
             frames.append((number, tuple(laser for laser in range(count) if new >> laser & 1), mask & covered))
             covered |= mask
     return frames
+
+
+def check_shot_size(location: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
+    """Reject a shot that is too large, or whose size is not the camera's; `location` is used in messages."""
+    if camera is not None and (width, height) != (camera.image_width, camera.image_height):
+        found = f"{width} x {height} pixels, the rig's camera has {camera.image_width} x {camera.image_height}"
+        raise DataError(location, found, "give the rig that took the shot")
+    if frames * width * height > MAX_SHOT_PIXELS:
+        found = f"declares {frames} x {width} x {height} pixels, must have at most {MAX_SHOT_PIXELS / 1e6:g} million"
+        raise DataError(location, found, "give fewer frames, or crop them")
+
+
+def board_image(shot: Shot) -> UInt[Array, "row column"]:
+    """The image of a shot in which the board is searched: the frame with the lasers off.
+
+    Without such a frame, the minimum of all frames, which removes switched stripes.
+    """
+    dark = dark_image(shot)
+    return np.min(shot.images, axis=0) if dark is None else dark
+
+
+def dark_image(shot: Shot) -> UInt[Array, "row column"] | None:
+    """The first frame with the lasers off, if there is one."""
+    off = np.flatnonzero(shot.lasers == 0)
+    return shot.images[off[0]] if len(off) else None
 
 
 def full_scale_dn(images: UInt[Array, "*shape"]) -> int:

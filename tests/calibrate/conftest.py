@@ -15,8 +15,9 @@ from ringpose.types.image import Shot
 @pytest.fixture(scope="session")
 def rendered_plane_views(shared_data) -> list[tuple[Shot, BoardView]]:
     """The rendered shots of the four-marker board, and the board in each; finding it takes most of a second."""
-    from ringpose.calibrate.boards.views import board_image, find_board
+    from ringpose.calibrate.boards.views import find_board
     from ringpose.files.images.shots import read_shot
+    from ringpose.types.image import board_image
 
     shots = [read_shot(path) for path in sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))]
     return [(shot, find_board(board_image(shot), FOUR, shot.name)) for shot in shots]

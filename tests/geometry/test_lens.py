@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.geometry.lens import fold_px
+from ringpose.geometry.rays import fold_px
 from ringpose.types.rig import Camera
 
 FOCAL, PRINCIPAL = 1000.0, (800.0, 600.0)

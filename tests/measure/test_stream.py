@@ -21,12 +21,12 @@ from ringpose.detect.difference_images import laser_images
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.images.shots import read_shot, write_shot
+from ringpose.files.inputs import SourceReader
 from ringpose.files.records.poses import pose_record
 from ringpose.files.records.tracks import track_record
 from ringpose.files.records.truths import truth_record
 from ringpose.files.rigs import read_rig, write_rig
 from ringpose.files.scenes.scene import read_scene
-from ringpose.files.sources import SourceReader
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rotations import tilted
 from ringpose.measure.stream import Setup, Stream, track_options

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.diagnostics import BoardFailure, NoBoard
-from ringpose.calibrate.boards.patterns.image_patch import patch_around
-from ringpose.calibrate.boards.views import BoardFinder, board_image, find_board, grey_8_bit
+from ringpose.calibrate.boards.patterns.image_patch import grey_8_bit, patch_around
+from ringpose.calibrate.boards.views import BoardFinder, find_board
 from ringpose.errors import DataError
 from ringpose.processes import LimitedCalls, WorkerKilled
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
-from ringpose.types.image import Shot
+from ringpose.types.image import Shot, board_image
 
 MAX_SEARCH_S, MAX_SEARCH_S_PER_PIXEL = 10, 1e-5
 """CPU time after which a search is given up: 22 s for 1.2 megapixels, where a board takes 2 s and an image without one

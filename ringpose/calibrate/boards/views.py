@@ -23,7 +23,7 @@ from ringpose.calibrate.boards.patterns.chessboard import (
     visible_grid,
 )
 from ringpose.calibrate.boards.patterns.circles import circle_centers
-from ringpose.calibrate.boards.patterns.image_patch import GreyImage
+from ringpose.calibrate.boards.patterns.image_patch import GreyImage, grey_8_bit
 from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
 from ringpose.calibrate.boards.patterns.markers import (
     Markers,
@@ -36,7 +36,6 @@ from ringpose.errors import DataError
 from ringpose.geometry.board import corner_points, marker_corners, marker_count, marker_dictionary
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
-from ringpose.types.image import Shot
 
 BoardFinder = Callable[[UInt[Array, "row column"], Board, str], BoardView | NoBoard]
 """`find_board`, or `BoardSearch`, which calls it in another process."""
@@ -68,14 +67,6 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
     saturated = cv2.dilate((grey == 255).astype(np.uint8), window)
     column, row = np.clip(np.rint(found.points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
     return replace(found, saturated_share=float(np.mean(saturated[row, column])))
-
-
-def grey_8_bit(image: UInt[Array, "row column"]) -> GreyImage:
-    """The image in 8 bits for OpenCV's detectors; deeper images are scaled so that their brightest pixel is white."""
-    if image.dtype == np.uint8:
-        return np.ascontiguousarray(image)
-    scale = 255.0 / max(int(image.max(initial=0)), 1)
-    return np.rint(image * scale).astype(np.uint8)
 
 
 def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoard:
@@ -148,18 +139,3 @@ def _charuco_corners(
     distance_px = np.linalg.norm(points_px[:, None] - points_px, axis=-1)
     square_px = float(distance_px[neighbours].min()) if neighbours.any() else 0.0
     return numbers, refined_corners(grey, points_px, white_share * square_px), markers
-
-
-def board_image(shot: Shot) -> UInt[Array, "row column"]:
-    """The image of a shot in which the board is searched: the frame with the lasers off.
-
-    Without such a frame, the minimum of all frames, which removes switched stripes.
-    """
-    dark = dark_image(shot)
-    return np.min(shot.images, axis=0) if dark is None else dark
-
-
-def dark_image(shot: Shot) -> UInt[Array, "row column"] | None:
-    """The first frame with the lasers off, if there is one."""
-    off = np.flatnonzero(shot.lasers == 0)
-    return shot.images[off[0]] if len(off) else None

@@ -123,14 +123,13 @@ def joint_data(
     """
     straight = [[undistorted_pixels(px, camera) for px in view.stripes_px] for view in views]
     length = shared_length([px for view in straight for px in view])
-
-    def sigma_px(points_px: Float64[Array, "n xy=2"]) -> float:
-        return max(center_sigma_px(points_px, length), MIN_SIGMA_PX) if len(points_px) else float("nan")
-
     return JointData(
         views=tuple(views),
         corner_px=np.maximum(corner_px, MIN_SIGMA_PX),
-        center_px=tuple(np.array([sigma_px(px) for px in view]) for view in straight),
+        center_px=tuple(
+            np.array([max(center_sigma_px(px, length), MIN_SIGMA_PX) if len(px) else np.nan for px in view])
+            for view in straight
+        ),
         rays=tuple(tuple(stripe_rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
         free_camera=free_camera,

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.shots import BoardShots
-from ringpose.calibrate.boards.views import board_image
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.cli.progress import with_progress
@@ -17,7 +16,7 @@ from ringpose.files.inputs import Input, path_of_input
 from ringpose.files.inputs import inputs as named
 from ringpose.report.boards import board_overlay
 from ringpose.types.board import BoardView
-from ringpose.types.image import Shot
+from ringpose.types.image import Shot, board_image
 
 
 class BoardReader:

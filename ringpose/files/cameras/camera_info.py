@@ -12,27 +12,10 @@ from ringpose.files.cameras.ros import MAX_PIXELS
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 
-_SEPARATOR = re.compile(rb"^---[ \t\r]*$", re.MULTILINE)
-"""The line that `rostopic echo` and `ros2 topic echo` print after each message."""
-
-_HEADER = re.compile(rb"^header:[^\n]*\n(?:[ \t]+[^\n]*\n)*", re.MULTILINE)
-"""The header of a printed message, the only part that differs between the messages of one camera."""
-
 _SECTION = re.compile(r"^\[(\w+)\][ \t\r]*$", re.MULTILINE)
 
 INI_SECTION = re.compile(rb"^\[image\][ \t\r]*$", re.MULTILINE)
 """First section of the INI file (`oST version 5.0`), which the calibrator also prints."""
-
-
-def one_message(content: bytes, file: str) -> bytes:
-    """The text of the one camera in a file of printed messages, which differ at most in their headers."""
-    messages = [part for part in _SEPARATOR.split(content) if part.strip()]
-    if len(messages) < 2:
-        return _SEPARATOR.sub(b"", content)  # the text itself, so that errors name its lines
-    different = {_HEADER.sub(b"", message).strip() for message in messages}
-    if len(different) > 1:
-        raise DataError(file, f"holds {len(messages)} messages of different cameras", "keep one message")
-    return messages[0]
 
 
 def message_values(values: Mapping[str, Any], file: str) -> dict[str, Any]:

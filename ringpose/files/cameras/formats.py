@@ -12,7 +12,7 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras import matlab
 from ringpose.files.cameras import opencv as opencv_storage
-from ringpose.files.cameras.camera_info import INI_SECTION, ini_values, message_values, one_message
+from ringpose.files.cameras.camera_info import INI_SECTION, ini_values, message_values
 from ringpose.files.cameras.ros import (
     CAMERA_KEYS,
     FILE_KEYS,
@@ -27,6 +27,12 @@ from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.options import CameraFormat
 from ringpose.types.rig import CAMERA_PARAMETERS, Camera, ParameterCovariance
+
+_SEPARATOR = re.compile(rb"^---[ \t\r]*$", re.MULTILINE)
+"""The line that `rostopic echo` and `ros2 topic echo` print after each message."""
+
+_HEADER = re.compile(rb"^header:[^\n]*\n(?:[ \t]+[^\n]*\n)*", re.MULTILINE)
+"""The header of a printed message, the only part that differs between the messages of one camera."""
 
 _KALIBR_NAME = "cam0"
 _KALIBR_IGNORED = ("rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "timeshift_cam_imu")
@@ -72,12 +78,23 @@ def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
     if INI_SECTION.search(content):
         return CameraFormat.ROS, ini_values(content, file)
     _reject_report(content, file)
-    values = parsed(one_message(content, file), file)
+    values = parsed(_one_message(content, file), file)
     keys = set(values) if isinstance(values, Mapping) else set()
     for form, characteristic_keys in _CHARACTERISTIC_KEYS.items():
         if keys & characteristic_keys:
             return form, values
     raise DataError(file, "is not a camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB")
+
+
+def _one_message(content: bytes, file: str) -> bytes:
+    """The text of the one camera in a file of printed messages, which differ at most in their headers."""
+    messages = [part for part in _SEPARATOR.split(content) if part.strip()]
+    if len(messages) < 2:
+        return _SEPARATOR.sub(b"", content)  # the text itself, so that errors name its lines
+    different = {_HEADER.sub(b"", message).strip() for message in messages}
+    if len(different) > 1:
+        raise DataError(file, f"holds {len(messages)} messages of different cameras", "keep one message")
+    return messages[0]
 
 
 def _reject_report(content: bytes, file: str) -> None:

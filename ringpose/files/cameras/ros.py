@@ -15,7 +15,7 @@ from ringpose.files.io import provenance
 from ringpose.files.records import plain
 from ringpose.files.schema import Fields, checked_covariance, hint
 from ringpose.files.yaml import write_yaml
-from ringpose.geometry.lens import fold_px
+from ringpose.geometry.rays import fold_px
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.plausible import CENTRAL_POINT, FOCAL_LENGTH, PRINCIPAL_POINT, TANGENTIAL
 from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, ParameterCovariance, camera_parameters

@@ -20,15 +20,13 @@ from ringpose.files.io import read_bytes
 from ringpose.files.kinds import EXCHANGED, kind_of_data, kind_of_text
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
+from ringpose.types.image import MAX_SHOT_PIXELS, check_shot_size
 from ringpose.types.rig import Camera
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
 CHANNELS = {"b": 0, "g": 1, "r": 2}
 """Index of each channel in OpenCV's BGR order."""
-
-MAX_SHOT_PIXELS = 256_000_000
-"""Maximum number of pixels in all frames of a shot together."""
 
 MAX_DECODED_BYTES = 2 * MAX_SHOT_PIXELS
 """Maximum size of a decoded image, with all its channels: that of the largest shot in 16 bits."""
@@ -65,16 +63,6 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
     else:
         grey = cv2.cvtColor(decoded[..., :3], cv2.COLOR_BGR2GRAY)
     return np.ascontiguousarray(grey)
-
-
-def check_shot_size(location: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
-    """Reject a shot that is too large, or whose size is not the camera's; `location` is used in messages."""
-    if camera is not None and (width, height) != (camera.image_width, camera.image_height):
-        found = f"{width} x {height} pixels, the rig's camera has {camera.image_width} x {camera.image_height}"
-        raise DataError(location, found, "give the rig that took the shot")
-    if frames * width * height > MAX_SHOT_PIXELS:
-        found = f"declares {frames} x {width} x {height} pixels, must have at most {MAX_SHOT_PIXELS / 1e6:g} million"
-        raise DataError(location, found, "give fewer frames, or crop them")
 
 
 def write_image(path: Path, image: UInt[Array, "row column *color"], *, force: bool = False) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
-from ringpose.files.images.codecs import IMAGE_SUFFIXES, check_shot_size, read_image
+from ringpose.files.images.codecs import IMAGE_SUFFIXES, read_image
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.schema import Fields, late_stamp
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
-from ringpose.types.image import ALL_LASERS, Shot
+from ringpose.types.image import ALL_LASERS, Shot, check_shot_size
 from ringpose.types.plausible import EXPOSURE_S, STAMP_S
 from ringpose.types.rig import Rig
 

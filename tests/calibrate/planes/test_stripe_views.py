@@ -12,7 +12,7 @@ from known_views import TRUE_CAMERA
 from recorded_shots import make_shot
 from ring_scenes import make_camera
 
-from ringpose.calibrate.boards.views import board_image, find_board
+from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
@@ -20,7 +20,7 @@ from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration
-from ringpose.types.image import Shot
+from ringpose.types.image import Shot, board_image
 from ringpose.types.options import PlanesMethod
 
 RENDERED = (

@@ -1,4 +1,4 @@
-"""Square patches of an image, and images reduced by a whole factor.
+"""Grey images in 8 bits, square patches of them, and images reduced by a whole factor.
 
 OpenCV's chessboard detection is applied to reduced images first, because its time grows faster than the number of
 pixels. Corners are then refined in the full image. Images with wide stripes are reduced before stripe extraction.
@@ -26,6 +26,14 @@ FINEST_PX = 6000
 
 MIN_BLUR_PX = 0.4
 """Standard deviation of the sharpest edges: pixels blur by 0.29 px, lenses by as much."""
+
+
+def grey_8_bit(image: UInt[Array, "row column"]) -> GreyImage:
+    """The image in 8 bits for OpenCV's detectors; deeper images are scaled so that their brightest pixel is white."""
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image)
+    scale = 255.0 / max(int(image.max(initial=0)), 1)
+    return np.rint(image * scale).astype(np.uint8)
 
 
 def patch_around(image: GreyImage, column: int, row: int, half: int) -> UInt8[Array, "patch_row patch_column"] | None:

@@ -144,13 +144,9 @@ def _autocorrelation_sum(along: Float64[Array, "n"], residual: Float64[Array, "n
     window = np.clip(2.0 - np.abs(lag) / (0.5 * MAX_LAG_PX), 0.0, 1.0)
     basis = np.linalg.qr(np.polynomial.polynomial.polyvander(along / np.abs(along).max(), _TERMS - 1))[0]
     pixel = np.rint(along - along[0]).astype(np.int64)
-
-    def windowed_square(values: Float64[Array, "n"]) -> float:
-        series = np.bincount(pixel, values)
-        return float(series @ np.convolve(series, window, "same"))
-
-    ratio = windowed_square(residual) / max(float(residual @ residual), 1e-24)
-    return ratio, sum(windowed_square(column) for column in basis.T)
+    series = [np.bincount(pixel, values) for values in (residual, *basis.T)]
+    squares = [float(each @ np.convolve(each, window, "same")) for each in series]
+    return squares[0] / max(float(residual @ residual), 1e-24), sum(squares[1:])
 
 
 def _detrended_px(points_px: Float64[Array, "n xy=2"]) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.pose import board_pose
-from ringpose.calibrate.boards.views import board_image, dark_image
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.board import marker_corners, outline_m
 from ringpose.geometry.least_squares import robust_std
@@ -22,7 +21,7 @@ from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.detection import Stripes
-from ringpose.types.image import Shot
+from ringpose.types.image import Shot, board_image, dark_image
 from ringpose.types.rig import Camera
 
 NEAR_PX = 1.5

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.geometry.circles import nearest_crossing
+from ringpose.pose.closed_form import nearest_crossing
 
 ANGLE = st.floats(-3.0, 3.0)
 
