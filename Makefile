@@ -29,7 +29,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_MMAP_THRESHOLD_ = 33554432
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_TRIM_THRESHOLD_ = 536870912
 
-.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden man-tables results structure test test-slow test-lowest \
+.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden mutants man-tables results structure test test-slow test-lowest \
   test-baseline-cpu test-other-cpu check lint types layers man clean
 
 help:
@@ -40,6 +40,7 @@ help:
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make golden       show which lines of the rendered shots have changed, and make today's the golden ones"
 	@echo "make results      the tables and charts of the page on results: studies and shared renders, about an hour"
+	@echo "make mutants      small changes to the package of which each must fail a test, some hours; status 3 if one survives"
 	@echo "make man-tables   write the manual's tables of flags from the code"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
@@ -83,6 +84,9 @@ baseline: $(STAMP)
 
 man-tables: $(STAMP)
 	$(BIN)/python tests/manual_tables.py
+
+mutants: $(STAMP)
+	$(BIN)/python tests/benchmarks/mutants.py
 
 golden: $(STAMP)
 	$(BIN)/python tests/golden_lines.py --renew

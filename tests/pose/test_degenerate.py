@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ring_scenes import break_points_of, face_points_of, make_scene, pixels_of, with_stripes, without
 
 from ringpose.errors import DataError
-from ringpose.pose import pipeline
+from ringpose.measure import stream
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.options import Method
@@ -166,7 +166,7 @@ def test_break_points_of_another_rig_are_bad_data(scene, method):
     )
 
     with pytest.raises(DataError, match="3 lasers, the rig has 1"):
-        pipeline.estimate_pose(scene.break_points(), replace(scene.rig, lasers=one_laser), method)
+        stream.estimate_pose(scene.break_points(), replace(scene.rig, lasers=one_laser), method)
 
 
 @BOTH_METHODS
@@ -198,8 +198,8 @@ def test_two_unlabelled_stripes_that_may_be_on_a_straight_bar_have_no_pose_but_m
     two = replace(switched, labelled=False)
     radii = KnownRadii(radius_m=scene.ring.radius_m, sd_m=np.full(2, 0.0005))
 
-    alone, *others = (pipeline.pose_result(points, scene.rig) for points in (two, switched, three))
-    known = pipeline.pose_result(two, scene.rig, known=radii)
+    alone, *others = (stream.pose_result(points, scene.rig) for points in (two, switched, three))
+    known = stream.pose_result(two, scene.rig, known=radii)
 
     assert alone.pose is NoPose.UNCONFIRMED
     assert alone.measurement is not None
