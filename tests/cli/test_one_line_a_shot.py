@@ -39,8 +39,10 @@ def without_times(line):
 
 
 def test_a_shot_and_its_detection_give_the_same_line(drawn_shot):
-    read = read_back(detect(drawn_shot, DRAWN_RIG), DRAWN_RIG)
+    detection = detect(drawn_shot, DRAWN_RIG)
+    read = read_back(detection, DRAWN_RIG)
 
+    validated(json.loads(records.line_of(detection_record(detection))))
     line = Setup(rig=DRAWN_RIG).measure(drawn_shot)
 
     assert read.ring is not None
@@ -72,7 +74,7 @@ def rig_of_shots(rig):
 
 def read_back(detection, rig):
     record = records.parsed_record(records.line_of(detection_record(detection)), "x")
-    return checked_detection(detection_of(validated(record), "x"), rig, "x")
+    return checked_detection(detection_of(record, "x"), rig, "x")
 
 
 def round_trip(line):
