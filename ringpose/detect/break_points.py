@@ -22,7 +22,7 @@ from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
-from ringpose.kernels.ends import FACET_SIGMAS, EndParams, LitLines, stripe_ends
+from ringpose.kernels.ends import END_COLUMNS, FACET_SIGMAS, LINE_COLUMNS, EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import (
     CENTERS,
     CORRELATION,
@@ -31,6 +31,7 @@ from ringpose.kernels.lines import (
     MIDDLE_Y,
     SCATTER,
     SLOPE,
+    TRACK_COLUMNS,
     X_END,
     X_START,
 )
@@ -225,8 +226,10 @@ def flagged_ends(
     independent columns, and errors that all its centres have in common. The background shifts a centre by the relative
     change of the amplitude times the section's sigma; a saturated centre errs by `CLIPPED_PHASE`.
     """
-    x, y, slope, along, outside, saturated, width, (section, _), blunt, (background, _) = found.transpose(2, 1, 0)
-    blunt = blunt == 1
+    ends = dict(zip(END_COLUMNS, found.transpose(2, 1, 0), strict=True))
+    x, y, slope, along, width = ends["x"], ends["y"], ends["slope"], ends["sigma"], ends["width"]
+    outside, saturated, blunt = ends["outside"], ends["saturated"], ends["blunt"] == 1
+    (section, _), (background, _) = ends["section_sigma"], ends["background"]
     count, start, end = tracks[:, CENTERS], tracks[:, X_START], tracks[:, X_END]
     with np.errstate(divide="ignore", invalid="ignore"):  # a scatter of 0; ends that were not found
         error = np.log(tracks[:, SCATTER] * np.sqrt(tracks[:, CORRELATION]))
@@ -312,7 +315,7 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
-LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
+LINE = [TRACK_COLUMNS.index(name) for name in LINE_COLUMNS]
 """Columns of a track that describe its line."""
 
 

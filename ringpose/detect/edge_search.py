@@ -19,7 +19,7 @@ from ringpose.detect.stripes import lens
 from ringpose.estimate.measurements import Edges
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, TINY, RingArcs, edge_distances, edge_points
-from ringpose.kernels import _kernels, kernel_record
+from ringpose.kernels import _kernels, column_names, column_slices, kernel_record
 from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
@@ -87,6 +87,12 @@ class PlaceParams:
     """Step off the face of the numerical derivative for metres per pixel."""
 
 
+PLACE = column_slices("Place")
+"""Columns of a place (edge_places.c)."""
+
+PLACE_WIDTH = max(each.stop for each in PLACE.values())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeTrace:
     """Places on the predicted edges that lie in the image: along the inner edge, then along the outer."""
@@ -97,37 +103,37 @@ class EdgeTrace:
     @property
     def point(self) -> Float64[Array, "n xyz=3"]:
         """Point on the ring's plane, in metres, camera frame."""
-        return self.table[:, :3]
+        return self.table[:, PLACE["point"]]
 
     @property
     def outward(self) -> Float64[Array, "n xyz=3"]:
         """Unit vector in the ring's plane that points off the face."""
-        return self.table[:, 3:6]
+        return self.table[:, PLACE["off_face"]]
 
     @property
     def edge_sign(self) -> Float64[Array, "n"]:
         """-1 on the inner edge, +1 on the outer."""
-        return self.table[:, 6]
+        return self.table[:, PLACE["sign"].start]
 
     @property
     def position_px(self) -> Float64[Array, "n xy=2"]:
         """Predicted position in the image."""
-        return self.table[:, 7:9]
+        return self.table[:, PLACE["position"]]
 
     @property
     def normal(self) -> Float64[Array, "n xy=2"]:
         """Unit normal of the edge in the image, off the face."""
-        return self.table[:, 9:11]
+        return self.table[:, PLACE["normal"]]
 
     @property
     def metres_per_px(self) -> Float64[Array, "n"]:
         """Metres on the ring's plane per pixel along the normal."""
-        return self.table[:, 11]
+        return self.table[:, PLACE["metres_per_px"].start]
 
     @property
     def number(self) -> Float64[Array, "n"]:
         """Index of the place along its edge, counted from the arcs' origin; places outside the image are skipped."""
-        return self.table[:, 12]
+        return self.table[:, PLACE["number"].start]
 
     def selected(self, which: Bool[Array, "n"]) -> "EdgeTrace":
         """The places for which `which` is true."""
@@ -148,7 +154,7 @@ def edge_trace(
     metres_per_px = float(arcs.origin[2]) / float(camera.camera_matrix[0, 0])
     count = _places_to_each_side(arcs, camera, spacing_px)
     if count < 0:
-        return EdgeTrace(np.empty((0, 13)))
+        return EdgeTrace(np.empty((0, PLACE_WIDTH)))
     number = np.tile(np.arange(-count, count + 1.0), 2)
     edge_sign = np.repeat(EDGE_SIGN, len(number) // 2)
     params = PlaceParams(
@@ -190,7 +196,7 @@ def edge_places(
     wrt_step = None if covariance is None else edge_distances(arcs, point, edge_sign).wrt_step.T
     off_face, normal = edge_sign[:, None] * outward, np.ascontiguousarray(np.atleast_2d(arcs.normal))
     found = _kernels.edge_places(point, off_face, edge_sign, number, normal, wrt_step, covariance, lens, params)
-    return EdgeTrace(np.frombuffer(found, dtype=np.float64).reshape(-1, 13))
+    return EdgeTrace(np.frombuffer(found, dtype=np.float64).reshape(-1, PLACE_WIDTH))
 
 
 def outside_stripes(frame: EdgeImage, trace: EdgeTrace) -> EdgeTrace:
@@ -291,6 +297,10 @@ class EdgeSteps(NamedTuple):
     """Residual sum of squares, in units of the noise."""
 
 
+STEP_COLUMNS = column_names("EdgeStep")
+"""Columns of a step (edge_steps.c): the fields of `EdgeSteps`."""
+
+
 def edge_profiles(
     image: UInt[Array, "row column"],
     position_px: Float64[Array, "n xy=2"],
@@ -317,7 +327,8 @@ def edge_steps(profiles: Profiles, reach_px: int, blur_px: float) -> EdgeSteps:
     found = _kernels.edge_steps(
         value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, templates.table, params
     )
-    return EdgeSteps(*np.frombuffer(found, dtype=np.float64).reshape(-1, 5).T)
+    columns = np.frombuffer(found, dtype=np.float64).reshape(-1, len(STEP_COLUMNS)).T
+    return EdgeSteps(**dict(zip(STEP_COLUMNS, columns, strict=True)))
 
 
 @lru_cache(maxsize=256)

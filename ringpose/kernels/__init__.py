@@ -6,10 +6,11 @@ The arguments are validated in one place, `arguments.c`. There is no fallback in
 times slower without any notice.
 
 Parameters cross the border by name: a kernel reads the attributes of a data class (`kernel_record`) into the members of
-a C struct.
+a C struct. So do the columns of tables (`column_names`, `column_slices`): they are the members of the struct of a row.
 """
 
 from dataclasses import fields
+from itertools import accumulate
 from typing import TypeVar
 
 try:
@@ -34,3 +35,15 @@ def kernel_record(record: _Record) -> _Record:
         differing = sorted({name for name, _ in described.items() ^ declared.items()})
         raise TypeError(f"{record.__name__}: differs from the C struct in {', '.join(differing)}")
     return record
+
+
+def column_names(table: str) -> tuple[str, ...]:
+    """The columns of a table of which each is one number: the members of the C struct of its rows."""
+    return tuple(_kernels.TABLES[table])
+
+
+def column_slices(table: str) -> dict[str, slice]:
+    """Where the members of the C struct of a table's rows are in a row of numbers."""
+    counts = _kernels.TABLES[table]
+    ends = accumulate(counts.values())
+    return {name: slice(end - count, end) for (name, count), end in zip(counts.items(), ends, strict=True)}

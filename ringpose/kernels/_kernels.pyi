@@ -5,6 +5,9 @@ _Record = object
 RECORDS: dict[str, dict[str, type]]
 """Names and types of the members of the C structs."""
 
+TABLES: dict[str, dict[str, int]]
+"""Names of the members of the structs of tables' rows, with the number of columns of each."""
+
 _Group = tuple[tuple[int, ...], tuple[int, ...], float, float]
 
 def gradient(image: Array, bits: int, upper: int, magnitude: Array, /) -> tuple[bytes, bytes]: ...

@@ -179,6 +179,21 @@ PyObject *declared_records(const Kind *const record[], size_t count) {
     return all;
 }
 
+PyObject *declared_tables(const Table *const table[], size_t count) {
+    PyObject *all = PyDict_New();
+    for (size_t i = 0; all && i < count; i++) {
+        PyObject *columns = PyDict_New();
+        for (int k = 0; columns && k < table[i]->count; k++) {
+            PyObject *number = PyLong_FromLong(table[i]->column[k].count);
+            if (!number || PyDict_SetItemString(columns, table[i]->column[k].name, number) < 0) Py_CLEAR(columns);
+            Py_XDECREF(number);
+        }
+        if (!columns || PyDict_SetItemString(all, table[i]->name, columns) < 0) Py_CLEAR(all);
+        Py_XDECREF(columns);
+    }
+    return all;
+}
+
 PyObject *close_arguments(Arguments *arguments, PyObject *result) {
     for (int i = 0; i < arguments->count; i++)
         if (arguments->view[i].obj) PyBuffer_Release(&arguments->view[i]);

@@ -62,6 +62,9 @@ PyObject *close_arguments(Arguments *arguments, PyObject *result);
    `open_arguments`. */
 PyObject *declared_records(const Kind *const record[], size_t count);
 
+/* Numbers of columns of tables by name and name of the column, in order. */
+PyObject *declared_tables(const Table *const table[], size_t count);
+
 /* Sets a ValueError if the condition is false; returns the condition. */
 int require(int condition, const char *message);
 

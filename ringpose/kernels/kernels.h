@@ -1,4 +1,4 @@
-/* Growing lists, vectorised loops, and records of parameters. */
+/* Growing lists, vectorised loops, records of parameters, and rows of tables. */
 #ifndef RINGPOSE_KERNELS_H
 #define RINGPOSE_KERNELS_H
 
@@ -56,6 +56,30 @@ typedef struct {
     int is_count;
     double lowest, highest; /* limits of its values */
 } Field;
+
+/* Rows of tables have one definition, too, a list COLUMNS(COLUMN, COLUMNS_OF): the members of the struct of a row, doubles
+   (`COLUMN(name)`) and arrays of doubles (`COLUMNS_OF(name, count)`); Python finds the columns by these names. */
+#define COLUMN_MEMBER(name) double name;
+#define COLUMNS_MEMBER(name, count) double name[count];
+#define ROW_STRUCT(type, COLUMNS) typedef struct { COLUMNS(COLUMN_MEMBER, COLUMNS_MEMBER) } type
+
+typedef struct {
+    const char *name;
+    int count;
+} Column;
+
+typedef struct {
+    const char *name;
+    const Column *column;
+    int count;
+} Table;
+
+/* Defines the table whose rows are structs of that type. */
+#define COLUMN_ENTRY(name) {#name, 1},
+#define COLUMNS_ENTRY(name, count) {#name, count},
+#define TABLE(type, COLUMNS)                                                              \
+    static const Column type##_columns[] = {COLUMNS(COLUMN_ENTRY, COLUMNS_ENTRY)};        \
+    const Table type##_table = {#type, type##_columns, sizeof type##_columns / sizeof *type##_columns}
 
 /* What an argument may be: elements of an array, a number, or a record. `type` is that of Python's module struct for
    elements, and the first letter of the kind for others. */

@@ -43,17 +43,30 @@ RECORDS(DECLARATION)
 
 static const Kind *const records[] = {RECORDS(ADDRESS)};
 
+#define TABLES(TABLE) TABLE(Track) TABLE(StripeLine) TABLE(StripeEnd) TABLE(Place) TABLE(EdgeStep) TABLE(Arcs)
+
+#define TABLE_DECLARATION(type) extern const Table type##_table;
+#define TABLE_ADDRESS(type) &type##_table,
+
+TABLES(TABLE_DECLARATION)
+
+static const Table *const tables[] = {TABLES(TABLE_ADDRESS)};
+
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", NULL, -1, methods, NULL, NULL, NULL, NULL};
+
+/* Adds an object to the module, or NULL and a Python exception; returns the module or NULL. */
+static PyObject *with(PyObject *module, const char *name, PyObject *object) {
+    const int done = module && object && PyModule_AddObjectRef(module, name, object) == 0;
+    Py_XDECREF(object);
+    if (done) return module;
+    Py_XDECREF(module);
+    return NULL;
+}
 
 PyMODINIT_FUNC PyInit__kernels(void) {
     fill_normal_cdf();
     PyObject *module = PyModule_Create(&definition);
-    PyObject *declared = module ? declared_records(records, sizeof records / sizeof *records) : NULL;
-    if (declared && PyModule_AddObjectRef(module, "RECORDS", declared) == 0) {
-        Py_DECREF(declared);
-        return module;
-    }
-    Py_XDECREF(declared);
-    Py_XDECREF(module);
-    return NULL;
+    if (module) module = with(module, "RECORDS", declared_records(records, sizeof records / sizeof *records));
+    if (module) module = with(module, "TABLES", declared_tables(tables, sizeof tables / sizeof *tables));
+    return module;
 }

@@ -20,7 +20,7 @@ from ringpose.estimate.covariance import (
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
 from ringpose.geometry.rays import GRAZING, nearest_plane, project
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.kernels import _kernels
+from ringpose.kernels import _kernels, column_slices
 from ringpose.measure.status import flags_of
 from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
@@ -379,7 +379,7 @@ def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"
     rows = np.empty((*points.shape[:-2], 4))
     centred = np.ascontiguousarray(points - points.mean(axis=-2, keepdims=True)).reshape(-1, *points.shape[-2:])
     _kernels.arcs(centred, np.ascontiguousarray(arc), rows.reshape(-1, 4))
-    return ArcEquations(bend=rows[..., :1], lean=rows[..., 1:2], level=rows[..., 2:])
+    return ArcEquations(**{name: rows[..., columns] for name, columns in column_slices("Arcs").items()})
 
 
 def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:

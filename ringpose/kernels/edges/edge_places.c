@@ -28,10 +28,11 @@ typedef struct {
     size_t count, normals;
 } Predicted;
 
-/* A row of the result. */
-typedef struct {
-    double point[AXES], off_face[AXES], sign, position[2], normal[2], metres_per_px, number;
-} Place;
+#define PLACE_COLUMNS(COLUMN, COLUMNS_OF)                                                                           \
+    COLUMNS_OF(point, AXES) COLUMNS_OF(off_face, AXES) COLUMN(sign)                                                 \
+    COLUMNS_OF(position, 2) COLUMNS_OF(normal, 2) COLUMN(metres_per_px) COLUMN(number)
+ROW_STRUCT(Place, PLACE_COLUMNS);
+TABLE(Place, PLACE_COLUMNS);
 
 /* Pinhole projection; 0 if the point is not in front of the camera. */
 static int project(const Lens *lens, const double point[AXES], double at[2]) {

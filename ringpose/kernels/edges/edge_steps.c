@@ -48,9 +48,10 @@ typedef struct {
 RECORD_STRUCT(StepParams, STEP_PARAMS);
 RECORD(StepParams, STEP_PARAMS);
 
-typedef struct {
-    double offset, sigma, height, height_dn, cost;
-} EdgeStep;
+#define EDGE_STEP_COLUMNS(COLUMN, COLUMNS_OF)                                                                       \
+    COLUMN(offset_px) COLUMN(sigma_px) COLUMN(height) COLUMN(height_dn) COLUMN(cost)
+ROW_STRUCT(EdgeStep, EDGE_STEP_COLUMNS);
+TABLE(EdgeStep, EDGE_STEP_COLUMNS);
 
 /* Properties of all samples of a profile; the compiler specialises the loops for them. */
 typedef struct {
@@ -236,7 +237,7 @@ static int edge_steps(const Profiles *profiles, const Templates *templates, cons
     const int done = pool(excess_cost, count, (size_t)params->pooled);
     for (size_t i = 0; done && i < count; i++) {
         const double excess = sqrt(fmax(excess_cost[i], 1));
-        steps[i].sigma *= excess;
+        steps[i].sigma_px *= excess;
         steps[i].height /= excess;
     }
     free(scratch);

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _kernels, kernel_record
+from ringpose.kernels import _kernels, column_names, kernel_record
 from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import INSIDE_COLUMNS, MIN_NOISE, OUTSIDE_COLUMNS, WIDTH_SPREAD
 from ringpose.types.arrays import Array, Float64, UInt
@@ -56,6 +56,10 @@ class EndParams:
     is clipped, too, and light on a wall or glare adds to it."""
 
 
+END_COLUMNS, LINE_COLUMNS = column_names("StripeEnd"), column_names("StripeLine")
+"""Columns of an end (ends.c), and of a line whose ends are searched (profile.h)."""
+
+
 class LitLines(NamedTuple):
     """Lines whose stripes an image shows."""
 
@@ -63,7 +67,7 @@ class LitLines(NamedTuple):
     dark: UInt[Array, "row column"] | None
     """The view with these lasers off."""
     lines: Float64[Array, "track column=5"]
-    """middle_x, middle_y, slope, x_start, x_end, in undistorted pixels."""
+    """`LINE_COLUMNS`, in undistorted pixels."""
 
 
 def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Float64[Array, "track end=2 column=10"]:
@@ -71,10 +75,10 @@ def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Fl
 
     The amplitude of the Gaussian cross-section in each column is modelled as a level inside, a level outside and an
     error function between; position, width and levels are estimated by maximum likelihood. What the images of a shot
-    have in common, noise, speckle and the width of the blur, is estimated from all ends. Columns of the result: x, y
-    and slope of the line there (distorted pixels), sigma along x, the level outside as a share of that inside, the
-    share of saturated columns at the end, the edge's width, the sigma of the cross-section, whether the edge is blunt,
-    and the relative variance of the amplitudes due to the background; NaN where no edge fits.
+    have in common, noise, speckle and the width of the blur, is estimated from all ends. Columns of the result
+    (`END_COLUMNS`): x, y and slope of the line there (distorted pixels), sigma along x, the level outside as a share of
+    that inside, the share of saturated columns at the end, the edge's width, the sigma of the cross-section, whether
+    the edge is blunt, and the relative variance of the amplitudes due to the background; NaN where no edge fits.
     """
     arrays = tuple(
         (
@@ -84,4 +88,4 @@ def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Fl
         )
         for image in images
     )
-    return np.frombuffer(_kernels.ends(arrays, lens, params)).reshape(-1, 2, 10)
+    return np.frombuffer(_kernels.ends(arrays, lens, params)).reshape(-1, 2, len(END_COLUMNS))

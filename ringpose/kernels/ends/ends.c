@@ -10,10 +10,18 @@
 
 RECORD(EndParams, END_PARAMS);
 
-/* A row of the result. */
-typedef struct {
-    double x, y, slope, sigma, outside, saturated, width, section_sigma, blunt, background;
-} StripeEnd;
+#define END_COLUMNS(COLUMN, COLUMNS_OF)                                                                             \
+    COLUMN(x) COLUMN(y) COLUMN(slope) /* of the line there, distorted pixels */                                     \
+    COLUMN(sigma)         /* along x */                                                                             \
+    COLUMN(outside)       /* level outside as a share of that inside */                                             \
+    COLUMN(saturated)     /* share of saturated columns at the end */                                               \
+    COLUMN(width)         /* of the edge */                                                                         \
+    COLUMN(section_sigma) /* of the cross-section */                                                                \
+    COLUMN(blunt)         /* 1 if the edge is blunt */                                                              \
+    COLUMN(background)    /* relative variance of the amplitudes due to it */
+ROW_STRUCT(StripeEnd, END_COLUMNS);
+TABLE(StripeEnd, END_COLUMNS);
+TABLE(StripeLine, LINE_COLUMNS);
 
 /* One end, as read from its image. */
 typedef struct {

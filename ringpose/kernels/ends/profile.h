@@ -33,9 +33,10 @@ typedef struct {
     REAL(clipped_shape, NOT_NEGATIVE)
 RECORD_STRUCT(EndParams, END_PARAMS);
 
-typedef struct {
-    double middle_x, middle_y, slope, x_start, x_end; /* undistorted */
-} StripeLine;
+/* In undistorted pixels. */
+#define LINE_COLUMNS(COLUMN, COLUMNS_OF)                                                                            \
+    COLUMN(middle_x) COLUMN(middle_y) COLUMN(slope) COLUMN(x_start) COLUMN(x_end)
+ROW_STRUCT(StripeLine, LINE_COLUMNS);
 
 /* Light levels at which the headroom, the share of the stripe that saturation leaves visible, is tabulated. */
 enum { FAINT, HALF, FULL, LIGHT_LEVELS };

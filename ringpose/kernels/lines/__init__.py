@@ -6,7 +6,7 @@ The sources are tracks.c (segmentation and line fits) and rim.c (which segments 
 import math
 from dataclasses import dataclass
 
-from ringpose.kernels import kernel_record
+from ringpose.kernels import column_names, kernel_record
 from ringpose.optics.feature_errors import FIT_DOF_CORRECTION, MIN_COLUMNS, MIN_SEGMENT_COLUMNS
 
 
@@ -50,16 +50,14 @@ class TrackParams:
     """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
 
-TRACK_COLUMNS = (
-    "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
-    "slope", "scatter", "correlation", "clipped", "beyond_ends",
-)  # fmt: skip
-"""Columns of the result of `straight_segments`; `beyond_ends` counts the centres on the track's line that lie
-between 2 px and the track's length (at most 100 px) + 40 px beyond its ends."""
+TRACK_COLUMNS = column_names("Track")
+"""Columns of the result of `straight_segments` (tracks.h); `beyond_ends` counts the centres on the track's line that
+lie between 2 px and the track's length (at most 100 px) + 40 px beyond its ends."""
 
-LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, BEYOND_ENDS = range(
-    len(TRACK_COLUMNS)
-)
+LASER, CENTERS, X_START, X_END = map(TRACK_COLUMNS.index, ("laser", "centers", "x_start", "x_end"))
+MIDDLE_X, MIDDLE_Y, SLOPE = map(TRACK_COLUMNS.index, ("middle_x", "middle_y", "slope"))
+SCATTER, CORRELATION = map(TRACK_COLUMNS.index, ("scatter", "correlation"))
+CLIPPED, BEYOND_ENDS = map(TRACK_COLUMNS.index, ("clipped", "beyond_ends"))
 
 
 @kernel_record

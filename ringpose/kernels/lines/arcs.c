@@ -80,9 +80,11 @@ double outside_arc(const Arcs *arcs, const ArcPoint *point) {
 
 double arcs_band(const Arcs *arcs) { return fabs(arcs->level[1] - arcs->level[0]) / sqrt(1 + arcs->lean * arcs->lean); }
 
+TABLE(Arcs, ARCS_COLUMNS);
+
 PyObject *call_arcs(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"points", FLOAT64, {M, N, 2}}, {"arc", INT64, {N}}, {">arcs", FLOAT64, {M, 4}}};
+    static const Parameter parameter[] = {{"points", FLOAT64, {M, N, 2}}, {"arc", INT64, {N}}, {">arcs", FLOAT64, {M, NUMBERS(Arcs)}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const size_t count = (size_t)a.view[0].shape[1];

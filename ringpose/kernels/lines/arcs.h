@@ -2,6 +2,8 @@
 #ifndef RINGPOSE_ARCS_H
 #define RINGPOSE_ARCS_H
 
+#include "kernels.h"
+
 typedef struct {
     double x, y;
     int arc, used;
@@ -9,9 +11,8 @@ typedef struct {
 
 /* bend (x^2 + y^2) + x + lean y + level = 0 for the points of either arc. `bend` is half the curvature (for `lean` 0),
    `lean` the tangent of the angle between the common radius of the arcs and the x axis, `level` their places along x. */
-typedef struct {
-    double bend, lean, level[2];
-} Arcs;
+#define ARCS_COLUMNS(COLUMN, COLUMNS_OF) COLUMN(bend) COLUMN(lean) COLUMNS_OF(level, 2)
+ROW_STRUCT(Arcs, ARCS_COLUMNS);
 
 /* The arcs through the used points by least squares; 0 if an arc has no point. Straight lines if the radius would be
    smaller than `min_radius`: two arcs pass through any four points, and if these form a square, it is not determined. */

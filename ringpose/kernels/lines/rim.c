@@ -106,26 +106,26 @@ static int may_continue(const Track *first, const Track *second, const UnionPara
 /* The merged track: line and scatter of all centres together, from the moments of both. */
 static Track united(const Track *first, const Track *second) {
     const Track *part[2] = {first, second};
-    double count = first->count + second->count, xx = 0, xy = 0, yy = 0;
-    double middle_x = (first->count * first->middle_x + second->count * second->middle_x) / count;
-    double middle_y = (first->count * first->middle_y + second->count * second->middle_y) / count;
+    double count = first->centers + second->centers, xx = 0, xy = 0, yy = 0;
+    double middle_x = (first->centers * first->middle_x + second->centers * second->middle_x) / count;
+    double middle_y = (first->centers * first->middle_y + second->centers * second->middle_y) / count;
     for (int i = 0; i < 2; i++) {
         const Track *p = part[i];
         double dx = p->middle_x - middle_x, dy = p->middle_y - middle_y, length = fmax(p->x_end - p->x_start, 1);
         double own = length * length / 12;
-        xx += p->count * (own + dx * dx);
-        xy += p->count * (own * p->slope + dx * dy);
-        yy += p->count * (own * p->slope * p->slope + p->scatter * p->scatter + dy * dy);
+        xx += p->centers * (own + dx * dx);
+        xy += p->centers * (own * p->slope + dx * dy);
+        yy += p->centers * (own * p->slope * p->slope + p->scatter * p->scatter + dy * dy);
     }
     Track both = *first;
-    both.count = count;
+    both.centers = count;
     both.x_end = second->x_end;
     both.middle_x = middle_x;
     both.middle_y = middle_y;
     both.slope = xy / xx;
     both.scatter = sqrt(fmax(yy - both.slope * xy, 0) / count);
     both.correlation = fmax(first->correlation, second->correlation);
-    both.beyond_ends = fmax(first->beyond_ends - second->count, 0) + fmax(second->beyond_ends - first->count, 0);
+    both.beyond_ends = fmax(first->beyond_ends - second->centers, 0) + fmax(second->beyond_ends - first->centers, 0);
     return both;
 }
 
@@ -207,9 +207,9 @@ static int may_be_other_laser(const Track *track, const Candidate *candidate, co
    group of three gets back what exceeds the penalty of such a coincidence. */
 static void rate(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
     const CandidateParams *params = scene->candidates;
-    double share = track->beyond_ends / (track->beyond_ends + track->count);
+    double share = track->beyond_ends / (track->beyond_ends + track->centers);
     double scatter = track->scatter / params->typical_scatter_px;
-    double straight = 2 * log(fmin(track->count, params->max_counted_columns)) - 0.5 * scatter * scatter;
+    double straight = 2 * log(fmin(track->centers, params->max_counted_columns)) - 0.5 * scatter * scatter;
     double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
     candidate->merit = straight - beyond_ends - params->clipped_penalty * track->clipped -
                        params->union_penalty * is_union;

@@ -23,6 +23,7 @@
     COUNT(max_lag, 0, INT32_MAX)
 RECORD_STRUCT(TrackParams, TRACK_PARAMS);
 RECORD(TrackParams, TRACK_PARAMS);
+TABLE(Track, TRACK_COLUMNS);
 
 typedef struct {
     size_t n;
@@ -159,7 +160,7 @@ static void fit_line(Draft *draft, const Work *work) {
         inliers += r[i] < limit;
     }
     track->correlation = correlation_columns(work->scratch, inliers, work->params);
-    track->count = (double)n;
+    track->centers = (double)n;
     track->x_start = x[0];
     track->x_end = x[n - 1];
     double left = work->centers->column[draft->first[0]];

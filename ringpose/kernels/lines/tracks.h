@@ -8,9 +8,16 @@
 
 #include "lens.h"
 
-typedef struct {
-    double laser, count, x_start, x_end, middle_x, middle_y, slope, scatter, correlation, clipped, beyond_ends;
-} Track;
+#define TRACK_COLUMNS(COLUMN, COLUMNS_OF)                                                                           \
+    COLUMN(laser)   /* number, or -1 */                                                                             \
+    COLUMN(centers) /* their number */                                                                              \
+    COLUMN(x_start) COLUMN(x_end)                                                                                   \
+    COLUMN(middle_x) COLUMN(middle_y) COLUMN(slope) /* of the line */                                               \
+    COLUMN(scatter)     /* standard deviation of the centres about the line */                                      \
+    COLUMN(correlation) /* columns per independent one */                                                           \
+    COLUMN(clipped)     /* 1 if an end lies at the border */                                                        \
+    COLUMN(beyond_ends) /* centres on the line beyond the ends */
+ROW_STRUCT(Track, TRACK_COLUMNS);
 
 /* Number of centres at either end of a track that its line does not use. An edge that crosses the stripe obliquely cuts
    its last cross-sections off on one side, which would turn the line, and all lines of a shot alike. */
@@ -22,7 +29,7 @@ static inline size_t cut_centres(size_t count) {
 
 /* Share of a track's centres that its line uses. */
 static inline double used_share(const Track *track) {
-    return 1 - 2 * (double)cut_centres((size_t)track->count) / fmax(track->count, 1);
+    return 1 - 2 * (double)cut_centres((size_t)track->centers) / fmax(track->centers, 1);
 }
 
 static inline double line_y(const Track *track, double x) {
@@ -37,7 +44,7 @@ static inline double line_sigma(const Track *track, double x, double middle_sigm
 
 /* Standard deviation of the middle: scatter / sqrt(independent columns - degrees of freedom of the fit). */
 static inline double middle_sigma(const Track *track, double fit_dof, double min_columns) {
-    double columns = used_share(track) * track->count / track->correlation;
+    double columns = used_share(track) * track->centers / track->correlation;
     return track->scatter / sqrt(fmax(columns - fit_dof, min_columns));
 }
 
