@@ -16,8 +16,7 @@ from ringpose.simulate.light import IlluminatedTarget
 from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, Placement, board_poses, ring_views, target_placement
 from ringpose.simulate.renderer import TIMES, RenderedView, render_view
-from ringpose.simulate.target.board import board_target
-from ringpose.simulate.target.parts import part_around, view_target
+from ringpose.simulate.target.parts import board_target, part_around, view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene, Truth, TruthFrame

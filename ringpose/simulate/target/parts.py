@@ -1,4 +1,4 @@
-"""The parts of a target, with the height field of crinkled foil, as the tables of the ray caster."""
+"""The parts of a target, with the height field of crinkled foil, or a board, as the tables of the ray caster."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.geometry.board import board_print, outline_m
 from ringpose.kernels.render import BOX, MAX_PARTS, MAX_POINTS, NONE, REVOLUTION, TEXELS, TargetTables
 from ringpose.types.arrays import Array, Float32, Float64
+from ringpose.types.board import Board
 from ringpose.types.scene import RingView, Scene
-from ringpose.types.target import Body, Box, Foil, Material, Part, Revolution, RingShape
+from ringpose.types.target import MATERIALS, Body, Box, Foil, Material, Part, Revolution, RingShape
 
 BODY, RING = "body", "ring"
 """Names of the parts that the keys `body` and `ring` of a scene describe."""
@@ -195,3 +197,29 @@ def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "ro
     noise /= noise.std()
     ridges: Float64[Array, "row column"] = -np.sqrt(noise**2 + 0.02)
     return ridges
+
+
+# A calibration board: a print on a flat white sheet, exact at any magnification
+
+BOARD_BORDER_M = 0.012
+"""White margin around the print, which markers at its edge require."""
+
+BOARD_THICKNESS_M = 0.005
+
+
+def board_target(board: Board) -> TargetTables:
+    """The board of a board file: its print is the plane z = 0 of the board frame, seen from negative z."""
+    width_m, height_m = outline_m(board)
+    sheet = Part(
+        name="board",
+        shape=Box(
+            low_m=np.array([-BOARD_BORDER_M, -BOARD_BORDER_M, 0.0]),
+            high_m=np.array([width_m + BOARD_BORDER_M, height_m + BOARD_BORDER_M, BOARD_THICKNESS_M]),
+        ),
+        materials=(MATERIALS["white"],) * 6,
+    )
+    tables = target_tables([sheet])
+    print_x, print_y, cells = board_print(board)
+    black = MATERIALS["black"]
+    tables.materials[0, 3:] = [black.diffuse, black.specular, black.roughness, 0.0, 0.0, 0.0, 1.0]
+    return tables._replace(print_x=print_x, print_y=print_y, print_cells=cells)
