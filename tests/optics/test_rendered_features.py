@@ -25,9 +25,9 @@ SCENE = Path(__file__).parents[2] / "examples" / "scene.yaml"
 POSES = 50
 """Poses at each distance, at which the face is 42 to 54 columns long.
 
-Farther away, at 27 columns, squared errors of ends are 1.7 times the expected ones, but as large as stated: the detector
-measures the light of the body's stripe, which begins a few columns beyond the end, and `end_errors_px` leaves it out
-(1.4 times without the body).
+Farther away, at 27 columns, squared errors of ends are 1.7 times the expected ones, but as large as stated: the
+detector measures the light of the body's stripe, which begins a few columns beyond the end, and `end_errors_px` leaves
+it out (1.4 times without the body).
 """
 
 NEAR_PX = 1.0
