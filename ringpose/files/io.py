@@ -119,7 +119,12 @@ def software() -> str:
 
 @lru_cache
 def _version() -> str:
-    from importlib.metadata import version  # slow to import, and many commands do not need it
+    """The version, by the name of the folder that installers write; importlib.metadata takes 20 ms to import."""
+    for folder in sys.path:
+        installed = next(Path(folder).glob("ringpose-*.dist-info"), None)
+        if installed is not None:
+            return installed.name.removeprefix("ringpose-").removesuffix(".dist-info")
+    from importlib.metadata import version
 
     return version("ringpose")
 

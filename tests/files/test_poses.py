@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from importlib.metadata import version
 
 import jsonschema
 import numpy as np
@@ -39,6 +40,11 @@ KEYS = [
 
 def test_record_has_the_keys_in_their_order(complete):
     assert list(record(complete)) == KEYS
+
+
+def test_a_line_states_the_version_that_wrote_it(pose):
+    assert record(line(pose, software=""))["software"] == f"ringpose {version('ringpose')}"
+    assert record(line(pose, software="ringpose 0.1.0"))["software"] == "ringpose 0.1.0"
 
 
 @pytest.mark.parametrize("frame", PoseFrame)

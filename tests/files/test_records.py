@@ -26,6 +26,14 @@ def test_record_is_one_line_of_strict_json(capsys):
     assert json.loads(out) == {"a": [1.5, None, None], "b": None, "c": [1, 2], "d": "ä\n"}
 
 
+@pytest.mark.parametrize("text", ["\udcff.npz", "ä", "\u2028"])
+def test_a_line_is_ascii_whatever_a_file_is_called(text):
+    line = records.line_of({"shot": text, "more": {text: [text, 2**70, math.nan]}})
+
+    assert line.isascii()
+    assert json.loads(line) == {"shot": text, "more": {text: [text, 2**70, None]}}
+
+
 def test_lines_are_read_one_by_one_with_their_location():
     lines = iter(['{"a": 1}\n', "\n", '{"a": 2}\n'])
 
