@@ -7,8 +7,7 @@ The ring is fitted to the stripes on the face, their break points and the steps 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -17,28 +16,30 @@ import numpy as np
 from ringpose.detect.edge_search import (
     ALONG_PX,
     MOSTLY_VISIBLE,
+    ONE_STRIPE,
+    PREDICTED_SIGMA_PX,
     EdgeImage,
     EdgeTrace,
-    PlaceParams,
+    RingFromStripes,
     clear_steps,
     edge_observations,
-    edge_places,
     edge_trace,
     outside_stripes,
     rays_beside,
+    ring_from_stripes,
     stripe_mask,
+    tracked_ring,
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
-from ringpose.detect.stripes import lens
 from ringpose.estimate.explanation import decision
-from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
-from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
-from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, refine_ring
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import STRIPES_OF_A_PLANE
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.rays import intersect, undistorted_rays
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, STEP, TURN, RingArcs, edge_distances
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, RingArcs, edge_distances
 from ringpose.optics.feature_errors import BLUR_SIGMA_PX, MINIMUM_POINTS, POINT_SIGMA_PX
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.assumptions import Assumptions
@@ -54,29 +55,14 @@ from ringpose.types.finding import Finding
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
-PREDICTED_SIGMA_PX = 1.3
-"""Edges are searched where the standard deviation of their prediction is at most this."""
-
 REACH_PX = 2
 """Half width of the search across the predicted edge, after the tracking."""
-
-ONE_STRIPE = 1
-"""A single stripe, whose two ends are no evidence for a ring: the edges must be curved. The tilt of the face about the
-stripe follows from the course of both edges; a single edge determines it only by curvatures of tenths of a pixel, to
-which foil beside it contributes as much."""
 
 MIN_OF_BOTH = 8
 """Minimum number of points on either edge in that case."""
 
 SIDE_SIGMAS = 4.0
 """Minimum significance of the edges' curvature from which the side of the ring's centre is inferred."""
-
-
-class PredictedRing(NamedTuple):
-    """A predicted ring, and the covariance of its increments (`STEP` of `ringpose.geometry.ring`)."""
-
-    arcs: RingArcs
-    covariance: Float64[Array, "step=7 step=7"]
 
 
 class FoundEdges(NamedTuple):
@@ -318,7 +304,7 @@ CURVATURES = np.linspace(-5.0, 5.0, 101)
 def uncertainty_factor(
     points: RingEdgePoints,
     arcs: RingArcs,
-    stripes: "RingFromStripes",
+    stripes: RingFromStripes,
     break_points: BreakPoints,
     frame: EdgeImage,
     rig: Rig,
@@ -380,163 +366,6 @@ def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -
     if side_sigmas > 0:
         return named, points
     return named.with_edges_exchanged(), replace(points, edge=1 - points.edge)
-
-
-# Tracking
-
-ROUNDS = 10
-"""Maximum number of tracking rounds; each extends the tracked length about twofold."""
-
-FARTHER = 1.05
-"""Minimum growth of the tracked length in a round; tracking stops with less."""
-
-WALK_SPACING_PX, WALK_REACH_PX = 12, 4
-"""Spacing of the places while tracking, and half width of the search across the edge."""
-
-FIRST_SPACING_PX, FIRST_REACH_PX, FIRST_PX = 4, 2, 600
-"""The same while less than `FIRST_PX` of both edges are predicted: there are few steps, so that none is left out, and a
-wide search would find more steps of foil than the fit could reject."""
-
-MIN_SHARE = 0.05
-"""Minimum share of the predicted places that show a step."""
-
-OPEN_TURN_SIGMA_RAD = 0.2
-"""Standard deviation of the edges' direction above which it is first searched in the image."""
-
-
-def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> PredictedRing | None:
-    """The ring with its edges as far as they can be tracked from the stripes; None if they cannot."""
-    ring: PredictedRing | None = stripes.start
-    if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
-        beside = edges_beside_stripe(stripes.start.arcs, frame, rig)
-        ring = stripes.fitted(stripes.start.arcs, beside, FIRST_ITERATIONS)
-    tracked_px = 0.0
-    for _ in range(ROUNDS):
-        if ring is None or not plausible(ring.arcs):
-            return None
-        first = tracked_px < FIRST_PX
-        spacing_px, reach_px = (FIRST_SPACING_PX, FIRST_REACH_PX) if first else (WALK_SPACING_PX, WALK_REACH_PX)
-        trace = edge_trace(*ring, rig.camera, spacing_px, PREDICTED_SIGMA_PX)
-        if len(trace.edge_sign) * spacing_px <= tracked_px * FARTHER:
-            break
-        tracked_px = len(trace.edge_sign) * spacing_px
-        trace = outside_stripes(frame, trace)
-        observations = edge_observations(clear_steps(frame, trace, reach_px), rig)
-        if len(observations.edge) < MIN_SHARE * len(trace.edge_sign):
-            return None
-        ring = stripes.fitted(ring.arcs, observations)
-    return ring
-
-
-# Direction of the edges at a single stripe, which its two ends leave open
-
-TURNS_RAD = np.linspace(-0.75, 0.75, 51)
-"""Candidate angles between the stripe's normal on the face and the edges."""
-
-MIN_NUMBER, MAX_NUMBER = 2, 9
-"""Range of the places examined on each edge, counted from the stripe to each side ..."""
-
-SPACING_PX = 6.0
-"""... and their spacing: so near the stripe the edges are straight."""
-
-START_REACH_PX = 2
-"""Half width of the search across a candidate edge."""
-
-MIN_STEPS = 5
-"""Minimum number of places that show a step ..."""
-
-DISTINCT, SIMILAR = 2, 6
-"""... and its minimum ratio to that of any direction that is not among the next `SIMILAR` ones."""
-
-
-def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
-    """Steps along the two straight edges through a stripe's ends that the image supports best; empty if none does."""
-    turned = [arcs.retract(turn_rad * np.eye(len(STEP))[TURN]) for turn_rad in TURNS_RAD]
-    of_directions = replace(
-        arcs, origin=np.stack([each.origin for each in turned]), axes=np.stack([each.axes for each in turned])
-    )
-    to_one_side = np.arange(MIN_NUMBER, MAX_NUMBER + 1)
-    places = np.concatenate([-to_one_side[::-1], to_one_side])
-    direction, edge_sign, number = map(np.ravel, np.meshgrid(range(len(turned)), EDGE_SIGN, places, indexing="ij"))
-    along_m = number * (SPACING_PX * float(arcs.origin[2]) / float(rig.camera.camera_matrix[0, 0]))
-    params = PlaceParams(image_width=rig.camera.image_width, image_height=rig.camera.image_height)
-    labels = direction.astype(np.float64)
-    trace = edge_places(of_directions.at_rows(direction), along_m, edge_sign, labels, lens(rig.camera), params)
-    trace = outside_stripes(frame, trace)  # its `number` is the candidate direction
-
-    found = clear_steps(frame, trace, START_REACH_PX)
-    count = np.bincount(found.trace.number.astype(np.int64), minlength=len(turned))
-    best = int(np.argmax(count))
-    elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
-    if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
-        return no_edges(rig.camera)
-    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX), rig)
-
-
-# Fit of the ring to stripes and tracked edge points
-
-ITERATIONS, FIRST_ITERATIONS = 2, 4
-"""Gauss-Newton iterations of each fit, and of that which determines the edges' direction."""
-
-LINE_SIGMA_PX = 0.1
-"""Calibration error that is added to the sigma of a stripe's line, across the line."""
-
-END_SIGMA_PX = 0.4
-"""Error of calibration and material that is added to the sigma of a break point."""
-
-MAX_SIGMA_IN_FIT_PX = 1.5
-"""Upper limit of a break point's sigma in this fit, so that two uncertain ones still predict the edge; the steps found
-there then confirm or contradict them."""
-
-POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
-"""Limits of depth and half band in metres, of the cosine between normal and optical axis, of |curvature| in 1/m."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RingFromStripes:
-    """The measurements of the stripes, and the ring by them alone."""
-
-    measured: Measurements
-    start: PredictedRing
-
-    def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
-        """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open.
-
-        Beside several stripes the edges count as those of the face, to be searched farther along it.
-        """
-        prior = Prior(regularize_about=self.start.arcs)
-        edges = replace(edges, walls=len(self.measured.lines.laser) == ONE_STRIPE)
-        with np.errstate(all="ignore"):
-            ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
-        return None if ring is None else PredictedRing(*ring)
-
-
-@lru_cache(maxsize=1)  # the frames of a shot share it, unless the ring moves between them
-def ring_from_stripes(break_points: BreakPoints, rig: Rig) -> RingFromStripes | None:
-    """The ring by the stripes alone; None without a stripe's line on the face and one end on each edge."""
-    if not bool(break_points.seen.any(axis=0).all()):
-        return None
-    variance = break_points.covariance_px2[..., 0, 0] + END_SIGMA_PX**2
-    inflated = np.minimum(variance, MAX_SIGMA_IN_FIT_PX**2)[..., None, None] * np.eye(2)
-    allowed = replace(
-        break_points, covariance_px2=inflated, face_sigma_px=np.hypot(break_points.face_sigma_px, LINE_SIGMA_PX)
-    )
-    measured = measurements_of(allowed, rig)
-    if not len(measured.lines.laser):
-        return None
-    estimate = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
-    if estimate is None or not plausible(estimate.arcs):
-        return None
-    return RingFromStripes(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))
-
-
-def plausible(arcs: RingArcs) -> bool:
-    """Whether the arcs are within `POSSIBLE`, the range of rings in front of a camera.
-
-    A fit to contradictory observations may not be.
-    """
-    numbers = [arcs.origin[2], arcs.half_band_m, -arcs.axes[2, 2], abs(arcs.curvature)]
-    return all(low < number < high for number, (low, high) in zip(numbers, POSSIBLE, strict=True))
 
 
 # Steps -> independent points of the ring's edges, with standard deviations that explain their scatter.

@@ -11,7 +11,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, isfinite, nan, sqrt
+from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +39,7 @@ from ringpose.estimate.solver import (
     precise_ring,
     ring_residuals,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, MovingRing, Rates, RingArcs, motion_derivatives
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
 from ringpose.types.detection import JudgedRing, Rejection
 from ringpose.types.finding import Finding
 from ringpose.types.pose import KnownRadii
@@ -100,7 +100,7 @@ class Search(NamedTuple):
     """Whether a pose follows, which needs all comparable explanations."""
     tolerance_sigmas: float = DECISION_SIGMAS
     """Estimated distance from the optimum at which each iteration ends."""
-    start: MovingRing | None = None
+    start: JudgedRing | None = None
     """A ring near the one that explains all measurements with the edges as they are named, if it is known."""
 
 
@@ -166,7 +166,7 @@ def explain(
     if precise:  # the decision is the same at any time
         measured, guess = _at_reference_time(measured, prior)
     if judged is not None:
-        search = search._replace(start=_moving_ring(judged, measured.reference_s))
+        search = search._replace(start=judged)
     best = _decided(measured, prior, guess, search)
     if best is None or not precise:
         return best
@@ -190,16 +190,6 @@ def decision(measured: Measurements, prior: Prior, *, labelled: bool, edges_name
         return explain(measured, prior, labelled=labelled, edges_named=edges_named, precise=False)
     except np.linalg.LinAlgError:
         return None
-
-
-def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
-    """The ring at the reference time."""
-    arcs = RingArcs(
-        origin=judged.origin_m, axes=judged.axes, curvature=judged.curvature_per_m, half_band_m=judged.half_band_m
-    )
-    if judged.stamp_s is not None and isfinite(reference_s):
-        arcs = arcs.predict(reference_s - judged.stamp_s, judged.velocity_m_s, judged.rate_rad_s)
-    return MovingRing(arcs, Rates(judged.velocity_m_s, judged.rate_rad_s))
 
 
 def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:

@@ -48,6 +48,7 @@ from ringpose.geometry.ring import (
     predicted_view,
 )
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.detection import JudgedRing
 
 HUBER_SIGMAS = 3.0
 """Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
@@ -86,7 +87,7 @@ MAX_TILT_RAD = 0.7
 def estimate_ring(
     measured: Measurements,
     prior: Prior,
-    start: Estimate | MovingRing | None = None,
+    start: Estimate | JudgedRing | None = None,
     *,
     guess: RingArcs | None = None,
     tolerance_sigmas: float = PRECISE_SIGMAS,
@@ -103,8 +104,8 @@ def estimate_ring(
     observations = measured.observations
     solve = partial(_solved, observations)
     with np.errstate(all="ignore"):  # a diverging iteration ends in `retract_ring`
-        if isinstance(start, MovingRing):
-            estimate = solve(start, prior, tolerance_sigmas)
+        if isinstance(start, JudgedRing):
+            estimate = solve(_moving_ring(start, measured.reference_s), prior, tolerance_sigmas)
             if estimate is not None and not poorly_determined(estimate.inverse):
                 return estimate
             start = None
@@ -127,6 +128,16 @@ def estimate_ring(
         if estimate is not None and estimate.arcs.curvature < 0 and side_open:
             estimate = solve(estimate.arcs.with_center_opposite(), prior, tolerance_sigmas) or estimate
     return estimate
+
+
+def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
+    """The ring at the reference time."""
+    arcs = RingArcs(
+        origin=judged.origin_m, axes=judged.axes, curvature=judged.curvature_per_m, half_band_m=judged.half_band_m
+    )
+    if judged.stamp_s is not None and isfinite(reference_s):
+        arcs = arcs.predict(reference_s - judged.stamp_s, judged.velocity_m_s, judged.rate_rad_s)
+    return MovingRing(arcs, Rates(judged.velocity_m_s, judged.rate_rad_s))
 
 
 def _solved(

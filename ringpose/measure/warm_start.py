@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.detect.difference_images import laser_images
+from ringpose.detect.edge_search import PredictedRing
 from ringpose.detect.pipeline import MOVED_PX, Prior
-from ringpose.detect.ring_edges import PredictedRing
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker

@@ -166,14 +166,14 @@ def _why_no_estimate(measured: Measurements) -> NoPose:
 def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
     """The pose of the best explanation, with NaN for what is not determined, and the findings about it."""
     estimate, measured = best.estimate, best.measured
-    found = quantities(estimate)
+    evidence, found = _plane_evidence(best), quantities(estimate)
     covariance = _covariance(best, found)
     result = PoseResult(
         pose=NoPose.NOT_FINITE,
         stamp_s=measured.reference_s,
         priors=_priors(best, found, source),
         rejected=best.rejected,
-        plane_evidence=_plane_evidence(best),
+        plane_evidence=evidence,
     )
     if not bool(np.isfinite(covariance).all()):
         return result, best.findings

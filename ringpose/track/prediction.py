@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ringpose.detect.ring_edges import PredictedRing
+from ringpose.detect.edge_search import PredictedRing
 from ringpose.estimate.visibility import BORDER_PX, break_point_sigmas_px
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_pixels

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from drawn_scene import drawn_rig
 
-from ringpose.detect.break_points import flagged_ends
-from ringpose.kernels.ends import FACET_SIGMAS
+from ringpose.detect.break_points import FACET_SIGMAS, flagged_ends
 from ringpose.types.rig import LaserPlanes, Rig
 
 

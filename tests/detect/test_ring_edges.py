@@ -21,14 +21,13 @@ from ring_scenes import with_stripes
 from true_edges import edge_errors_px
 
 from ringpose.detect import ring_edges
-from ringpose.detect.edge_search import EdgeImage
+from ringpose.detect.edge_search import EdgeImage, ring_from_stripes
 from ringpose.detect.pipeline import detect
 from ringpose.detect.ring_edges import (
     FoundEdges,
     detect_ring_edges,
     found_edges,
     named_by_curvature,
-    ring_from_stripes,
     uncertainty_factor,
 )
 from ringpose.estimate.pose_errors import mahalanobis_squared

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ringpose.detect.break_points import EndParams
 from ringpose.detect.edge_search import PlaceParams, ProfileParams, StepParams
 from ringpose.detect.stripes import StripeParams
 from ringpose.kernels import _kernels, kernel_record
-from ringpose.kernels.ends import EndParams
 from ringpose.kernels.lines import CandidateParams, Lens, RingParams, TrackParams, UnionParams
 
 IMAGE = np.zeros((8, 9), np.uint8)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.kernels.ends import EndParams, LitLines, stripe_ends
+from ringpose.detect.break_points import EndParams, LitLines, stripe_ends
 from ringpose.kernels.lines import Lens
 
 RULES = EndParams(saturation_dn=255)

@@ -46,9 +46,8 @@ _FLAGS_1 = {
 """Flags of version 1 that have another name now; `damped` always came with `center_weak` and `radius_weak`."""
 
 
-def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
-    """The record of one shot, for `ringpose.files.records.line_of`; `brief`: without `measurement` and evidence."""
-    return RECORD.write(line, brief)
+pose_record = RECORD.write
+"""The record of a line, for `ringpose.files.records.line_of`; `brief`: without `measurement` and evidence."""
 
 
 def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
