@@ -124,9 +124,11 @@ def detect_ring_edges(
         frames = [min(range(len(shot.lasers)), key=lambda each: int(shot.lasers[each]).bit_count())]
     still = assumptions.motion is None and camera is None
     frames = frames[:1] if still else sorted({frames[0], frames[-1]})
+    saturation_dn = shot.saturation_dn
 
     def searched(points: BreakPoints) -> list[FoundEdges]:
-        return [each for number in frames if (each := _edges_in_frame(number, points, shot, stripes, rig, motion))]
+        found = (_edges_in_frame(frame, points, shot, saturation_dn, stripes, rig, motion) for frame in frames)
+        return [each for each in found if each is not None]
 
     found = searched(break_points)
     lit = any(each.mostly_visible for each in found)
@@ -234,12 +236,18 @@ def _contradict(
 
 
 def _edges_in_frame(
-    number: int, break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig, motion: RingMotion | None
+    number: int,
+    break_points: BreakPoints,
+    shot: Shot,
+    saturation_dn: int,
+    stripes: Stripes,
+    rig: Rig,
+    motion: RingMotion | None,
 ) -> FoundEdges | None:
     """The edges in one frame, with its stamp, predicted from the stripes of all frames and the ring's motion."""
     image, stamp_s = shot.images[number], shot.mid_exposure_s(number)
     lit = stripe_mask(stripes.position_px, image) if shot.lasers[number] else None
-    frame = EdgeImage(image=image, saturation_dn=shot.saturation_dn, lit=lit)
+    frame = EdgeImage(image=image, saturation_dn=saturation_dn, lit=lit)
     if motion is not None:
         break_points, rig = moved_to(stamp_s, break_points, rig, motion)
     found = found_edges(break_points, frame, rig)

@@ -113,7 +113,7 @@ def quantities(estimate: Estimate) -> Quantities:
     outward_wrt_step = np.outer(face_direction, turn_wrt_step) - np.outer(normal, tilt_wrt_step)
 
     jacobian = np.zeros((15, PARAMETERS))
-    jacobian[:7] = public_wrt_step(arcs)
+    jacobian[:7] = public_wrt_step(arcs, basis)
     jacobian[CENTER] = center_jacobian
     jacobian[GRASP] = mean_wrt_step - np.outer(outward, distance_wrt_step) - distance_m * outward_wrt_step
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
@@ -312,7 +312,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
         wrt_rates[:, 3:] = wrt_rates[:, 3:] @ arcs.axes[:2] @ found.basis.T
     else:  # of a ring that is assumed to be still, a rate moves it by (t - t_0) times its derivative, Eq. (8.2)
         time_s = measured.times_s(measured.stamp_s)
-        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(found.normal, found.center_m))
+        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(found.normal, found.center_m, found.basis))
     empty = np.zeros((rows, 0))
     wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
     wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]

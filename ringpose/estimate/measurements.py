@@ -24,6 +24,7 @@ from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort, undisto
 from ringpose.geometry.ring import RingSamples
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.pose import NoPose
 from ringpose.types.rig import Camera, Rig
 
 NOMINAL_SIGMA_PX = 0.3
@@ -178,6 +179,17 @@ class Measurements:
         of_rays = of_lines.reshape(ends, *of_lines.shape[2:]), self.points.wrt_camera, self.edges.wrt_camera
         isolated = int(np.count_nonzero(self.points.isolated))
         return Observations(self, view, laser, np.concatenate(of_rays), whitening, isolated, self.stripe_numbers)
+
+    @cached_property
+    def unusable(self) -> NoPose | None:
+        """The reason why no ring can be estimated from these measurements; None if it can."""
+        if not len(self.points.x):
+            return NoPose.TOO_FEW_BREAK_POINTS
+        if not bool(np.isfinite(self.points.x + self.points.y).all()):
+            return NoPose.UNTRIANGULATED
+        if self.camera is not None and self.observations.view.camera is None:
+            return NoPose.NO_ROBOT_POSES
+        return None
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""

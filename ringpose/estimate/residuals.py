@@ -161,13 +161,12 @@ class Estimate:
     """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
     numbers: int
     """Number of values of stripes, break points and radii; rows of weak priors count like measurements."""
+    degrees_of_freedom: int
+    """Degrees of freedom of the stripes alone: that number less the number of parameters, at least 0."""
     distance_sigmas: float
     """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
-
-    @property
-    def converged(self) -> bool:
-        """Whether the iteration came near the optimum before it reached its limit."""
-        return self.distance_sigmas < DECISION_SIGMAS
+    converged: bool
+    """Whether the iteration came near the optimum before it reached its limit."""
 
     @cached_property
     def joint_information(self) -> Float64[Array, "n n"]:
@@ -196,11 +195,6 @@ class Estimate:
         of_common = covariance.diagonal()[PARAMETERS : PARAMETERS + common].sum()
         leverages = float(((rows @ covariance) * rows).sum()) + float(of_common)
         return max(self.numbers + common - leverages, 0.0)
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Degrees of freedom of the stripes alone: their number of measured values less the number of parameters."""
-        return max(self.numbers - PARAMETERS, 0)
 
     @property
     def log_determinant(self) -> float:

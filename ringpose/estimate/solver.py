@@ -14,6 +14,7 @@ from ringpose.estimate.measurements import Measurements, Observations
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_PARAMETERS, FORM_SHARE, RigErrors, covariance_root, rig_errors
 from ringpose.estimate.residuals import (
     CURVATURE_SD,
+    DECISION_SIGMAS,
     EXPECTED_CURVATURE,
     EXPECTED_HALF_BAND_M,
     HALF_BAND_SD_M,
@@ -197,7 +198,7 @@ def _gauss_newton(
     remaining = residuals.residual + nuisance @ nuisance_step
     squares = np.minimum(remaining**2, 1e6)
     squares[residuals.stripe_rows : residuals.data_rows] = 0.0
-    prior_rows = len(remaining) - residuals.data_rows
+    numbers = observations.stripe_numbers + len(remaining) - residuals.data_rows
     common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
     return Estimate(
         residuals=residuals,
@@ -212,8 +213,10 @@ def _gauss_newton(
         prior=prior,
         remaining=remaining,
         chi2=float(squares.sum()) + float(common @ common),
-        numbers=observations.stripe_numbers + prior_rows,
+        numbers=numbers,
+        degrees_of_freedom=max(numbers - PARAMETERS, 0),
         distance_sigmas=steps.distance_sigmas,
+        converged=steps.distance_sigmas < DECISION_SIGMAS,
         edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
     )
 

@@ -520,7 +520,7 @@ def displacement_increments(rings: RingArcs) -> Float64[Array, "*instant step=7 
 # Parameters of the records
 
 
-def public_wrt_step(arcs: RingArcs) -> Float64[Array, "parameter=7 step=7"]:
+def public_wrt_step(arcs: RingArcs, basis: Float64[Array, "2 xyz=3"]) -> Float64[Array, "parameter=7 step=7"]:
     """Derivatives of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m.
 
     They are increments: dn = tilt_1 e1 + tilt_2 e2 with the tilt basis of the normal, and centre
@@ -531,7 +531,7 @@ def public_wrt_step(arcs: RingArcs) -> Float64[Array, "parameter=7 step=7"]:
     normal_wrt_step = np.zeros((3, len(STEP)))
     normal_wrt_step[:, TILT_INWARD], normal_wrt_step[:, TILT_ALONG] = inward, along
     jacobian = np.empty((7, len(STEP)))
-    jacobian[:5] = plane_and_center(normal, center, normal_wrt_step, center_wrt_step(arcs))
+    jacobian[:5] = plane_and_center(normal, center, normal_wrt_step, center_wrt_step(arcs), basis)
     jacobian[5:] = 0.0
     jacobian[5:, CURVATURE] = -(radius_m**2)
     jacobian[5:, HALF_BAND] = EDGE_SIGN
@@ -552,19 +552,19 @@ def center_wrt_step(arcs: RingArcs) -> Float64[Array, "xyz=3 step=7"]:
 
 
 def public_wrt_rates(
-    normal: Float64[Array, "xyz=3"], center_m: Float64[Array, "xyz=3"]
+    normal: Float64[Array, "xyz=3"], center_m: Float64[Array, "xyz=3"], basis: Float64[Array, "2 xyz=3"]
 ) -> Float64[Array, "parameter=7 rate=5"]:
     """Change of the records' seven parameters (tilts, offset, centre in the plane, radii) per second of motion.
 
     Columns: velocity x, y, z, and the rates about the tilt basis e1, e2 of the normal; Eq. (8.2) of method(7).
     dc/dv = 1, dn/dw_1 = -e2, dn/dw_2 = e1; the ring turns about its own centre.
     """
-    e1, e2 = tilt_basis(normal)
+    e1, e2 = basis
     normal_wrt_rates, center_wrt_rates = np.zeros((3, 5)), np.zeros((3, 5))
     normal_wrt_rates[:, 3], normal_wrt_rates[:, 4] = -e2, e1
     center_wrt_rates[:, :3] = np.eye(3)
     jacobian = np.zeros((7, 5))
-    jacobian[:5] = plane_and_center(normal, center_m, normal_wrt_rates, center_wrt_rates)
+    jacobian[:5] = plane_and_center(normal, center_m, normal_wrt_rates, center_wrt_rates, basis)
     return jacobian
 
 
@@ -573,9 +573,12 @@ def plane_and_center(
     center_m: Float64[Array, "xyz=3"],
     normal_wrt: Float64[Array, "xyz=3 n"],
     center_wrt: Float64[Array, "xyz=3 n"],
+    basis: Float64[Array, "2 xyz=3"],
 ) -> Float64[Array, "parameter=5 n"]:
-    """Derivatives of tilts, offset and in-plane centre from those of normal and centre, Eq. (8.3)."""
-    basis = tilt_basis(normal)
+    """Derivatives of tilts, offset and in-plane centre from those of normal and centre, Eq. (8.3).
+
+    `basis`: the tilt basis of the normal, as below.
+    """
     tilts = basis @ normal_wrt
     offset = normal @ center_wrt + center_m @ normal_wrt
     in_plane = basis @ center_wrt - float(normal @ center_m) * tilts

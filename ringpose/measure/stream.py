@@ -70,17 +70,24 @@ class Setup:
         """What a shot shows; `prior`: what earlier shots have shown."""
         from ringpose.detect.pipeline import NOTHING_KNOWN, detect  # not needed for detections, and slow to import
 
-        assumptions = assumptions_about(shot, self.rig, self.known, self.options)
-        known = replace(prior or NOTHING_KNOWN, assumptions=assumptions, camera=self.camera)
+        known = replace(prior or NOTHING_KNOWN, camera=self.camera)
+        if known.assumptions is None:
+            known = replace(known, assumptions=self.assumptions(shot))
         return detect(shot, self.rig, known)
 
-    def line(self, detection: Detection) -> PoseLine:
-        """The pose line of a detection by itself."""
-        return pose_line(detection, self.rig, self.method, self.frame, self.known, self.options, self.camera)
+    def assumptions(self, source: Shot | Detection) -> Assumptions:
+        """What is assumed about a shot."""
+        return assumptions_about(source, self.rig, self.known, self.options)
+
+    def line(self, detection: Detection, assumptions: Assumptions | None = None) -> PoseLine:
+        """The pose line of a detection by itself; `assumptions` if they are known already."""
+        return pose_line(
+            detection, self.rig, self.method, self.frame, self.known, self.options, self.camera, assumptions
+        )
 
     def measure(self, source: Shot | Detection) -> PoseLine:
         """The pose line of a shot or detection by itself, whatever other shots show."""
-        return _measured(self, source, self.detection)[1]
+        return _measured(self, source, lambda shot, _: self.detection(shot))[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,11 +185,11 @@ class Stream:
         except Exception as error:  # as from another process; the writer of the lines raises what is no item's fault
             return error
 
-    def _detection(self, setup: Setup, shot: Shot) -> Detection:
+    def _detection(self, setup: Setup, shot: Shot, assumptions: Assumptions) -> Detection:
         from ringpose.detect.pipeline import NOTHING_KNOWN
 
         prior = NOTHING_KNOWN if self._warm is None else self._warm.before(shot, setup.rig)
-        detection = setup.detection(shot, replace(prior, stripes_of=self._early))
+        detection = setup.detection(shot, replace(prior, stripes_of=self._early, assumptions=assumptions))
         if self._warm is None:
             return detection
         self._warm.after(shot, detection, prior)
@@ -221,15 +228,16 @@ class _ByItself:
 
 
 def _measured(
-    setup: Setup, source: Shot | Detection, detect: Callable[[Shot], Detection]
+    setup: Setup, source: Shot | Detection, detect: Callable[[Shot, Assumptions], Detection]
 ) -> tuple[Detection, PoseLine]:
     """The detection and the pose line of a source, with the time that its stages took."""
     if isinstance(source, Detection):
         return source, setup.line(source)
     start_s = perf_counter()
-    detection = detect(source)
+    assumptions = setup.assumptions(source)
+    detection = detect(source, assumptions)
     detect_s = perf_counter() - start_s
-    line = setup.line(detection)
+    line = setup.line(detection, assumptions)
     return detection, replace(line, latency_s=line.latency_s + detect_s, stage_s={"detect": detect_s, **line.stage_s})
 
 
@@ -266,15 +274,17 @@ def pose_line(
     known: KnownRadii | Sequence[Ring] | None = None,
     options: AssumptionOptions = USUAL,
     camera: CameraMotion | None = None,
+    assumptions: Assumptions | None = None,
 ) -> PoseLine:
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
     `known` are the ring's radii, or the catalogue that it belongs to. `options` state what is assumed. The frame `tool`
     needs the rig's mount; without it vectors and record are in the camera frame. `camera`: its motion by the poses of
     the robot that carries it, which is removed within the shot; velocity and assumptions about the motion are then
-    relative to the robot's base. None for a camera that counts as inertial.
+    relative to the robot's base. None for a camera that counts as inertial. `assumptions`: what is assumed, if it has
+    been derived from the options already.
     """
-    assumptions = assumptions_about(source, rig, known, options)
+    assumptions = assumptions or assumptions_about(source, rig, known, options)
     if frame is PoseFrame.TOOL and rig.tool_from_camera is None:
         frame = PoseFrame.CAMERA
     start_s = perf_counter()

@@ -100,17 +100,16 @@ def most_likely_pose(
     rejected. `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
     `judged`: the ring by which the break points were judged, from which the iteration starts.
     """
+    untimed = _untimed(break_points, assumptions, moving=camera is not None)
+    assumptions = replace(assumptions, motion=None) if untimed else assumptions
     measured = measurements_of(break_points, rig, ring_edges, camera)
 
     def without(reason: NoPose) -> PoseResult:
         lasers = status.unused_lasers(rig, lasers_on, break_points.of_lasers)
         return PoseResult(pose=reason, lasers=lasers, rejected=tuple(rejected))
 
-    unusable = _unusable(measured, camera)
-    if unusable is not None:
-        return without(unusable)
-    untimed = _untimed(break_points, assumptions, moving=camera is not None)
-    assumptions = replace(assumptions, motion=None) if untimed else assumptions
+    if measured.unusable is not None:
+        return without(measured.unusable)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     flags_seen = break_points.flags[measured.points.laser, measured.points.edge]
     named = not bool((flags_seen & int(BreakPointFlag.EDGE_UNKNOWN)).any())
@@ -140,17 +139,6 @@ def most_likely_pose(
         pose = replace(pose, flags=flags, ring_posterior=posterior, remark=remark)
     remark = "; ".join(filter(None, [remark, status.sentences(doubts, laser=displaced)]))
     return replace(result, pose=pose, flags=flags, remark=remark, lasers=states, rejected=rejected)
-
-
-def _unusable(measured: Measurements, camera: CameraMotion | None) -> NoPose | None:
-    """The reason why no ring can be estimated from these measurements; None if it can."""
-    if not len(measured.points.x):
-        return NoPose.TOO_FEW_BREAK_POINTS
-    if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
-        return NoPose.UNTRIANGULATED
-    if camera is not None and measured.observations.view.camera is None:
-        return NoPose.NO_ROBOT_POSES
-    return None
 
 
 def _why_no_estimate(measured: Measurements) -> NoPose:

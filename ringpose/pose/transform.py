@@ -57,8 +57,9 @@ def _parameters_from_camera(
     on_plane = pose.center_m if bool(np.isfinite(pose.center_m).all()) else (pose.grasp_m @ pose.normal) * pose.normal
     normal_wrt, center_wrt = normal_and_center(pose.normal, on_plane)
     jacobian = np.eye(7)
+    normal, center_m = rotation @ pose.normal, rotation @ on_plane + translation
     jacobian[:5, :5] = plane_and_center(
-        rotation @ pose.normal, rotation @ on_plane + translation, rotation @ normal_wrt, rotation @ center_wrt
+        normal, center_m, rotation @ normal_wrt, rotation @ center_wrt, tilt_basis(normal)
     )
     return jacobian
 

@@ -189,7 +189,8 @@ class _Reported:
     def pose_covariance(self) -> Float64[Array, "7 7"]:
         """Covariance in the parameters of the records: tilts, offset, centre in the plane, radii."""
         normal_wrt, center_wrt = self._jacobian[_NORMAL], self._jacobian[_CENTER]
-        plane = plane_and_center(self.value[_NORMAL], self.value[_CENTER], normal_wrt, center_wrt)
+        normal, center_m = self.value[_NORMAL], self.value[_CENTER]
+        plane = plane_and_center(normal, center_m, normal_wrt, center_wrt, tilt_basis(normal))
         return self._of(np.concatenate([plane, self._jacobian[_RADII]]))
 
 

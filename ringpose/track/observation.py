@@ -112,8 +112,9 @@ def observation(
     count = len(MEASURED_PARAMETERS)
     rows = root[: root.shape[1] - 1]  # what follows is the residual of the shot alone
     # features move with the rates of the increments, which depend on velocity and angular velocity linearly only here
-    wrt_step = public_wrt_step(arcs)
-    rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m))[list(MOVING)]
+    basis = tilt_basis(at.normal)
+    wrt_step = public_wrt_step(arcs, basis)
+    rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m, basis))[list(MOVING)]
     wrt_step_rates = np.linalg.solve(rates_wrt_motion.T, rows[:, RATES].T).T
     # rows[:, POSE] are derivatives at a given motion of the centre, wrt_step those at given rates of the increments
     step_rates, rates_wrt_step = _rates_near(arcs, at, camera if measurement.camera_motion == "none" else None)

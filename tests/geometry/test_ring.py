@@ -305,7 +305,7 @@ def parameters_of(arcs, normal):
 def test_parameters_have_the_derivatives_of_central_differences(number, curvature):
     arcs = some_arcs(curvature)
 
-    found = public_wrt_step(arcs)[:, number]
+    found = public_wrt_step(arcs, tilt_basis(arcs.normal))[:, number]
 
     expected = difference(lambda h: parameters_of(moved(arcs, number, h), arcs.normal))
     np.testing.assert_allclose(found, expected, atol=1e-8)
@@ -317,7 +317,7 @@ def test_parameters_change_with_time_as_the_motion_says(number):
     velocity_m_s = np.append(np.eye(3), np.zeros((2, 3)), axis=0)[number]
     rate_rad_s = np.append(np.zeros((3, 3)), tilt_basis(arcs.normal), axis=0)[number]
 
-    found = public_wrt_rates(arcs.normal, arcs.center)[:, number]
+    found = public_wrt_rates(arcs.normal, arcs.center, tilt_basis(arcs.normal))[:, number]
 
     expected = difference(lambda time_s: parameters_of(arcs.predict(time_s, velocity_m_s, rate_rad_s), arcs.normal))
     np.testing.assert_allclose(found, expected, atol=1e-8)
@@ -328,5 +328,5 @@ def test_normal_and_center_follow_from_the_parameters_and_the_reverse():
 
     normal_wrt, center_wrt = normal_and_center(arcs.normal, arcs.center)
 
-    again = plane_and_center(arcs.normal, arcs.center, normal_wrt, center_wrt)
+    again = plane_and_center(arcs.normal, arcs.center, normal_wrt, center_wrt, tilt_basis(arcs.normal))
     np.testing.assert_allclose(again, np.eye(5), atol=1e-15)
