@@ -4,14 +4,11 @@ The limits of a camera are those of one that measures to 0.1 mm at 0.5 m (0.2 to
 corners.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf, isnan, radians
 from typing import Any
 
-import numpy as np
-
-from ringpose.types.board import BoardView
 from ringpose.types.calibration import Check, Grade, Verdict
 
 
@@ -107,6 +104,30 @@ PLANES_LIMITS: Mapping[str, Limit] = {
         "middle is not between left and right: see whether lasers are exchanged in all shots, or give their names in "
         "the order of their numbers (--laser-names)"),
 }
+
+MOUNT_LIMITS: Mapping[str, Limit] = {
+    "board_moved": Limit(0.0, 0.5, "{moved}: repeat the views"),
+    "board_scale_error": Limit(0.003, 0.05,
+        "by the robot's motions the board is {factor:.4f} times as large as its file gives: measure its print, or the "
+        "robot's lengths are wrong"),
+    "views_used": Limit(10.0, 3.0, "take ten views or more, turned about two axes"),
+    "views_used_share": Limit(0.9, 0.6, "see why views are left out"),
+    "largest_turn_rad": Limit(radians(30), radians(5), "turn the tool by 30 degrees or more between views"),
+    "turn_across_rad": Limit(radians(20), radians(5), "{more}"),  # about a second axis
+    "held_out_m": Limit(1e-3, 1e-2,  # rms over the views; robots that are not calibrated have errors of a millimetre
+        "check the robot's calibration and tool, and that robot and board stand still at each view",
+        if_unknown="add views: three leave the held-out error undetermined"),
+    "rotation_sd_rad": Limit(radians(0.05), radians(0.5), "{more}"),  # in the worst direction: 0.4 mm at 0.5 m
+    "translation_sd_m": Limit(5e-4, 5e-3, "{more}"),
+    "robot_rotation_rad": Limit(radians(0.1), radians(1), "the robot's rotations are inaccurate"),
+    "robot_translation_m": Limit(1e-3, 1e-2, "the robot's positions are inaccurate: calibrate the robot"),
+    "disagreement": Limit(3.0, 30.0, "take views that differ more from each other"),
+}
+
+MOUNT_CHECK_LIMITS: Mapping[str, Limit] = {
+    "difference_sigmas": Limit(4.0, 8.0,
+        "the given mount contradicts the views: something has moved, or it is inverted; calibrate it again"),
+}
 # fmt: on
 
 
@@ -131,16 +152,6 @@ def check(
     special = limit.if_unknown if isnan(value) else limit.if_redo if found.grade is Grade.REDO else None
     advice = limit.advice if special is None else special
     return replace(found, advice=advice.format(place=place, **words))
-
-
-def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
-    """Check of the markers' size relative to their spacing; empty for boards without markers."""
-    ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
-    if not ratios:
-        return ()
-    width, height = np.median(ratios, axis=0).tolist()
-    error = max(abs(width - 1), abs(height - 1))
-    return (check(BOARD_LIMITS, "marker_size_error", error, width=width, height=height),)
 
 
 def verdict_values(verdict: Verdict) -> dict[str, Any]:

@@ -23,6 +23,7 @@ COMMANDS = {
     "capture": "capture",
     "calibrate-camera": "calibrate.camera",
     "calibrate-planes": "calibrate.planes",
+    "calibrate-mount": "calibrate.mount",
     "convert-camera": "calibrate.convert_camera",
     "detect": "detect",
     "pose": "pose",

@@ -55,7 +55,7 @@ class CameraMotion:
         turn_rad, shift_m = self._twist(after)
         share = (time_s - first_s) / interval_s
         base_from_tool = rotation @ rotation_by(share * turn_rad)
-        tool_m = position_m + rotation @ (_left_jacobian(share * turn_rad) @ (share * shift_m))
+        tool_m = position_m + rotation @ (left_jacobian(share * turn_rad) @ (share * shift_m))
         rate = base_from_tool @ turn_rad / interval_s
         lever_m = base_from_tool @ mount.tool_from_camera[:3, 3]
         velocity = base_from_tool @ shift_m / interval_s + np.cross(rate, lever_m)
@@ -84,7 +84,7 @@ class CameraMotion:
         turn_rad, shift_m = self._twist(len(poses.stamp_s) - 1)
         share = (np.arange(int(missing_s / MAX_GAP_S) + 1) + 1.0) * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
         last, position_m = poses.rotation[-1], poses.position_m[-1]
-        moved = np.array([_left_jacobian(each * turn_rad) @ (each * shift_m) for each in share])
+        moved = np.array([left_jacobian(each * turn_rad) @ (each * shift_m) for each in share])
         further = RobotPoses(
             stamp_s=np.append(poses.stamp_s, poses.stamp_s[-1] + MAX_GAP_S * np.arange(1, len(share) + 1)),
             position_m=np.concatenate([poses.position_m, position_m + moved @ last.T]),
@@ -181,10 +181,10 @@ def _logarithm(
 ) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
     """The twist (rotation vector, translation) whose exponential on SE(3) is this transform."""
     turn = rotation_vector(rotation)
-    return turn, np.linalg.solve(_left_jacobian(turn), translation)
+    return turn, np.linalg.solve(left_jacobian(turn), translation)
 
 
-def _left_jacobian(turn: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+def left_jacobian(turn: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
     """V with exp(turn, shift) = (exp(turn), V shift): 1 + (1 - cos a) / a^2 K + (a - sin a) / a^3 K^2."""
     angle = float(np.sqrt(turn @ turn))
     x, y, z = turn.tolist()

@@ -1,0 +1,356 @@
+"""Joint maximum likelihood of the mount, the board and the robot's errors (ringpose-method(7), section 13).
+
+Each view shows the board at T_i = X^-1 G_i Y. G_i is the robot's pose with an error of its own: measured_i exp(eps_i),
+eps_i = (rotation vector, translation) in the tool frame, normal with the standard deviations s_r (rad) and s_t (m). The
+unknowns are X, Y, all eps_i, the two standard deviations and, if it is refined, the camera; the residuals are those of
+the corners.
+
+Within an iteration the corners of a view are six numbers: the correction z_i of its pose, with covariance C_i. Without
+the eps_i they have the covariance V_i = C_i + D_i S D_i^T, and z_i = A_i x + noise: a linear model, whose restricted
+likelihood (Patterson and Thompson 1971) gives s_r and s_t without the bias by the parameters that were estimated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ringpose.calibrate.boards.corner_errors import moderated_variances, view_equations
+from ringpose.calibrate.boards.pose import board_pose
+from ringpose.calibrate.camera.parameters import camera_with, covariance_of_free, parameters_of
+from ringpose.calibrate.mount.closed_form import Transform
+from ringpose.geometry.camera_motion import left_jacobian
+from ringpose.geometry.ring import rotation_by
+from ringpose.geometry.rotations import rotation_vector
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.rig import Camera
+
+PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M = float(np.radians(0.02)), 1e-4
+"""A robot's error that is assumed where fewer than `MIN_FREE_VIEWS` views show it."""
+
+PRIOR_FACTOR = 3.0
+"""Standard deviation of that prior, as a factor: it is normal in the logarithm."""
+
+MIN_FREE_VIEWS = 8
+"""Views from which the robot's error is estimated from them alone."""
+
+ROTATION_BOUNDS_RAD, TRANSLATION_BOUNDS_M = (1e-6, 0.05), (1e-6, 0.05)
+"""Bounds of the estimated standard deviations: 1 um and 0.2 arc seconds are better than any robot."""
+
+MIN_CORNER_PX = 0.01
+"""Lower limit of the standard deviation of a corner's coordinate."""
+
+_ITERATIONS = 12
+_MIN_STEP = 1e-3
+"""Mahalanobis length of a step below which the iteration has converged."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Station:
+    """One view of the board, and the pose that the robot reported for it."""
+
+    view: BoardView
+    base_from_tool: Transform
+    location: str = ""
+    """File and line of the robot's pose."""
+
+    @property
+    def name(self) -> str:
+        """Name of the image."""
+        return self.view.name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MountState:
+    """The unknowns of the adjustment."""
+
+    mount: Transform
+    """X: tool_from_camera, or base_from_camera of a camera that looks at the robot from outside."""
+    board: Transform
+    """Y: base_from_board, or tool_from_board."""
+    true_poses: tuple[Transform, ...]
+    """base_from_tool of each view, with the robot's error removed."""
+    camera: Camera
+
+
+class RobotSigmas(NamedTuple):
+    """Standard deviations of the robot's error, each axis."""
+
+    rotation_rad: float
+    translation_m: float
+
+    @property
+    def variances(self) -> Float64[Array, "6"]:
+        """Variances of an eps_i."""
+        return np.repeat([self.rotation_rad**2, self.translation_m**2], 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewNumbers:
+    """The linear model of all views at a state: z = A x + D eps + noise of covariance C, as corrections of poses."""
+
+    z: Float64[Array, "view 6"]
+    covariance: Float64[Array, "view 6 6"]
+    wrt_common: Float64[Array, "view 6 common"]
+    """With respect to X, Y (rotation vector, translation, each in its frame), and the camera's free parameters."""
+    wrt_error: Float64[Array, "view 6 6"]
+    camera_information: Float64[Array, "view common common"]
+    """Information about the camera that does not depend on the pose."""
+    camera_gradient: Float64[Array, "view common"]
+    wrt_camera: Float64[Array, "view 6 parameter"]
+    """With respect to all of the camera's parameters, also if they are held fixed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MountSolution:
+    """The result of the adjustment."""
+
+    state: MountState
+    sigmas: RobotSigmas
+    corner_px: Float64[Array, "view"]
+    numbers: ViewNumbers
+    information: Float64[Array, "view common common"]
+    gradient: Float64[Array, "view common"]
+    prior: Float64[Array, "common common"]
+    residual_rms_px: Float64[Array, "view"]
+    boards: tuple[BoardPose, ...]
+    """The board in the camera, by the state."""
+    covariance: Float64[Array, "common common"]
+    """Of X, Y (rotation vector, translation, each in its frame) and the refined camera, by the likelihood."""
+
+    @property
+    def weights(self) -> Float64[Array, "view 6 6"]:
+        """Inverse covariance of each view's correction."""
+        return inverse_marginal(self.numbers, self.sigmas)
+
+
+def adjusted_mount(
+    stations: Sequence[Station],
+    camera: Camera,
+    start: tuple[Transform, Transform],
+    *,
+    eye_to_hand: bool = False,
+    refine_camera: bool = False,
+    poses: Sequence[BoardPose] = (),
+) -> MountSolution:
+    """The mount by maximum likelihood over the corners, with the robot's errors as unknowns."""
+    poses = poses or [board_pose(station.view, camera) for station in stations]
+    corner_px = corner_sigmas(stations, poses, camera)
+    state = MountState(
+        mount=start[0], board=start[1], true_poses=tuple(one.base_from_tool for one in stations), camera=camera
+    )
+    # the robot's error starts large, so that the first iterations follow the corners and not the closed form
+    sigmas = RobotSigmas(1e-2, 1e-2)
+    prior = _camera_prior(camera, refine_camera)
+    for iteration in range(_ITERATIONS):
+        numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
+        if iteration:
+            sigmas = robot_sigmas(numbers, prior, None if iteration == 1 else sigmas)
+        information, gradient = _normal_equations(numbers, sigmas)
+        pull = prior @ _camera_offset(state.camera, camera, prior)
+        total, right = information.sum(axis=0) + prior, gradient.sum(axis=0) - pull
+        step = covariance_of_free(total) @ right
+        length = float(np.sqrt(max(step @ total @ step, 0.0)))
+        if iteration > 1 and length < _MIN_STEP:
+            break
+        state = _moved(state, stations, numbers, sigmas, step, refine_camera)
+    shown = list(zip(stations, _poses(state, eye_to_hand), strict=True))
+    residuals = [view_equations(one.view, pose, state.camera, 1.0).residual for one, pose in shown]
+    rms_px = np.array([np.sqrt(2.0 * np.mean(each**2)) for each in residuals])
+    information, gradient = _normal_equations(numbers, sigmas)
+    return MountSolution(
+        state=state, sigmas=sigmas, corner_px=corner_px, numbers=numbers, information=information, gradient=gradient,
+        prior=prior, boards=tuple(pose for _, pose in shown), residual_rms_px=rms_px,
+        covariance=covariance_of_free(information.sum(axis=0) + prior),
+    )  # fmt: skip
+
+
+def corner_sigmas(stations: Sequence[Station], poses: Sequence[BoardPose], camera: Camera) -> Float64[Array, "view"]:
+    """Standard deviation of a corner's coordinate in each view, from the residuals at the view's own pose."""
+    squares, rows = [], []
+    for station, pose in zip(stations, poses, strict=True):
+        residual = view_equations(station.view, pose, camera, 1.0).residual
+        squares.append(float(residual @ residual))
+        rows.append(float(len(residual)))
+    variances = moderated_variances(np.array(squares), np.maximum(np.array(rows) - 6.0, 1.0))
+    return np.maximum(np.sqrt(variances), MIN_CORNER_PX)
+
+
+def moving_from_fixed(base_from_tool: Transform, eye_to_hand: bool) -> Transform:
+    """G of T = X^-1 G Y: tool_from_base, or base_from_tool of a camera that is fixed."""
+    return base_from_tool if eye_to_hand else base_from_tool.inverse()
+
+
+def _poses(state: MountState, eye_to_hand: bool) -> list[BoardPose]:
+    """The board in the camera, by the state."""
+    back = state.mount.inverse()
+    poses = [back.after(moving_from_fixed(true, eye_to_hand).after(state.board)) for true in state.true_poses]
+    return [
+        BoardPose(name="", rotation=one.rotation, translation_m=one.translation_m, residual_rms_px=0.0) for one in poses
+    ]
+
+
+def view_numbers(
+    stations: Sequence[Station],
+    state: MountState,
+    corner_px: Float64[Array, "view"],
+    eye_to_hand: bool,
+    refine_camera: bool,
+) -> ViewNumbers:
+    """The linear model of the views at a state."""
+    count = 12 + (len(parameters_of(state.camera)) if refine_camera else 0)
+    rows: list[tuple[Float64[Array, "..."], ...]] = []
+    back = state.mount.rotation.T
+    for station, pose, true, sigma in zip(
+        stations, _poses(state, eye_to_hand), state.true_poses, corner_px.tolist(), strict=True
+    ):
+        equations = view_equations(station.view, pose, state.camera, sigma)
+        # OpenCV differentiates by the rotation vector; here a rotation is turned from the left
+        by_turn = equations.wrt_pose[:, :3] @ np.linalg.inv(left_jacobian(rotation_vector(pose.rotation)))
+        basis, triangle = np.linalg.qr(np.column_stack([by_turn, equations.wrt_pose[:, 3:]]))
+        inverse = np.linalg.inv(triangle)
+        wrt_camera = inverse @ (basis.T @ equations.wrt_camera)
+        outside = equations.wrt_camera - basis @ (basis.T @ equations.wrt_camera)
+
+        measured = station.base_from_tool
+        error = np.append(
+            rotation_vector(measured.rotation.T @ true.rotation),
+            measured.rotation.T @ (true.translation_m - measured.translation_m),
+        )
+        robot = moving_from_fixed(true, eye_to_hand)
+        middle = robot.after(state.board)  # M: the board in the frame in which the camera is at rest
+        wrt_middle = np.kron(np.eye(2), back)
+        wrt_mount = -wrt_middle.copy()
+        wrt_mount[3:, :3] = back @ _skew(middle.translation_m - state.mount.translation_m)
+        wrt_board = wrt_middle @ np.kron(np.eye(2), robot.rotation)
+        wrt_error = np.zeros((6, 6))
+        if eye_to_hand:
+            wrt_error[:3, :3], wrt_error[3:, 3:] = robot.rotation, robot.rotation
+            wrt_error[3:, :3] = -robot.rotation @ _skew(state.board.translation_m)
+        else:
+            wrt_error[:3, :3], wrt_error[3:, 3:] = -np.eye(3), -np.eye(3)
+            wrt_error[3:, :3] = _skew(middle.translation_m)
+        wrt_error = wrt_middle @ wrt_error
+        information, gradient = np.zeros((count, count)), np.zeros(count)
+        common = np.zeros((6, count))
+        common[:, :6], common[:, 6:12] = wrt_mount, wrt_board
+        if refine_camera:
+            common[:, 12:] = wrt_camera
+            information[12:, 12:], gradient[12:] = outside.T @ outside, outside.T @ equations.residual
+        z = inverse @ (basis.T @ equations.residual) + wrt_error @ error
+        rows.append((z, inverse @ inverse.T, common, wrt_error, information, gradient, wrt_camera))
+    columns = [np.array(each) for each in zip(*rows, strict=True)]
+    return ViewNumbers(
+        z=columns[0], covariance=columns[1], wrt_common=columns[2], wrt_error=columns[3],
+        camera_information=columns[4], camera_gradient=columns[5], wrt_camera=columns[6],
+    )  # fmt: skip
+
+
+def _skew(vector: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _marginal(numbers: ViewNumbers, sigmas: RobotSigmas) -> Float64[Array, "view 6 6"]:
+    """V_i = C_i + D_i S D_i^T."""
+    spread = numbers.wrt_error * sigmas.variances
+    return numbers.covariance + spread @ numbers.wrt_error.swapaxes(1, 2)
+
+
+def inverse_marginal(numbers: ViewNumbers, sigmas: RobotSigmas) -> Float64[Array, "view 6 6"]:
+    """Inverse covariance of each view's correction, the robot's error included."""
+    weights: Float64[Array, "view 6 6"] = np.linalg.inv(_marginal(numbers, sigmas))
+    return weights
+
+
+def _normal_equations(
+    numbers: ViewNumbers, sigmas: RobotSigmas
+) -> tuple[Float64[Array, "view common common"], Float64[Array, "view common"]]:
+    weighted = numbers.wrt_common.swapaxes(1, 2) @ inverse_marginal(numbers, sigmas)
+    information = weighted @ numbers.wrt_common + numbers.camera_information
+    return information, (weighted @ numbers.z[..., None])[..., 0] + numbers.camera_gradient
+
+
+def robot_sigmas(
+    numbers: ViewNumbers, prior: Float64[Array, "common common"], start: RobotSigmas | None = None
+) -> RobotSigmas:
+    """The robot's error by restricted maximum likelihood within bounds; with few views by its prior, too."""
+    from scipy.optimize import minimize
+
+    lower = np.log([ROTATION_BOUNDS_RAD[0], TRANSLATION_BOUNDS_M[0]])
+    upper = np.log([ROTATION_BOUNDS_RAD[1], TRANSLATION_BOUNDS_M[1]])
+    usual = np.log([PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M])
+    has_prior = len(numbers.z) < MIN_FREE_VIEWS
+    design, z, wrt_error = numbers.wrt_common, numbers.z[..., None], numbers.wrt_error
+    fixed_information = numbers.camera_information.sum(axis=0) + prior
+    fixed_gradient = numbers.camera_gradient.sum(axis=0)
+    known = np.flatnonzero((design != 0).any(axis=(0, 1)) | (np.diag(fixed_information) > 0))
+
+    def minus_log_likelihood(logarithms: np.ndarray[Any, Any]) -> float:  # some hundred times: without shape checks
+        within = np.clip(logarithms, lower, upper)
+        variances = np.repeat(np.exp(2.0 * within), 3)
+        marginal = numbers.covariance + (wrt_error * variances) @ wrt_error.swapaxes(1, 2)
+        weights = np.linalg.inv(marginal)
+        weighted = design.swapaxes(1, 2) @ weights
+        information = ((weighted @ design).sum(axis=0) + fixed_information)[np.ix_(known, known)]
+        gradient = ((weighted @ z).sum(axis=0)[:, 0] + fixed_gradient)[known]
+        scale = 1.0 / np.sqrt(np.diag(information))
+        scaled, right = information * np.outer(scale, scale), scale * gradient
+        chi2 = (z.swapaxes(1, 2) @ weights @ z).sum() - right @ np.linalg.lstsq(scaled, right)[0]
+        determinants = np.linalg.slogdet(marginal)[1].sum() + np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum()
+        value = determinants + chi2 + 20.0 * np.abs(logarithms - within).sum()
+        if has_prior:
+            value += np.sum(((logarithms - usual) / np.log(PRIOR_FACTOR)) ** 2)
+        return float(0.5 * value)
+
+    starts = [np.log([5e-4, 5e-4]), usual] if start is None else [np.log(np.array(start))]
+    options: Any = {"xatol": 0.01, "fatol": 1e-3}
+    found = min(
+        (minimize(minus_log_likelihood, each, method="Nelder-Mead", options=options) for each in starts),
+        key=lambda each: float(each.fun),
+    )
+    return RobotSigmas(*np.exp(np.clip(found.x, lower, upper)).tolist())
+
+
+def _camera_prior(camera: Camera, refine_camera: bool) -> Float64[Array, "common common"]:
+    """Information about the common parameters that does not come from the views: the camera's own covariance."""
+    parameters = len(parameters_of(camera)) if refine_camera else 0
+    prior = np.zeros((12 + parameters, 12 + parameters))
+    if refine_camera and camera.covariance is not None:
+        prior[12:, 12:] = covariance_of_free(camera.covariance.data)
+    return prior
+
+
+def _camera_offset(now: Camera, given: Camera, prior: Float64[Array, "common common"]) -> Float64[Array, "common"]:
+    offset = np.zeros(len(prior))
+    if len(prior) > 12:
+        offset[12:] = parameters_of(now) - parameters_of(given)
+    return offset
+
+
+def _moved(
+    state: MountState, stations: Sequence[Station], numbers: ViewNumbers, sigmas: RobotSigmas,
+    step: Float64[Array, "common"], refine_camera: bool,
+) -> MountState:  # fmt: skip
+    """The state after a step of the common parameters, with the most likely error of the robot in each view."""
+    rest = numbers.z - numbers.wrt_common @ step
+    gain = sigmas.variances[:, None] * (numbers.wrt_error.swapaxes(1, 2) @ inverse_marginal(numbers, sigmas))
+    errors = (gain @ rest[..., None])[..., 0]
+    true_poses = tuple(
+        Transform(
+            one.base_from_tool.rotation @ rotation_by(error[:3]),
+            one.base_from_tool.translation_m + one.base_from_tool.rotation @ error[3:],
+        )
+        for one, error in zip(stations, errors, strict=True)
+    )
+    camera = camera_with(parameters_of(state.camera) + step[12:], state.camera) if refine_camera else state.camera
+    return replace(
+        state, mount=_turned(state.mount, step[:6]), board=_turned(state.board, step[6:12]), true_poses=true_poses,
+        camera=camera,
+    )  # fmt: skip
+
+
+def _turned(transform: Transform, step: Float64[Array, "6"]) -> Transform:
+    return Transform(rotation_by(step[:3]) @ transform.rotation, transform.translation_m + step[3:])

@@ -1,0 +1,285 @@
+"""From views of a board and robot poses to an assessed mount (ringpose-method(7), section 13)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringpose.calibrate.boards.corner_errors import without_distortion_bias
+from ringpose.calibrate.boards.pose import board_pose
+from ringpose.calibrate.mount.adjustment import (
+    MIN_FREE_VIEWS,
+    MountSolution,
+    Station,
+    adjusted_mount,
+    moving_from_fixed,
+)
+from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, rotation_error_rad
+from ringpose.calibrate.mount.closed_form import (
+    MIN_ACROSS_RAD,
+    MIN_TURN_RAD,
+    Transform,
+    Turns,
+    closed_form_mount,
+    turns_between,
+)
+from ringpose.calibrate.mount.validation import (
+    MIN_VIEWS,
+    LeftOut,
+    board_scale,
+    left_out,
+    validated_covariance,
+    wrong_views,
+)
+from ringpose.errors import DataError
+from ringpose.geometry.robot_conventions import PoseConvention
+from ringpose.geometry.rotations import rotation_vector
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.rig import Camera, Mount
+from ringpose.types.robot import ToolPose
+
+MAX_WRONG_SHARE = 1 / 3
+"""Share of the views up to which single ones are left out as wrong."""
+
+MAX_SCALE = 1.1
+"""Factor between the robot's and the board's lengths from which one of them has another unit or a wrong size."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MountCalibration:
+    """The mount with its covariance, and what the views say about it."""
+
+    stations: tuple[Station, ...]
+    """The views used, in the order of their names."""
+    rejected: Mapping[str, str]
+    """Views left out, and why."""
+    solution: MountSolution
+    covariance: Float64[Array, "12 12"]
+    """Of mount and board (rotation vector, translation, each in its frame)."""
+    disagreement: tuple[float, float]
+    """Factors by which the views disagree more about rotation and translation than their likelihood explains."""
+    without: LeftOut
+    """The solutions without each view; NaN where the others do not determine a mount."""
+    turns: Turns
+    board_scale: tuple[float, float]
+    """By what share the board is larger than given, and the standard deviation."""
+    eye_to_hand: bool
+    board_moved: str = ""
+    """How the board moved between the views, if it did."""
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether the robot's error is also taken from its prior."""
+        return len(self.stations) < MIN_FREE_VIEWS
+
+    @property
+    def mount(self) -> Mount:
+        """The mount as the rig has it."""
+        variance, axes = np.linalg.eigh(self.covariance[:6, :6])
+        return Mount(tool_from_camera=self.solution.state.mount.matrix, root=axes * np.sqrt(np.maximum(variance, 0.0)))
+
+
+def stations_of(views: Sequence[BoardView], poses: Sequence[ToolPose | DataError]) -> list[Station]:
+    """The views that have a pose of the robot."""
+    return [
+        Station(view=view, base_from_tool=Transform(pose.rotation, pose.position_m), location=pose.location)
+        for view, pose in zip(views, poses, strict=True)
+        if not isinstance(pose, DataError)
+    ]
+
+
+def calibrate_mount(
+    stations: Sequence[Station],
+    camera: Camera,
+    *,
+    eye_to_hand: bool = False,
+    refine_camera: bool = False,
+    convention: PoseConvention | None = None,
+) -> MountCalibration:
+    """The mount of the views that agree; DataError if they do not determine it.
+
+    `convention`: the one in which the robot's poses were given, for the likely cause of a contradiction.
+    """
+    stations = sorted(stations, key=lambda station: station.name)
+    stations = [replace(one, view=without_distortion_bias(one.view, camera)) for one in stations]
+    boards = [board_pose(station.view, camera) for station in stations]
+    _check_motions(stations, boards, eye_to_hand, convention)
+    rejected: dict[str, str] = {}
+    board_moved = ""
+    used = list(range(len(stations)))
+    while True:
+        chosen = [stations[index] for index in used]
+        own = [boards[index] for index in used]
+        solution = _solved(chosen, own, camera, eye_to_hand, refine_camera)
+        wrong = wrong_views(solution)
+        if wrong is None:
+            break
+        if wrong.slipped and not board_moved:
+            rest = [index for index in range(len(chosen)) if index not in wrong.views]
+            others = _solved(
+                [chosen[index] for index in rest], [own[index] for index in rest], camera, eye_to_hand, refine_camera
+            )
+            board_moved = _slip(wrong.views, chosen, own, others, eye_to_hand)
+            reasons = [board_moved] * len(wrong.views)
+        elif len(rejected) + 1 <= MAX_WRONG_SHARE * len(stations):
+            rest = [index for index in range(len(chosen)) if index not in wrong.views]
+            others = _solved(
+                [chosen[index] for index in rest], [own[index] for index in rest], camera, eye_to_hand, refine_camera
+            )
+            reasons = [_wrong_pose(chosen[index], own[index], others, eye_to_hand) for index in wrong.views]
+        else:
+            break
+        rejected |= {chosen[index].name: reason for index, reason in zip(wrong.views, reasons, strict=True)}
+        used = [index for position, index in enumerate(used) if position not in wrong.views]
+        _check_turns(_turns(stations, boards, used, eye_to_hand), len(used), eye_to_hand)
+    without = left_out(solution, chosen)
+    fixed = None if refine_camera or camera.covariance is None else camera.covariance.data
+    covariance, of_rotation, of_translation = validated_covariance(solution, without, fixed)
+    return MountCalibration(
+        stations=tuple(chosen),
+        rejected=rejected,
+        solution=solution,
+        covariance=covariance,
+        disagreement=(of_rotation, of_translation),
+        without=_where_determined(without, stations, boards, used, eye_to_hand),
+        turns=_turns(stations, boards, used, eye_to_hand),
+        board_scale=board_scale(solution),
+        eye_to_hand=eye_to_hand,
+        board_moved=board_moved,
+    )
+
+
+def _transform(pose: BoardPose) -> Transform:
+    return Transform(pose.rotation, pose.translation_m)
+
+
+def _turns(stations: Sequence[Station], boards: Sequence[BoardPose], used: Sequence[int], eye_to_hand: bool) -> Turns:
+    robot = [moving_from_fixed(stations[index].base_from_tool, eye_to_hand) for index in used]
+    return turns_between(robot, [_transform(boards[index]) for index in used])
+
+
+def _solved(
+    stations: Sequence[Station], boards: Sequence[BoardPose], camera: Camera, eye_to_hand: bool, refine_camera: bool
+) -> MountSolution:
+    robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
+    board = [_transform(pose) for pose in boards]
+    mount, fixed, _ = closed_form_mount(robot, board, turns_between(robot, board))
+    try:
+        return adjusted_mount(
+            stations, camera, (mount, fixed), eye_to_hand=eye_to_hand, refine_camera=refine_camera, poses=boards
+        )
+    except np.linalg.LinAlgError as error:
+        found = "views and robot poses contradict each other so far that no mount fits them"
+        raise DataError("calibrate-mount", found, "check the board's sizes and the robot's convention") from error
+
+
+def _check_motions(
+    stations: Sequence[Station], boards: Sequence[BoardPose], eye_to_hand: bool, convention: PoseConvention | None
+) -> None:
+    """Raise DataError if the views determine no mount, or if another unit or convention explains them much better."""
+    turns = _check_turns(_turns(stations, boards, range(len(stations)), eye_to_hand), len(stations), eye_to_hand)
+    transforms = [_transform(pose) for pose in boards]
+    error_rad = rotation_error_rad(turns)
+    if error_rad > CONTRADICTION_RAD:
+        cause = likely_cause(stations, transforms, eye_to_hand, convention)
+        if cause:
+            found = "the robot's rotations contradict those of the board in the images"
+            raise DataError("calibrate-mount", found, f"likely {cause}")
+    robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
+    _, _, scale = closed_form_mount(robot, transforms, turns)
+    for factor, words in (
+        (1e-3, "the robot's positions are in millimetres, or the board's sizes"),
+        (1e3, "the robot's positions are in metres and are read as millimetres, or the board's sizes"),
+    ):
+        if MAX_SCALE > scale / factor > 1 / MAX_SCALE:
+            found = f"the robot's lengths are {1 / scale:.4g} times those of the board"
+            raise DataError(
+                "calibrate-mount", found, f"likely {words} are 1000 times {'too large' if factor > 1 else 'too small'}"
+            )
+
+
+def _check_turns(turns: Turns, views: int, eye_to_hand: bool) -> Turns:
+    """Raise DataError unless the views are turned about two axes."""
+    if views < MIN_VIEWS:
+        found = f"{views} view{'s' * (views != 1)} with a pose of the robot, at least {MIN_VIEWS} are needed"
+        raise DataError("calibrate-mount", found, "ten or more are good, turned by 20 degrees or more about two axes")
+    largest, across, _ = turns.spread_rad.tolist()
+    frame = "base" if eye_to_hand else "tool"
+    if largest < MIN_TURN_RAD:
+        found = f"the views are turned against each other by at most {np.degrees(largest):.2g} degrees, 5 are needed"
+        raise DataError("calibrate-mount", found, f"turn the tool by 20 degrees or more about two axes of the {frame}")
+    if across < MIN_ACROSS_RAD:
+        axis = turns.main_axis
+        missing = "xyz"[int(np.argmin(np.abs(axis)))]
+        words = ", ".join(f"{value:.2f}" for value in axis * np.sign(axis[np.argmax(np.abs(axis))]))
+        found = (
+            f"all views are turned about one axis, ({words}) in the {frame} frame, and by at most "
+            f"{np.degrees(across):.2g} degrees about another: the mount's place along it is not determined"
+        )
+        raise DataError("calibrate-mount", found, f"add views that are turned about the {frame}'s {missing} axis")
+    return turns
+
+
+def _slip(
+    later: Sequence[int],
+    stations: Sequence[Station],
+    boards: Sequence[BoardPose],
+    solution: MountSolution,
+    eye_to_hand: bool,
+) -> str:
+    """Between which views the board was moved, and how far."""
+    is_end = later[-1] == len(stations) - 1
+    before, after = (later[0] - 1, later[0]) if is_end else (later[-1], later[-1] + 1)
+    mount = solution.state.mount
+    placed = [
+        moving_from_fixed(station.base_from_tool, eye_to_hand).inverse().after(mount).after(_transform(pose))
+        for station, pose in zip(stations, boards, strict=True)
+    ]
+    place_m = np.array([one.translation_m for one in placed])
+    chosen = np.isin(np.arange(len(stations)), later)
+    moved_m = float(np.linalg.norm(np.median(place_m[chosen], axis=0) - np.median(place_m[~chosen], axis=0)))
+    what = "the board slipped on the tool" if eye_to_hand else "the board was moved"
+    return f"{what} between {stations[before].name} and {stations[after].name}, by about {1e3 * moved_m:.2g} mm"
+
+
+def _wrong_pose(station: Station, board: BoardPose, others: MountSolution, eye_to_hand: bool) -> str:
+    """In what the robot's pose differs from the one that the other views predict for this image."""
+    state, seen = others.state, _transform(board)
+    # of the board in the image and the others' mount: X T Y^-1 = G
+    robot = state.mount.after(seen).after(state.board.inverse())
+    expected, given = moving_from_fixed(robot, eye_to_hand), station.base_from_tool
+    shift_m = expected.translation_m - given.translation_m
+    turn_rad = float(np.linalg.norm(rotation_vector(given.rotation.T @ expected.rotation)))
+    place = f"{station.location}: " if station.location else ""
+    text = (
+        f"{place}the robot's pose is {1e3 * np.linalg.norm(shift_m):.3g} mm and {np.degrees(turn_rad):.2g} degrees off "
+        "by the other views"
+    )
+    axis = int(np.argmax(np.abs(shift_m)))
+    others_m = np.delete(np.abs(shift_m), axis).max()
+    if abs(shift_m[axis]) > 5 * others_m and abs(shift_m[axis]) > 2e-3:
+        given_m, fitting_m = float(given.translation_m[axis]), float(expected.translation_m[axis])
+        return f"{text}: likely its {'xyz'[axis]} is mistyped, {1e3 * given_m:.1f} mm; {1e3 * fitting_m:.1f} would fit"
+    return f"{text}: likely a wrong pose or image, or the board was moved"
+
+
+def _where_determined(
+    without: LeftOut, stations: Sequence[Station], boards: Sequence[BoardPose], used: Sequence[int], eye_to_hand: bool
+) -> LeftOut:
+    """Held-out errors are NaN where the other views do not determine a mount."""
+    known = np.array(
+        [_determined([one for one in used if one != index], stations, boards, eye_to_hand) for index in used]
+    )
+    return without._replace(
+        distance_m=np.where(known, without.distance_m, np.nan), angle_rad=np.where(known, without.angle_rad, np.nan)
+    )
+
+
+def _determined(
+    used: Sequence[int], stations: Sequence[Station], boards: Sequence[BoardPose], eye_to_hand: bool
+) -> bool:
+    if len(used) < MIN_VIEWS:
+        return False
+    largest, across, _ = _turns(stations, boards, used, eye_to_hand).spread_rad.tolist()
+    return bool(largest >= MIN_TURN_RAD and across >= MIN_ACROSS_RAD)

@@ -1,0 +1,172 @@
+"""Quality of a mount: verdict with advice, values for the file, summary for the user, check of a given mount."""
+
+from collections.abc import Mapping
+from math import degrees
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ringpose.calibrate.acceptance import MOUNT_CHECK_LIMITS, MOUNT_LIMITS, check, verdict_lines, verdict_values
+from ringpose.calibrate.mount.adjustment import (
+    MIN_FREE_VIEWS,
+    PRIOR_FACTOR,
+    PRIOR_ROTATION_RAD,
+    PRIOR_TRANSLATION_M,
+    ROTATION_BOUNDS_RAD,
+    TRANSLATION_BOUNDS_M,
+)
+from ringpose.calibrate.mount.pipeline import MountCalibration
+from ringpose.geometry.rotations import rotation_vector
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.calibration import Verdict
+from ringpose.types.rig import Mount
+
+SIGNIFICANT_SIGMAS = 5.0
+"""Standard deviations from which an error of the board's scale is one."""
+
+
+def held_out_rms_m(calibration: MountCalibration) -> float:
+    """Root mean square of the held-out errors; NaN if the other views determine the mount for none."""
+    known = calibration.without.distance_m[np.isfinite(calibration.without.distance_m)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def sds(calibration: MountCalibration) -> tuple[float, float]:
+    """Standard deviations of the mount in the worst direction: rotation in radians, translation in metres."""
+    turn, shift = calibration.covariance[:3, :3], calibration.covariance[3:6, 3:6]
+    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1])), float(np.sqrt(np.linalg.eigvalsh(shift)[-1]))
+
+
+def mount_verdict(calibration: MountCalibration) -> Verdict:
+    """The verdict, with advice for each value beyond its limit."""
+    used, given = len(calibration.stations), len(calibration.stations) + len(calibration.rejected)
+    frame = "base" if calibration.eye_to_hand else "tool"
+    largest, across, _ = calibration.turns.spread_rad.tolist()
+    axis = calibration.turns.main_axis
+    missing = "xyz"[int(np.argmin(np.abs(axis)))]
+    rotation_sd, translation_sd = sds(calibration)
+    sigmas = calibration.solution.sigmas
+    share, share_sd = calibration.board_scale
+    scale_error = abs(share) if abs(share) > SIGNIFICANT_SIGMAS * share_sd else 0.0
+    more = f"add views, turned by 20 degrees or more about the {frame}'s {missing} axis and to both sides"
+    findings = [
+        check(MOUNT_LIMITS, "board_moved", float(bool(calibration.board_moved)), moved=calibration.board_moved),
+        check(MOUNT_LIMITS, "board_scale_error", scale_error, factor=1 + share),
+        check(MOUNT_LIMITS, "views_used", float(used)),
+        check(MOUNT_LIMITS, "views_used_share", used / given),
+        check(MOUNT_LIMITS, "largest_turn_rad", largest),
+        check(MOUNT_LIMITS, "turn_across_rad", across, more=more),
+        check(MOUNT_LIMITS, "held_out_m", held_out_rms_m(calibration)),
+        check(MOUNT_LIMITS, "rotation_sd_rad", rotation_sd, more=more),
+        check(MOUNT_LIMITS, "translation_sd_m", translation_sd, more=more),
+        check(MOUNT_LIMITS, "robot_rotation_rad", sigmas.rotation_rad),
+        check(MOUNT_LIMITS, "robot_translation_m", sigmas.translation_m),
+        check(MOUNT_LIMITS, "disagreement", float(max(calibration.disagreement))),
+    ]
+    return Verdict(findings=tuple(findings))
+
+
+def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[str, Any]:
+    """The key `mount_quality` of the rig file."""
+    solution, without = calibration.solution, calibration.without
+    rotation_sd, translation_sd = sds(calibration)
+    share, share_sd = calibration.board_scale
+    board = "tool_from_board" if calibration.eye_to_hand else "base_from_board"
+    robot: dict[str, Any] = {
+        "rotation_sd_rad": solution.sigmas.rotation_rad,
+        "translation_sd_m": solution.sigmas.translation_m,
+        "bounds": {"rotation_rad": list(ROTATION_BOUNDS_RAD), "translation_m": list(TRANSLATION_BOUNDS_M)},
+    }
+    if calibration.has_prior:
+        robot["prior"] = {
+            "rotation_rad": PRIOR_ROTATION_RAD, "translation_m": PRIOR_TRANSLATION_M, "factor": PRIOR_FACTOR
+        }  # fmt: skip
+    views = [
+        {"name": station.name, "rms_px": rms, "corner_sigma_px": sigma, "held_out_m": held, "held_out_rad": angle}
+        for station, rms, sigma, held, angle in zip(
+            calibration.stations, solution.residual_rms_px.tolist(), solution.corner_px.tolist(),
+            without.distance_m.tolist(), without.angle_rad.tolist(), strict=True,
+        )
+    ]  # fmt: skip
+    known = [{key: each for key, each in view.items() if isinstance(each, str) or np.isfinite(each)} for view in views]
+    return {
+        "verdict": verdict_values(verdict),
+        "held_out_rms_m": held_out_rms_m(calibration) if np.isfinite(held_out_rms_m(calibration)) else None,
+        "rotation_sd_rad": rotation_sd,
+        "translation_sd_m": translation_sd,
+        "disagreement": list(calibration.disagreement),
+        "robot_error": robot,
+        "board_scale": {"share": share, "sd": share_sd},
+        board: solution.state.board.matrix,
+        f"{board}_covariance": calibration.covariance[6:12, 6:12],
+        "views": known,
+        "left_out": [{"name": name, "reason": reason} for name, reason in calibration.rejected.items()],
+    }
+
+
+def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
+    """The result as lines of text."""
+    lines = [f"{name}: left out: {reason}" for name, reason in calibration.rejected.items()]
+    solution, without = calibration.solution, calibration.without
+    used, given = len(calibration.stations), len(calibration.stations) + len(calibration.rejected)
+    largest, across, _ = (degrees(angle) for angle in calibration.turns.spread_rad.tolist())
+    lines.append(
+        f"{used} of {given} views used, turned by up to {largest:.0f} degrees, by {across:.0f} about a second axis; "
+        f"corners {np.sqrt(np.mean(solution.residual_rms_px**2)):.3f} px rms"
+    )
+    sigmas = solution.sigmas
+    prior = f", partly from a prior, as there are fewer than {MIN_FREE_VIEWS} views" if calibration.has_prior else ""
+    lines.append(
+        f"error of the robot's poses: {1e3 * sigmas.translation_m:.3f} mm, {degrees(sigmas.rotation_rad):.3f} degrees "
+        f"each axis{prior}"
+    )
+    frame = "base" if calibration.eye_to_hand else "tool"
+    mount, sd = solution.state.mount, np.sqrt(np.diag(calibration.covariance))
+    place = ", ".join(
+        f"{1e3 * value:.2f} ± {1e3 * each:.2f}" for value, each in zip(mount.translation_m, sd[3:6], strict=True)
+    )
+    turn = ", ".join(
+        f"{degrees(value):.3f} ± {degrees(each):.3f}"
+        for value, each in zip(rotation_vector(mount.rotation), sd[:3], strict=True)
+    )
+    lines += [f"camera in the {frame} frame: {place} mm", f"  rotation vector: {turn} degrees"]
+    if np.isfinite(held_out_rms_m(calibration)):
+        worst = int(np.nanargmax(without.distance_m))
+        lines.append(
+            f"held-out error of the board's place: {1e3 * held_out_rms_m(calibration):.2f} mm rms, at most "
+            f"{1e3 * without.distance_m[worst]:.2f} mm ({calibration.stations[worst].name}), "
+            f"{degrees(float(np.nanmax(without.angle_rad))):.2f} degrees"
+        )
+    return lines + verdict_lines(verdict)
+
+
+class MountComparison(NamedTuple):
+    """A given mount against that of the views."""
+
+    shift_m: Float64[Array, "xyz=3"]
+    turn_rad: Float64[Array, "3"]
+    sigmas: float
+    """Root of the squared Mahalanobis distance over its six degrees of freedom."""
+
+
+def compared_mount(calibration: MountCalibration, given: Mount) -> MountComparison:
+    """How far a given mount is from that of the views, by the covariances of both."""
+    mount = calibration.solution.state.mount
+    turn_rad = rotation_vector(given.tool_from_camera[:3, :3] @ mount.rotation.T)
+    shift_m = given.tool_from_camera[:3, 3] - mount.translation_m
+    both = calibration.covariance[:6, :6] + given.covariance[:6, :6]
+    difference = np.append(turn_rad, shift_m)
+    return MountComparison(shift_m, turn_rad, float(np.sqrt(difference @ np.linalg.solve(both, difference) / 6)))
+
+
+def comparison_verdict(comparison: MountComparison) -> Verdict:
+    """Whether a given mount agrees with the views."""
+    return Verdict(findings=(check(MOUNT_CHECK_LIMITS, "difference_sigmas", comparison.sigmas),))
+
+
+def comparison_lines(comparison: MountComparison, verdict: Verdict) -> list[str]:
+    """The comparison as lines of text."""
+    shift = ", ".join(f"{1e3 * each:.2f}" for each in comparison.shift_m)
+    angle = degrees(float(np.linalg.norm(comparison.turn_rad)))
+    far = f"{1e3 * np.linalg.norm(comparison.shift_m):.2f} mm ({shift}) and {angle:.3f} degrees"
+    return [f"the given mount differs by {far}, {comparison.sigmas:.1f} sigmas", *verdict_lines(verdict)]

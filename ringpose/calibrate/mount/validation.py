@@ -1,0 +1,185 @@
+"""What the views say about a mount when each is left out: covariance, held-out errors, wrong views, a slipped board."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.calibrate.camera.parameters import covariance_of_free
+from ringpose.calibrate.mount.adjustment import (
+    MIN_FREE_VIEWS,
+    MountSolution,
+    Station,
+    ViewNumbers,
+    inverse_marginal,
+    robot_sigmas,
+)
+from ringpose.types.arrays import Array, Bool, Float64
+
+MIN_VIEWS = 3
+"""Two views have one rotation, which leaves the translation along its axis open."""
+
+CHANCE = 1e-7
+"""Probability at which a view, or a slip of the board, is accepted as wrong by chance."""
+
+
+MAX_USUAL_CHANCE = 0.05
+"""Probability above which a reduction of chi-squared is not looked into: with many views it needs no further test."""
+
+TRIED = 2
+"""Explanations of each kind that are tried."""
+
+
+class LeftOut(NamedTuple):
+    """The solution without each view in turn, as steps from that of all views."""
+
+    step: Float64[Array, "view common"]
+    covariance: Float64[Array, "view common common"]
+    distance_m: Float64[Array, "view"]
+    """Distance of the board's middle from where the other views predict it."""
+    angle_rad: Float64[Array, "view"]
+
+
+def left_out(solution: MountSolution, stations: Sequence[Station]) -> LeftOut:
+    """One Gauss-Newton step without each view."""
+    numbers = solution.numbers
+    information, gradient = solution.information.sum(axis=0) + solution.prior, solution.gradient.sum(axis=0)
+    steps, covariances, distances_m, angles_rad = [], [], [], []
+    for view, station in enumerate(stations):
+        covariance = covariance_of_free(information - solution.information[view])
+        step = covariance @ (gradient - solution.gradient[view])
+        rest = numbers.z[view] - numbers.wrt_common[view] @ step
+        middle = solution.boards[view].rotation @ station.view.points_board_m.mean(axis=0)
+        steps.append(step)
+        covariances.append(covariance)
+        distances_m.append(float(np.linalg.norm(rest[3:] + np.cross(rest[:3], middle))))
+        angles_rad.append(float(np.linalg.norm(rest[:3])))
+    return LeftOut(np.array(steps), np.array(covariances), np.array(distances_m), np.array(angles_rad))
+
+
+def validated_covariance(
+    solution: MountSolution, without: LeftOut, camera_covariance: Float64[Array, "parameter parameter"] | None
+) -> tuple[Float64[Array, "12 12"], float, float]:
+    """Covariance of X and Y, and the factors by which the views disagree more about X than their likelihood explains.
+
+    The factors, of rotation and translation, are those between the jackknife by views and its expectation, the
+    difference of the covariances with and without a view. They widen the covariance where they are above 1. The
+    uncertainty of the robot's standard deviations makes normal errors Student's; that of a camera that is held fixed
+    is propagated.
+    """
+    views = len(solution.numbers.z)
+    covariance = solution.covariance[:12, :12]
+    factors = []
+    for block in (slice(0, 3), slice(3, 6)):
+        inner = np.linalg.inv(covariance[block, block])
+        found = sum(float(step[block] @ inner @ step[block]) for step in without.step)
+        expected = sum(
+            float(np.trace(inner @ (each[block, block] - covariance[block, block]))) for each in without.covariance
+        )
+        factors.append(found / max(expected, 1e-12))
+    degrees_of_freedom = 3 * views - 6 + (views < MIN_FREE_VIEWS)
+    student = degrees_of_freedom / (degrees_of_freedom - 2)
+    widening = np.sqrt(student * np.repeat(np.maximum([factors[0], factors[1]] * 2, 1.0), 3))
+    total = covariance * np.outer(widening, widening)
+    if camera_covariance is not None and solution.covariance.shape == (12, 12):
+        weighted = solution.numbers.wrt_common.swapaxes(1, 2) @ solution.weights
+        influence = covariance @ (weighted @ solution.numbers.wrt_camera).sum(axis=0)
+        total = total + influence @ camera_covariance @ influence.T
+    return total, factors[0], factors[1]
+
+
+class Explanation(NamedTuple):
+    """What is wrong with some of the views."""
+
+    views: tuple[int, ...]
+    """The views that would be left out."""
+    slipped: bool
+    """Whether the board was moved, and not one pose is wrong."""
+
+
+def wrong_views(solution: MountSolution) -> Explanation | None:
+    """One view with another pose than the robot reports, or a board that was moved between two views; else None.
+
+    Either explanation has six parameters more. Those that reduce chi-squared most are tried with the robot's error
+    estimated anew, which a wrong view has enlarged; the most significant one is taken if an F test accepts it.
+    """
+    numbers, weights = solution.numbers, solution.weights
+    views = len(numbers.z)
+    if views <= MIN_VIEWS:
+        return None
+    alone = [Explanation((view,), slipped=False) for view in range(views)]
+    moved = [Explanation(_fewer(np.arange(views) >= first), slipped=True) for first in range(2, views - 1)]
+    chi2 = [_chi2(_with(numbers, each), weights, solution.prior) for each in (*alone, *moved)]
+    before = _chi2(numbers, weights, solution.prior)
+    count, degrees_of_freedom = len(chi2), 6 * views - 18
+    if views >= MIN_FREE_VIEWS and count * _chance(before, min(chi2), degrees_of_freedom) > MAX_USUAL_CHANCE:
+        return None
+    ranked = sorted(zip(chi2, (*alone, *moved), strict=True), key=lambda pair: pair[0])
+    tried = [each for _, each in ranked if not each.slipped][:TRIED] + [each for _, each in ranked if each.slipped][
+        :TRIED
+    ]
+    found = []
+    for each in tried:
+        explained = _with(numbers, each)
+        sigmas = robot_sigmas(explained, _padded(solution.prior, explained))
+        own = inverse_marginal(numbers, sigmas)
+        chance = _chance(_chi2(numbers, own, solution.prior), _chi2(explained, own, solution.prior), degrees_of_freedom)
+        found.append((chance, sigmas.translation_m, each))
+    chance, _, best = min(found, key=lambda each: each[:2])
+    return best if count * chance < CHANCE and views - len(best.views) >= MIN_VIEWS else None
+
+
+def _fewer(later: Bool[Array, "view"]) -> tuple[int, ...]:
+    """The views on that side of a slip that has fewer."""
+    return tuple(np.flatnonzero(later if 2 * later.sum() <= len(later) else ~later).tolist())
+
+
+def _with(numbers: ViewNumbers, explanation: Explanation) -> ViewNumbers:
+    """The model with a board of its own for the views of an explanation; one view then determines nothing else."""
+    chosen = np.isin(np.arange(len(numbers.z)), explanation.views)[:, None, None]
+    moved = np.where(chosen, numbers.wrt_common[:, :, 6:12], 0.0)
+    common = numbers.wrt_common.shape[2]
+    information = np.pad(numbers.camera_information, ((0, 0), (0, 6), (0, 6)))
+    return replace(
+        numbers, wrt_common=np.concatenate([numbers.wrt_common, moved], axis=2), camera_information=information,
+        camera_gradient=np.pad(numbers.camera_gradient, ((0, 0), (0, information.shape[1] - common))),
+    )  # fmt: skip
+
+
+def _padded(prior: Float64[Array, "common common"], numbers: ViewNumbers) -> Float64[Array, "more more"]:
+    """The prior of the first of the parameters."""
+    more = numbers.wrt_common.shape[2] - len(prior)
+    return np.pad(prior, ((0, more), (0, more)))
+
+
+def _chance(before: float, after: float, degrees_of_freedom: int) -> float:
+    """Probability that six parameters reduce chi-squared so much by chance."""
+    from scipy.stats import f as f_distribution
+
+    ratio = (before - after) / 6 / max(after / degrees_of_freedom, 1e-12)
+    return float(f_distribution.sf(ratio, 6, degrees_of_freedom))
+
+
+def _chi2(numbers: ViewNumbers, weights: Float64[Array, "view 6 6"], prior: Float64[Array, "common common"]) -> float:
+    """Least weighted sum of squares of the views' corrections."""
+    design = numbers.wrt_common
+    weighted = design.swapaxes(1, 2) @ weights
+    information = (weighted @ design + numbers.camera_information).sum(axis=0) + _padded(prior, numbers)
+    gradient = ((weighted @ numbers.z[..., None])[..., 0] + numbers.camera_gradient).sum(axis=0)
+    rest = numbers.z - design @ (covariance_of_free(information) @ gradient)
+    return float(np.einsum("vi,vij,vj->", rest, weights, rest))
+
+
+def board_scale(solution: MountSolution) -> tuple[float, float]:
+    """By what share the board is larger than its file gives, by the robot's motions, and its standard deviation."""
+    numbers, weights = solution.numbers, solution.weights
+    column = np.zeros((len(numbers.z), 6, 1))
+    column[:, 3:, 0] = [pose.translation_m for pose in solution.boards]
+    design = np.concatenate([numbers.wrt_common, column], axis=2)
+    weighted = design.swapaxes(1, 2) @ weights
+    information = (weighted @ design).sum(axis=0)
+    information[:-1, :-1] += solution.prior
+    covariance = covariance_of_free(information)
+    share = float((covariance @ (weighted @ numbers.z[..., None]).sum(axis=0)[:, 0])[-1])
+    return -share, float(np.sqrt(covariance[-1, -1]))

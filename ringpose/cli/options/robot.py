@@ -1,0 +1,37 @@
+"""Options by which poses of a robot are read."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ringpose.cli import messages
+
+if TYPE_CHECKING:
+    from ringpose.geometry.robot_conventions import PoseConvention
+    from ringpose.types.robot import ToolPoses
+
+RobotConvention = Annotated[
+    str | None,
+    typer.Option(
+        "--robot-convention", metavar="NAME", help="How the poses are stated: abb, kuka, fanuc, ur ..., or mm,ZYX,deg."
+    ),
+]
+RobotColumns = Annotated[
+    str | None,
+    typer.Option(
+        "--robot-columns", metavar="NAMES", help="The columns of a table, comma between, as shot,x,y,z,a,b,c."
+    ),
+]
+
+
+def tool_poses(source: str, convention: str | None, columns: str | None) -> "tuple[ToolPoses, PoseConvention | None]":
+    """The poses that the options give, and the convention; repeats are reported."""
+    from ringpose.files.robot_tables import convention_of, read_tool_poses
+
+    known, is_tum = convention_of(convention)
+    names = [] if columns is None else [name.strip() for name in columns.split(",")]
+    poses = read_tool_poses(source, known, names, is_tum)
+    if poses.repeats:
+        received = poses.repeats + len(poses.poses)
+        messages.echo(f"{source}: {poses.repeats} of {received} poses are exact repeats and are left out")
+    return poses, known

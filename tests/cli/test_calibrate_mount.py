@@ -1,0 +1,67 @@
+"""`ringpose calibrate-mount`: views and poses -> rig.yaml, on boards that a simulated robot sees."""
+
+import numpy as np
+import pytest
+import yaml
+from known_views import CHESSBOARD, TRUE_CAMERA, board_view
+from scipy.spatial.transform import Rotation
+
+from ringpose.calibrate.boards import shots as board_shots
+from ringpose.cli.main import main
+from ringpose.files.boards import write_board
+from ringpose.files.cameras.ros import write_camera
+from ringpose.files.images.codecs import write_image
+from ringpose.files.rigs import read_mount
+from ringpose.geometry.board import corner_points
+
+MOUNT = np.eye(4)
+MOUNT[:3, :3] = Rotation.from_euler("ZYX", [0.4, -0.2, 0.1]).as_matrix()
+MOUNT[:3, 3] = [0.03, -0.02, 0.08]
+
+
+@pytest.fixture
+def session(tmp_path, monkeypatch, rng):
+    """A folder with a board, a camera, images (whose boards are known), and KUKA's poses of the robot."""
+    monkeypatch.chdir(tmp_path)
+    write_board(tmp_path / "board.yaml", CHESSBOARD)
+    write_camera(tmp_path / "camera.yaml", TRUE_CAMERA)
+    (tmp_path / "views").mkdir()
+    base_from_board = np.eye(4)
+    base_from_board[:3, 3] = [0.8, 0.1, 0.0]
+    views, lines = {}, ["shot,X,Y,Z,A,B,C"]
+    for number in range(8):
+        seen = np.eye(4)
+        seen[:3, :3] = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3)).as_matrix()
+        seen[:3, 3] = [0.0, 0.0, 0.5] - seen[:3, :3] @ [0.15, 0.125, 0.0]
+        name = f"view{number}"
+        noise = rng.normal(0, 0.05, (99, 2))
+        views[name] = board_view(corner_points(CHESSBOARD), (seen[:3, :3], seen[:3, 3]), name, noise)
+        write_image(tmp_path / "views" / f"{name}.png", rng.integers(0, 255, (12, 16)).astype(np.uint8))
+        pose = base_from_board @ np.linalg.inv(MOUNT @ seen)
+        numbers = [*(1e3 * pose[:3, 3]), *Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX", degrees=True)]
+        lines.append(",".join([name, *(f"{each:.5f}" for each in numbers)]))
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    monkeypatch.setattr(board_shots.BoardSearch, "__call__", lambda _self, _image, _board, name: views[name])
+    return tmp_path
+
+
+WORDS = ("calibrate-mount", "views", "--board", "board.yaml", "--camera", "camera.yaml", "--robot-poses", "poses.csv")
+
+
+def test_the_mount_is_written_and_agrees_with_the_views(session, capsys):
+    assert main([*WORDS, "--robot-convention", "kuka", "-o", "mount.yaml"]) == 0
+
+    np.testing.assert_allclose(read_mount(session / "mount.yaml").tool_from_camera, MOUNT, atol=1e-3)
+    written = yaml.safe_load((session / "mount.yaml").read_text())
+    assert written["quality"]["mount"]["held_out_rms_m"] < 5e-4
+    assert set(written["provenance"]["inputs"]) >= {"board.yaml", "camera.yaml", "poses.csv"}
+    assert "held-out error of the board's place" in capsys.readouterr().err
+    assert main([*WORDS, "--robot-convention", "kuka", "--check", "mount.yaml"]) == 0
+
+
+def test_what_is_missing_or_wrong_is_reported_with_its_status(session, capsys):
+    assert main([*WORDS, "-o", "mount.yaml"]) == 2
+    assert "--robot-convention" in capsys.readouterr().err
+    assert main([*WORDS, "--robot-convention", "mitsubishi", "-o", "mount.yaml"]) == 65
+    assert "likely the angles are of the order ZYX" in capsys.readouterr().err
+    assert not (session / "mount.yaml").exists()
