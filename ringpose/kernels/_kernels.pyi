@@ -8,6 +8,15 @@ RECORDS: dict[str, dict[str, type]]
 TABLES: dict[str, dict[str, int]]
 """Names of the members of the structs of tables' rows, with the number of columns of each."""
 
+MAX_CUT: int
+COLUMNS_PER_CUT: int
+BOX: int
+REVOLUTION: int
+RELIEF_TEXELS: int
+MAX_PARTS: int
+MAX_POINTS: int
+MAX_LASERS: int
+
 _Group = tuple[tuple[int, ...], tuple[int, ...], float, float]
 
 def gradient(image: Array, bits: int, upper: int, magnitude: Array, /) -> tuple[bytes, bytes]: ...

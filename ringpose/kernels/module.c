@@ -2,6 +2,8 @@
    around long work; results of unknown length leave as bytes. */
 #include "arguments.h"
 #include "ends/end_edges.h"
+#include "lines/tracks.h"
+#include "render/target.h"
 
 /* The functions, and what they take and return. Each is defined beside its loops. */
 #define KERNELS(KERNEL)                                                                                             \
@@ -63,10 +65,18 @@ static PyObject *with(PyObject *module, const char *name, PyObject *object) {
     return NULL;
 }
 
+/* Numbers that Python needs, too. */
+#define CONSTANTS(NUMBER)                                                                                           \
+    NUMBER(MAX_CUT) NUMBER(COLUMNS_PER_CUT)                                                                         \
+    NUMBER(BOX) NUMBER(REVOLUTION) NUMBER(RELIEF_TEXELS) NUMBER(MAX_PARTS) NUMBER(MAX_POINTS) NUMBER(MAX_LASERS)
+#define ADD_NUMBER(name) \
+    if (module) module = with(module, #name, PyLong_FromLong(name));
+
 PyMODINIT_FUNC PyInit__kernels(void) {
     fill_normal_cdf();
     PyObject *module = PyModule_Create(&definition);
     if (module) module = with(module, "RECORDS", declared_records(records, sizeof records / sizeof *records));
     if (module) module = with(module, "TABLES", declared_tables(tables, sizeof tables / sizeof *tables));
+    CONSTANTS(ADD_NUMBER)
     return module;
 }

@@ -10,6 +10,8 @@ import pytest
 from benchmarks.structure import c_calls
 
 from ringpose.detect.line_segments import edge_chains, image_gradient
+from ringpose.kernels import _kernels
+from ringpose.optics.feature_errors import COLUMNS_PER_CUT, MAX_CUT
 
 
 def test_missing_kernels_are_an_import_error_that_says_what_to_do(monkeypatch):
@@ -35,6 +37,10 @@ def test_threads_with_their_own_images_do_not_disturb_each_other(rng):
         thread.join()
 
     assert [found[number] for number in range(4)] == alone
+
+
+def test_the_kernels_leave_out_as_many_centres_of_a_line_as_its_noise_model_states():
+    assert (_kernels.MAX_CUT, _kernels.COLUMNS_PER_CUT) == (MAX_CUT, COLUMNS_PER_CUT)
 
 
 def test_no_c_files_call_each_other_in_a_circle():

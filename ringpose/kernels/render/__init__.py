@@ -11,16 +11,16 @@ import numpy as np
 from ringpose.kernels import _kernels, kernel_record
 from ringpose.types.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8
 
-BOX, REVOLUTION = 0, 1
+BOX, REVOLUTION = _kernels.BOX, _kernels.REVOLUTION
 """Kinds of parts."""
 
 NONE = -1
 """No surface, no form, no relief."""
 
-TEXELS = 512
+TEXELS = _kernels.RELIEF_TEXELS
 """Side of a relief."""
 
-MAX_PARTS, MAX_POINTS, MAX_LASERS = 128, 64, 8
+MAX_PARTS, MAX_POINTS, MAX_LASERS = _kernels.MAX_PARTS, _kernels.MAX_POINTS, _kernels.MAX_LASERS
 """Maximum numbers of parts of a target, points of a profile, lasers of a rig."""
 
 
