@@ -12,7 +12,9 @@ from pathlib import Path
 
 from ringpose.capture.device_discovery import FoundCamera, SerialPort
 from ringpose.capture.self_test import DeviceCheck
+from ringpose.files.cameras.ros import CameraFile, CameraInfo
 from ringpose.files.records.codec import Choice, Numbers, definition_of
+from ringpose.files.rigs import RigFile
 from ringpose.files.schemas import RECORDS
 from ringpose.measure.status import RULES, FlagRule
 from ringpose.types.board import Board
@@ -62,7 +64,7 @@ def _usable(rule: FlagRule, quantity: str) -> str:
 
 
 PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine, Detection, BreakPoints)
-"""Classes whose keys have a table of their own."""
+"""Classes whose keys have a table of their own in records(5)."""
 
 
 def keys(cls: type) -> Iterator[str]:
@@ -81,7 +83,7 @@ def keys(cls: type) -> Iterator[str]:
         yield from mdoc(each.key.description)
         if isinstance(value, Choice) and not all(f"`{word}`" in each.key.description for word in value.words):
             yield f".Cm {' , '.join(value.words)} ."
-        if parts is not None and parts.cls not in PARTS:
+        if parts is not None and parts.cls not in (*PARTS, CameraInfo):
             yield from keys(parts.cls)
     yield ".El"
 
@@ -131,7 +133,10 @@ TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
     ("ringpose-records.5", "flags"): flags,
     ("ringpose-records.5", "usable"): usable,
     **{("ringpose-records.5", f"keys of {cls.__name__}"): partial(keys, cls) for cls in PARTS},
-    **{("ringpose-conventions.7", f"keys of {cls.__name__}"): partial(keys, cls) for cls in (Board, Truth, RobotPose)},
+    **{
+        ("ringpose-conventions.7", f"keys of {cls.__name__}"): partial(keys, cls)
+        for cls in (RigFile, CameraFile, Board, Truth, RobotPose)
+    },
     **{
         ("ringpose-capture.1", f"keys of {cls.__name__}"): partial(keys, cls)
         for cls in (Session, FoundCamera, SerialPort, DeviceCheck)

@@ -4,11 +4,14 @@ The limits of a camera are those of one that measures to 0.1 mm at 0.5 m (0.2 to
 corners.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isnan, radians
 from typing import Any
 
+import numpy as np
+
+from ringpose.types.board import BoardView
 from ringpose.types.calibration import Check, Grade, Verdict
 
 
@@ -152,6 +155,16 @@ def check(
     special = limit.if_unknown if isnan(value) else limit.if_redo if found.grade is Grade.REDO else None
     advice = limit.advice if special is None else special
     return replace(found, advice=advice.format(place=place, **words))
+
+
+def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
+    """Check of the markers' size relative to their spacing; empty for boards without markers."""
+    ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
+    if not ratios:
+        return ()
+    width, height = np.median(ratios, axis=0).tolist()
+    error = max(abs(width - 1), abs(height - 1))
+    return (check(BOARD_LIMITS, "marker_size_error", error, width=width, height=height),)
 
 
 def verdict_values(verdict: Verdict) -> dict[str, Any]:

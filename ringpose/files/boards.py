@@ -23,7 +23,7 @@ RECORD = RecordType(
     strict=True,
 )
 
-_KEYS = ("ringpose", *(each.name for each in definition_of(Board).attributes))
+_KEYS = ("ringpose", *definition_of(Board).names)
 
 REQUIRED = {
     "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),

@@ -1,30 +1,30 @@
 """rig.yaml: the camera, the light planes, their covariance, the mount."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.cameras.ros import (
-    CAMERA_KEYS,
-    camera_of,
-    camera_values,
-    covariance_values,
-    read_covariance,
+    CameraInfo,
+    camera_info,
+    checked_camera,
+    checked_parameters,
     without_hints,
 )
 from ringpose.files.io import provenance, read_bytes
 from ringpose.files.kinds import RIG, kind_of
 from ringpose.files.records import plain
-from ringpose.files.records.codec import OF_FILE, definition_of
-from ringpose.files.schema import ROUNDED, Fields, checked_covariance
+from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
+from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.plausible import (
     DELAY_S,
@@ -32,7 +32,8 @@ from ringpose.types.plausible import (
     MOUNT_M,
     PLANE_DISTANCE_M,
 )
-from ringpose.types.rig import LaserPlanes, Mount, Rig, camera_parameters, laser_parameters
+from ringpose.types.record import Form, Key, Presence
+from ringpose.types.rig import LaserPlanes, Mount, ParameterCovariance, Rig, camera_parameters, laser_parameters
 from ringpose.types.session import MAX_LASERS
 
 SCHEMA = "rig/1"
@@ -44,9 +45,85 @@ MAX_STRIPE_ANGLE_DEG = 30.0
 """Maximum angle to the rows of a stripe on a surface that faces the camera: stripes are measured column by column, and
 the detector finds no ring on steeper ones; above 15 degrees it finds fewer."""
 
-_KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "stability", "quality")
-_STABILITY = definition_of(RigStability)
-_LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaserEntry:
+    """A laser of a rig.yaml: `normal @ point = distance_m` in the camera frame."""
+
+    name: Annotated[str, Key("Name of the laser, without a full stop.")]
+    normal: Annotated[
+        Float64[Array, "xyz=3"],
+        Key("Unit normal of its light plane.", form=Form.UNIT_VECTOR, remedy="divide normal and distance_m by it"),
+    ]
+    distance_m: Annotated[
+        float, Key("Signed distance of the plane: normal . point = distance_m.", plausible=PLANE_DISTANCE_M)
+    ]
+    projector_m: Annotated[
+        Float64[Array, "xyz=3"] | None,
+        Key("Position of the projector.", plausible=PLANE_DISTANCE_M, presence=Presence.IF_KNOWN),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MountEntry:
+    """How the camera is mounted on the robot's tool."""
+
+    tool_from_camera: Annotated[Float64[Array, "4 4"], Key("Pose of the camera in the tool frame.")]
+    covariance: Annotated[
+        Float64[Array, "6 6"] | None,
+        Key(
+            "Covariance of rotation vector (rad) and translation (m), in the tool frame; exact without it.",
+            form=Form.COVARIANCE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    delay_s: Annotated[
+        float,
+        Key(
+            "The robot's stamp that belongs to the camera's stamp t is t + delay_s.",
+            plausible=DELAY_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0
+    delay_sd_s: Annotated[
+        float, Key("Standard deviation of the delay.", plausible=DELAY_SD_S, presence=Presence.IF_KNOWN)
+    ] = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigFile:
+    """rig.yaml."""
+
+    provenance: Annotated[
+        Mapping[str, Any] | None, Key("Version, command, time and inputs.", presence=Presence.IF_KNOWN)
+    ] = None
+    camera: Annotated[CameraInfo, Key("The camera, with the keys of ROS camera_info; see camera.yaml below.")]
+    lasers: Annotated[tuple[LaserEntry, ...], Key("The lasers, in the order of a mask's bits.")]
+    covariance: Annotated[
+        ParameterCovariance | None,
+        Key("Joint covariance of camera and light planes.", presence=Presence.IF_KNOWN),
+    ] = None
+    stability: Annotated[
+        RigStability,
+        Key("Standard deviations of the rig's parameters since the calibration.", presence=Presence.IF_KNOWN),
+    ] = TYPICAL_STABILITY
+    mount: Annotated[MountEntry | None, Key("How the camera is mounted.", presence=Presence.IF_KNOWN)] = None
+    quality: Annotated[
+        Mapping[str, Any] | None, Key("How the calibration was assessed; informative.", presence=Presence.IF_KNOWN)
+    ] = None
+
+
+RECORD = RecordType(
+    cls=RigFile,
+    kind=RIG,
+    version=SCHEMA,
+    description="rig.yaml: a camera and the light planes of its lasers. Metres, radians, pixels, seconds. Your own "
+    "keys begin with x_.",
+    is_file=True,
+    strict=True,
+)
+
+_KEYS = ("ringpose", *definition_of(RigFile).names)
 
 
 def read_rig(path: Path, *, for_rings: bool = True) -> Rig:
@@ -71,18 +148,16 @@ def rig_in(text: bytes, location: str, *, for_rings: bool = True) -> Rig:
 def rig_of(fields: Fields, sha256: str = "") -> Rig:
     """The rig in a mapping."""
     fields.choice("ringpose", (SCHEMA,))
-    camera = camera_of(fields.fields("camera", CAMERA_KEYS))
-    lasers = _lasers(fields)
+    entry = definition_of(RigFile).read(fields, OF_FILE)
+    camera, lasers = checked_camera(fields.fields("camera"), entry.camera), _lasers(fields, entry.lasers)
     known = camera_parameters(len(camera.distortion_coefficients)) + laser_parameters(lasers.names)
     return Rig(
         camera=camera,
         lasers=lasers,
-        covariance=read_covariance(fields, known),
-        mount=_mount(fields) if fields.has("mount") else None,
-        stability=_STABILITY.read(fields.fields("stability"), OF_FILE)
-        if fields.has("stability")
-        else TYPICAL_STABILITY,
-        provenance=fields.fields("provenance").values if fields.has("provenance") else {},
+        covariance=checked_parameters(fields, entry.covariance, known),
+        mount=None if entry.mount is None else _mount(fields.fields("mount"), entry.mount),
+        stability=entry.stability,
+        provenance=entry.provenance or {},
         sha256=sha256,
     )
 
@@ -103,9 +178,10 @@ def read_mount(path: Path) -> Mount:
     """The key `mount` of a rig.yaml, or of a file with this key alone."""
     fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
     if not fields.has("mount"):
-        remedy = "give its tool_from_camera, run calibrate-mount, or give it to calibrate-planes with --mount"
+        remedy = "run calibrate-mount, or give its tool_from_camera (ringpose-conventions(7))"
         raise fields.problem("mount", "is missing", remedy)
-    return _mount(fields)
+    mount = fields.fields("mount")
+    return _mount(mount, definition_of(MountEntry).read(mount, OF_FILE))
 
 
 def calibration_quality(path: Path) -> Mapping[str, Any]:
@@ -158,95 +234,86 @@ def write_mount(
 
     `quality` becomes the key `quality.mount`.
     """
-    fields = Fields(str(camera), parsed(read_bytes(camera), str(camera)))
-    if kind_of(fields.values) is RIG:
+    if kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
         both = {"quality": {**calibration_quality(camera), "mount": quality}}
         rig = replace(read_rig(camera, for_rings=False), mount=mount)
         write_rig(path, rig, extra=both, force=force, inputs=inputs)
         return
+    alone = definition_of(MountEntry).write(_mount_entry(mount))
     head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
-        write_yaml(stream, head | {"mount": _mount_values(mount), "quality": {"mount": quality}})
+        write_yaml(stream, head | {"mount": alone, "quality": {"mount": quality}})
 
 
 def rig_values(rig: Rig) -> dict[str, Any]:
     """The mapping that `rig_of` reads, without provenance."""
-    lasers = rig.lasers
-    values: dict[str, Any] = {
-        "ringpose": SCHEMA,
-        "camera": camera_values(rig.camera),
-        "lasers": [
-            {"name": name, "normal": normal, "distance_m": distance_m}
-            | ({"projector_m": projector_m} if np.isfinite(projector_m).all() else {})
-            for name, normal, distance_m, projector_m in zip(
-                lasers.names, lasers.normal, lasers.distance_m, lasers.projector_m, strict=True
-            )
-        ],
-    }
-    if rig.covariance is not None:
-        values["covariance"] = covariance_values(rig.covariance)
-    if rig.stability != TYPICAL_STABILITY:
-        values["stability"] = _STABILITY.write(rig.stability)
-    if rig.mount is not None:
-        values["mount"] = _mount_values(rig.mount)
-    return values
-
-
-def _mount_values(mount: Mount) -> dict[str, Any]:
-    errors = {"covariance": mount.root @ mount.root.T} if mount.root.any() else {}
-    delay = {name: getattr(mount, name) for name in ("delay_s", "delay_sd_s") if getattr(mount, name)}
-    return {"tool_from_camera": mount.tool_from_camera, **errors, **delay}
-
-
-def _lasers(fields: Fields) -> LaserPlanes:
-    entries = list(fields.each("lasers", _LASER_KEYS))
-    if not 1 <= len(entries) <= MAX_LASERS:
-        raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MAX_LASERS}")
-    names: list[str] = []
-    normals, distances_m = [], []
-    for entry in entries:
-        name = entry.text("name")
-        if "." in name:
-            raise entry.problem("name", f"is {name!r}, must not contain a full stop")
-        if name in names:
-            raise entry.problem("name", f"{name!r} occurs twice")
-        names.append(name)
-        normals.append(entry.unit_vector("normal", "divide normal and distance_m by it"))
-        distances_m.append(entry.quantity("distance_m", PLANE_DISTANCE_M))
-        if abs(distances_m[-1]) < MIN_DISTANCE_M:
-            raise entry.problem("distance_m", f"is {distances_m[-1]:g}: the plane contains the camera's centre")
-    unknown = np.full(3, np.nan)
-    return LaserPlanes(
-        names=tuple(names),
-        normal=np.stack(normals),
-        distance_m=np.array(distances_m),
-        projector_m=np.stack(
-            [
-                entry.quantities("projector_m", 3, PLANE_DISTANCE_M) if entry.has("projector_m") else unknown
-                for entry in entries
-            ]
-        ),
+    lasers, mount = rig.lasers, rig.mount
+    entries = tuple(
+        LaserEntry(
+            name=name,
+            normal=normal,
+            distance_m=distance_m,
+            projector_m=projector_m if np.isfinite(projector_m).all() else None,
+        )
+        for name, normal, distance_m, projector_m in zip(
+            lasers.names, lasers.normal, lasers.distance_m.tolist(), lasers.projector_m, strict=True
+        )
+    )
+    return RECORD.write(
+        RigFile(
+            camera=camera_info(rig.camera),
+            lasers=entries,
+            covariance=rig.covariance,
+            stability=rig.stability,
+            mount=None if mount is None else _mount_entry(mount),
+        )
     )
 
 
-def _mount(fields: Fields) -> Mount:
+def _mount_entry(mount: Mount) -> MountEntry:
+    return MountEntry(
+        tool_from_camera=mount.tool_from_camera,
+        covariance=mount.root @ mount.root.T if mount.root.any() else None,
+        delay_s=mount.delay_s,
+        delay_sd_s=mount.delay_sd_s,
+    )
+
+
+def _lasers(fields: Fields, entries: Sequence[LaserEntry]) -> LaserPlanes:
+    if not 1 <= len(entries) <= MAX_LASERS:
+        raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MAX_LASERS}")
+    names = [entry.name for entry in entries]
+    for number, entry in enumerate(entries):
+        if "." in entry.name:
+            raise fields.problem(f"lasers[{number}].name", f"is {entry.name!r}, must not contain a full stop")
+        if entry.name in names[:number]:
+            raise fields.problem(f"lasers[{number}].name", f"{entry.name!r} occurs twice")
+        if abs(entry.distance_m) < MIN_DISTANCE_M:
+            found = f"is {entry.distance_m:g}: the plane contains the camera's centre"
+            raise fields.problem(f"lasers[{number}].distance_m", found)
+    unknown = np.full(3, np.nan)
+    return LaserPlanes(
+        names=tuple(names),
+        normal=np.stack([entry.normal for entry in entries]),
+        distance_m=np.array([entry.distance_m for entry in entries]),
+        projector_m=np.stack([unknown if entry.projector_m is None else entry.projector_m for entry in entries]),
+    )
+
+
+def _mount(fields: Fields, entry: MountEntry) -> Mount:
     """The mount; one without `covariance`, `delay_s` or `delay_sd_s` counts as exact in these."""
-    mount = fields.fields("mount", ("tool_from_camera", "covariance", "delay_s", "delay_sd_s"))
-    matrix = mount.array("tool_from_camera", (4, 4))
+    matrix = entry.tool_from_camera
     if np.any(matrix[3] != [0, 0, 0, 1]):
-        raise mount.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")
+        raise fields.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDED or np.linalg.det(rotation) < 0:
-        raise mount.problem("tool_from_camera", "its upper left 3 x 3 matrix is not a rotation")
-    mount.check("tool_from_camera", matrix[:3, 3], MOUNT_M)
+        raise fields.problem("tool_from_camera", "its upper left 3 x 3 matrix is not a rotation")
+    fields.check("tool_from_camera", matrix[:3, 3], MOUNT_M)
     left, _, right = np.linalg.svd(rotation)
-    covariance = np.zeros((6, 6))
-    if mount.has("covariance"):
-        covariance = checked_covariance(mount, "covariance", mount.array("covariance", (6, 6)))
-    variance, axes = np.linalg.eigh(covariance)
+    variance, axes = np.linalg.eigh(np.zeros((6, 6)) if entry.covariance is None else entry.covariance)
     return Mount(
         tool_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
         root=axes * np.sqrt(np.maximum(variance, 0.0)),
-        delay_s=mount.quantity("delay_s", DELAY_S) if mount.has("delay_s") else 0.0,
-        delay_sd_s=mount.quantity("delay_sd_s", DELAY_SD_S) if mount.has("delay_sd_s") else 0.0,
+        delay_s=entry.delay_s,
+        delay_sd_s=entry.delay_sd_s,
     )

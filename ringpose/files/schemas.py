@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ringpose.files import boards
+from ringpose.files import boards, rigs
+from ringpose.files.cameras import ros
 from ringpose.files.images import sessions
 from ringpose.files.records import detections, poses, robot_poses, tracks, truths
 from ringpose.files.records.codec import RecordType
@@ -15,5 +16,7 @@ RECORDS: Mapping[str, RecordType[Any]] = {
     "truth": truths.RECORD,
     "session": sessions.RECORD,
     "robot-pose": robot_poses.RECORD,
+    "rig": rigs.RECORD,
+    "camera": ros.RECORD,
     "board": boards.RECORD,
 }

@@ -30,8 +30,8 @@ enum { FLOAT64_, FLOAT32_, INT64_, INT32_, INT16_, UINT8_, BOOL_, IMAGE_, REAL_,
 #define TUPLE &ELEMENT[TUPLE_]
 
 /* What an argument must be: a contiguous array of that many axes, a number, or a record (`&EndParams_record`). A name
-   that begins with '>' is that of an array which the kernel fills, one with '?' may be None, and one with '=' is that of
-   an image with elements of the type of the image before it. */
+   that begins with '>' is that of an array which the kernel fills, one with '?' may be None, and one with '=' is that
+   of an image with elements of the type of the image before it. */
 typedef struct {
     const char *name;
     const Kind *kind;

@@ -57,8 +57,9 @@ typedef struct {
     double lowest, highest; /* limits of its values */
 } Field;
 
-/* Rows of tables have one definition, too, a list COLUMNS(COLUMN, COLUMNS_OF): the members of the struct of a row, doubles
-   (`COLUMN(name)`) and arrays of doubles (`COLUMNS_OF(name, count)`); Python finds the columns by these names. */
+/* Rows of tables have one definition, too, a list COLUMNS(COLUMN, COLUMNS_OF): the members of the struct of a
+   row, doubles (`COLUMN(name)`) and arrays of doubles (`COLUMNS_OF(name, count)`); Python finds the columns by
+   these names. */
 #define COLUMN_MEMBER(name) double name;
 #define COLUMNS_MEMBER(name, count) double name[count];
 #define ROW_STRUCT(type, COLUMNS) typedef struct { COLUMNS(COLUMN_MEMBER, COLUMNS_MEMBER) } type

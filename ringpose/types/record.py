@@ -89,6 +89,8 @@ class Key:
     null_points: bool = False
     """A point of which nothing is known is written as null, not as a list of nulls."""
     form: Form | None = None
+    remedy: str = ""
+    """What to do where a vector does not have its length."""
     words: Mapping[Any, str] = field(default_factory=dict)
     """Words that stand for some values."""
     constant: tuple[str, ...] | None = None

@@ -38,8 +38,14 @@ class ParameterCovariance:
     `ringpose.geometry.rotations.tilt_basis`).
     """
 
-    parameters: tuple[str, ...]
-    data: Float64[Array, "parameter parameter"]
+    parameters: Annotated[
+        tuple[str, ...],
+        Key(
+            "Names of the parameters: `fx`, `fy`, `cx`, `cy`, `k1`, `k2`, `p1`, `p2`, `k3` (to `k6`) in pixels and "
+            "without unit, and of a rig `LASER.tilt_1`, `LASER.tilt_2` in radians and `LASER.distance` in metres."
+        ),
+    ]
+    data: Annotated[Float64[Array, "parameter parameter"], Key("Their joint covariance.", form=Form.COVARIANCE)]
 
     def of(self, names: Sequence[str]) -> Float64[Array, "n n"]:
         """The covariance of these parameters in their order; zero rows and columns for those that it does not have."""

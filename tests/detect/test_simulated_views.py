@@ -124,11 +124,10 @@ def test_a_dark_frame_of_all_lasers_shows_the_ends_as_precisely_as_one_frame_for
     sigma_px = {}
     for sequence in ("off,1,2,3", "all"):
         scene = read_scene(PRESETS / "paper-physical-scene.yaml")
-        view = Approach(count=3, distances_m=(0.3,), lights=("dim",), seed=1, name="d", tilt_rad=0.1)
+        view = Approach(count=1, distances_m=(0.3,), lights=("dim",), seed=1, name="d", tilt_rad=0.1)
         steps = tuple(step.mask(3) for step in parsed_sequence(sequence))
         scene = replace(scene, sequence=steps, views=(), approaches=(view,))
-        views = ring_views(scene)
-        found = [detect(simulated_shot(scene, views, number)[0], scene.rig).break_points for number in range(3)]
-        sigma_px[sequence] = np.mean([np.sqrt(np.nanmean(each.covariance_px2[..., 0, 0])) for each in found])
+        points = detect(simulated_shot(scene, ring_views(scene), 0)[0], scene.rig).break_points
+        sigma_px[sequence] = np.sqrt(np.nanmean(points.covariance_px2[..., 0, 0]))
 
     assert sigma_px["all"] == pytest.approx(sigma_px["off,1,2,3"], rel=0.2)

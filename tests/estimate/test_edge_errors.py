@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibrated import DRAWS, assert_calibrated
 from ring_scenes import face_points_of, make_scene, visible_edges_of, with_stripes
 
 from ringpose.estimate.measurements import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
@@ -62,21 +63,22 @@ def test_an_edge_that_bends_alike_spoils_no_shot():
     assert error_m @ np.linalg.solve(pose.covariance_center_m2, error_m) < 3.0
 
 
-def test_poses_from_edges_that_err_alike_scatter_as_told(rng):
+@DRAWS
+def test_poses_from_edges_that_err_alike_scatter_as_told(rng, draws):
     scene = make_scene("B", distance_m=0.5)
     edges = visible_edges_of(scene, 120, 0.2)
     along_px = edges.position_px[:60, 1]
     alike = 0.16 * np.exp(-np.abs(along_px[:, None] - along_px) / CORRELATION_LENGTH_PX) + 0.84 * np.eye(60)
     root = 0.2 * np.linalg.cholesky(alike)
     squares = []
-    for _ in range(60):
+    for _ in range(draws):
         off_px = np.concatenate([root @ rng.normal(size=60), root @ rng.normal(size=60)])
         noisy = replace(edges, position_px=edges.position_px + off_px[:, None] * edges.normal)
         pose = estimate_pose(face_points_of(scene, 0.3, 0.01, rng), scene.rig, ring_edges=noisy)
         error_m = pose.center_m - scene.ring.center_m
         squares.append(error_m @ np.linalg.solve(pose.covariance_center_m2, error_m) / 3.0)
 
-    assert 0.4 < np.mean(squares) < 1.4
+    assert_calibrated(squares, 3, at_most=True)
 
 
 def test_one_stripe_and_a_visible_edge_tell_the_normal_as_well_as_they_say(rng):

@@ -97,7 +97,7 @@ def test_an_occluder_over_both_ends_of_one_stripe_is_owned_up_to(scene, points, 
 
 def test_a_stripe_of_which_both_ends_are_wrong_leaves_the_center_weak_or_true_where_nothing_else_tells_it(scene, rng):
     poses = []
-    for _ in range(20):
+    for _ in range(10):
         # not both the same way: that is what another ring looks like
         shifts_px = rng.uniform(8.0, 30.0, 2) * rng.permutation([-1.0, 1.0])
         points = face_points_of(scene, 0.3, 0.01, rng)
@@ -106,7 +106,7 @@ def test_a_stripe_of_which_both_ends_are_wrong_leaves_the_center_weak_or_true_wh
 
     sure = [pose for pose in poses if PoseFlag.CENTER_WEAK not in pose.flags]
     assert max([sigmas_off(pose, scene) for pose in sure], default=0.0) < 5.0
-    assert sum(bool(pose.flags) for pose in poses) >= 19
+    assert sum(bool(pose.flags) for pose in poses) >= 9
 
 
 def test_the_other_end_of_a_stripe_is_used_where_the_radius_confirms_it(scene, points):
@@ -165,7 +165,7 @@ def test_radii_of_another_ring_are_owned_up_to(rng, distance_m, size, said):
     scene = make_scene("B", distance_m=distance_m, size=size)
     known = KnownRadii(radius_m=np.array(said), sd_m=np.full(2, 5e-4))
 
-    results = [pose_result(face_points_of(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(6)]
+    results = [pose_result(face_points_of(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(3)]
 
     assert all(result.flags & CONTRADICTIONS for result in results)
     assert all(result.remark for result in results)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,14 @@ from spoiled_values import outcome, spoiled_once
 from whole_records import VERSION_1, complete_line, complete_track, complete_truth, full_detection, record_of
 
 from ringpose.files import records
+from ringpose.files.cameras.ros import CameraFile, CameraInfo, Matrix
 from ringpose.files.records.detections import detection_of
 from ringpose.files.records.poses import pose_line_of
+from ringpose.files.rigs import LaserEntry, MountEntry, RigFile
 from ringpose.files.schemas import RECORDS
+from ringpose.types.assumptions import RigStability
 from ringpose.types.board import Board
-from ringpose.types.rig import RobotPose, ToolPose
+from ringpose.types.rig import ParameterCovariance, RobotPose, ToolPose
 from ringpose.types.session import Capture, Session
 
 Values = dict[str, Any]
@@ -35,12 +39,32 @@ SESSION = Session(
     )
 )  # fmt: skip
 TOOL = ToolPose(position_m=np.array([0.5, 0.0, 1.0]), orientation_xyzw=np.array([0.0, 0.6, 0.0, 0.8]))
+CAMERA = CameraFile(
+    image_width=640, image_height=480, camera_name="a",
+    camera_matrix=Matrix(rows=3, cols=3, data=np.array([700.0, 0, 320.5, 0, 710.0, 240.25, 0, 0, 1])),
+    distortion_model="plumb_bob",
+    distortion_coefficients=Matrix(rows=1, cols=5, data=np.array([-0.1, 0.12, 1e-4, -2e-4, 0.03])),
+    covariance=ParameterCovariance(parameters=("fx", "k1"), data=np.array([[1.0, 1e-4], [1e-4, 1e-6]])),
+    provenance={"version": "0"},
+)  # fmt: skip
+RIG = RigFile(
+    camera=CameraInfo(**{field.name: getattr(CAMERA, field.name) for field in fields(CameraInfo)}),
+    lasers=(
+        LaserEntry(name="l", normal=np.array([0.0, 0.6, -0.8]), distance_m=-0.04, projector_m=np.array([0.1, 0, 0])),
+        LaserEntry(name="r", normal=np.array([0.0, 0.6, -0.8]), distance_m=0.04),
+    ),
+    covariance=ParameterCovariance(parameters=("l.tilt_1",), data=np.array([[1e-8]])),
+    stability=RigStability(plane_tilt_rad=1e-3),
+    mount=MountEntry(tool_from_camera=np.eye(4), covariance=np.eye(6), delay_s=0.1, delay_sd_s=0.01),
+)
 KNOWN: Mapping[str, Any] = {
     "pose": complete_line(RNG),
     "track": complete_track(RNG),
     "detection": full_detection(RNG, centers=2),
     "truth": complete_truth(RNG),
     "session": SESSION,
+    "rig": RIG,
+    "camera": CAMERA,
     "board": Board(
         kind="charuco",
         squares_x=7,

@@ -33,7 +33,7 @@ def rig():
 
 
 def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
-    lines, warnings = measured_stream(rig, poses(within_stability(rig, rng)))
+    lines, warnings = measured_stream(rig, poses(within_stability(rig, rng), 25))
 
     assert not warnings
     assert max(lines[-1].rig_health.values()) < 3.0
@@ -48,7 +48,7 @@ def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
     ],
 )
 def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
-    lines, warnings = measured_stream(rig, poses(moved(within_stability(rig, rng), laser, **by), 25))
+    lines, warnings = measured_stream(rig, poses(moved(within_stability(rig, rng), laser, **by), 15))
 
     named = [text for text in warnings.values() if "the light plane of laser" in text]
     assert named
@@ -104,7 +104,7 @@ def test_a_shot_of_two_stripes_is_inconsistent_after_a_drift(poses, rig):
 
 
 def test_a_camera_that_has_turned_is_reported_and_every_quantity_flagged(poses, rig):
-    lines, warnings = measured_stream(rig, poses(camera_turned(rig, np.radians(0.2)), 15))
+    lines, warnings = measured_stream(rig, poses(camera_turned(rig, np.radians(0.2)), 8))
 
     assert any("the camera has" in text for text in warnings.values())
     assert {PoseFlag.RIG_DRIFT, PoseFlag.INCONSISTENT} <= set(lines[-1].flags)
@@ -120,8 +120,8 @@ def test_a_target_at_rest_counts_once(poses, rig):
 
 
 def test_wrong_break_points_in_a_few_shots_are_no_drift(poses, rng, rig):
-    scenes = list(poses(rig, 30))
-    for _, points in scenes[5:30:10]:
+    scenes = list(poses(rig, 15))
+    for _, points in scenes[5:15:5]:
         points.position_px[rng.integers(3), rng.integers(2), 0] += 12.0
 
     _, warnings = measured_stream(rig, scenes)
@@ -144,7 +144,7 @@ def test_a_wrong_stripe_in_one_shot_is_no_drift(poses, rig, laser, shift_px):
 
 
 def test_shots_without_a_pose_since_a_plane_has_moved_count_too(poses, rig):
-    lines, warnings = measured_stream(rig, poses(moved(rig, 1, (0.0, 0.02)), 12))
+    lines, warnings = measured_stream(rig, poses(moved(rig, 1, (0.0, 0.02)), 8))
 
     assert any(line.pose is None for line in lines[:3])
     assert any("laser middle" in text for text in warnings.values())

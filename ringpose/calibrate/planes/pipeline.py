@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import marker_size_findings
 from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors, without_distortion_bias
-from ringpose.calibrate.boards.patterns.markers import marker_size_findings
 from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
 from ringpose.calibrate.boards.shots import STILL_PX, BoardShots, board_shift_px
 from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess

@@ -3,41 +3,88 @@
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
 from ringpose.errors import ImplausibleValueWarning
 from ringpose.files import atomic
 from ringpose.files.io import provenance
+from ringpose.files.kinds import CAMERA
 from ringpose.files.records import plain
-from ringpose.files.schema import Fields, checked_covariance, hint
+from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
+from ringpose.files.schema import Fields, hint
 from ringpose.files.yaml import write_yaml
 from ringpose.geometry.rays import fold_px
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.plausible import CENTRAL_POINT, FOCAL_LENGTH, PRINCIPAL_POINT, TANGENTIAL
+from ringpose.types.record import Key, Presence
 from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera, ParameterCovariance, camera_parameters
 
 SCHEMA = "camera/1"
 
-CAMERA_KEYS = (
-    "image_width",
-    "image_height",
-    "camera_name",
-    "camera_matrix",
-    "distortion_model",
-    "distortion_coefficients",
-    "rectification_matrix",
-    "projection_matrix",
-    "covariance",
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matrix:
+    """A matrix as ROS writes it."""
+
+    rows: Annotated[int, Key("Number of rows.", least=0)]
+    cols: Annotated[int, Key("Number of columns.", least=0)]
+    data: Annotated[Float64[Array, "n"], Key("The numbers, row by row.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraInfo:
+    """A camera with the keys of ROS camera_info."""
+
+    image_width: Annotated[int, Key("Columns of the image.", least=1)]
+    image_height: Annotated[int, Key("Rows of the image.", least=1)]
+    camera_name: Annotated[str | None, Key("Name of the camera.", presence=Presence.IF_KNOWN)] = None
+    camera_matrix: Annotated[Matrix, Key("[fx, 0, cx, 0, fy, cy, 0, 0, 1], in pixels; pixel (0, 0) is a centre.")]
+    distortion_model: Annotated[Literal["plumb_bob", "rational_polynomial"], Key("Distortion model by its ROS name.")]
+    distortion_coefficients: Annotated[
+        Matrix, Key("In the order of OpenCV: k1, k2, p1, p2, k3; for `rational_polynomial` also k4, k5, k6.")
+    ]
+    rectification_matrix: Annotated[
+        Mapping[str, Any] | None, Key("Of ROS, for stereo; not read.", presence=Presence.IF_KNOWN)
+    ] = None
+    projection_matrix: Annotated[
+        Mapping[str, Any] | None, Key("Of ROS, for stereo; not read.", presence=Presence.IF_KNOWN)
+    ] = None
+    covariance: Annotated[
+        ParameterCovariance | None, Key("Covariance of the camera's parameters alone.", presence=Presence.IF_KNOWN)
+    ] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraFile(CameraInfo):
+    """camera.yaml."""
+
+    provenance: Annotated[
+        Mapping[str, Any] | None, Key("Version, command, time and inputs.", presence=Presence.IF_KNOWN)
+    ] = None
+    standard_deviations: Annotated[
+        Mapping[str, Any] | None, Key("Of the parameters, by name; informative.", presence=Presence.IF_KNOWN)
+    ] = None
+    quality: Annotated[
+        Mapping[str, Any] | None, Key("How the calibration was assessed; informative.", presence=Presence.IF_KNOWN)
+    ] = None
+
+
+RECORD = RecordType(
+    cls=CameraFile,
+    kind=CAMERA,
+    version=SCHEMA,
+    description="camera.yaml: a camera with the keys of ROS camera_info. Pixels. Your own keys begin with x_.",
+    is_file=True,
+    strict=True,
 )
-"""Keys of ROS camera_info; the two stereo matrices are accepted but not read."""
 
-FILE_KEYS = ("ringpose", "provenance", "standard_deviations", "quality", *CAMERA_KEYS)
-
-_MATRIX_KEYS = ("rows", "cols", "data")
+CAMERA_KEYS = definition_of(CameraInfo).names
+FILE_KEYS = ("ringpose", *definition_of(CameraFile).names)
 
 
 def write_camera(
@@ -71,39 +118,58 @@ def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
     """The camera in a mapping with the keys of ROS camera_info."""
     if schema != SCHEMA:
         raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}", "give a camera.yaml or a rig.yaml")
-    coefficients = _coefficients(fields)
+    return checked_camera(fields, definition_of(CameraInfo).read(fields, OF_FILE))
+
+
+def checked_camera(fields: Fields, info: CameraInfo) -> Camera:
+    """The camera that was read from `fields`; rejected if its matrix or lens is impossible."""
+    coefficients = _coefficients(fields, info)
+    for name, found in (("rows", info.camera_matrix.rows), ("cols", info.camera_matrix.cols)):
+        if found != 3:
+            raise fields.problem(f"camera_matrix.{name}", f"is {found}, must be 3")
+    matrix = _numbers(fields, "camera_matrix", info.camera_matrix)
     camera = Camera(
-        camera_name=fields.text("camera_name") if fields.has("camera_name") else "",
-        image_width=fields.integer("image_width", least=1),
-        image_height=fields.integer("image_height", least=1),
-        camera_matrix=checked_matrix(fields, _matrix(fields, "camera_matrix", (3, 3)).reshape(3, 3)),
-        distortion_model=fields.choice("distortion_model", DISTORTION_COEFFICIENTS),
+        camera_name=info.camera_name or "",
+        image_width=info.image_width,
+        image_height=info.image_height,
+        camera_matrix=checked_matrix(fields, matrix.reshape(3, 3)),
+        distortion_model=info.distortion_model,
         distortion_coefficients=coefficients,
-        covariance=read_covariance(fields, camera_parameters(len(coefficients))),
+        covariance=checked_parameters(fields, info.covariance, camera_parameters(len(coefficients))),
     )
     return _checked_lens(fields, camera)
 
 
+def camera_info(camera: Camera) -> CameraInfo:
+    """The camera as it is written."""
+    coefficients = camera.distortion_coefficients
+    return CameraInfo(
+        image_width=camera.image_width,
+        image_height=camera.image_height,
+        camera_name=camera.camera_name or None,
+        camera_matrix=Matrix(rows=3, cols=3, data=camera.camera_matrix.ravel()),
+        distortion_model=cast(Any, camera.distortion_model),
+        distortion_coefficients=Matrix(rows=1, cols=len(coefficients), data=coefficients),
+        covariance=camera.covariance,
+    )
+
+
 def camera_values(camera: Camera) -> dict[str, Any]:
     """The mapping that `camera_of` reads, in the order of ROS camera_info."""
-    coefficients = camera.distortion_coefficients
-    values: dict[str, Any] = {
-        "image_width": camera.image_width,
-        "image_height": camera.image_height,
-        "camera_name": camera.camera_name or None,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.camera_matrix.ravel()},
-        "distortion_model": camera.distortion_model,
-        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
-    }
-    if camera.covariance is not None:
-        values["covariance"] = covariance_values(camera.covariance)
-    return {key: value for key, value in values.items() if value is not None}
+    return definition_of(CameraInfo).write(camera_info(camera))
 
 
-def _coefficients(fields: Fields) -> Float64[Array, "n"]:
-    model = fields.choice("distortion_model", DISTORTION_COEFFICIENTS)
+def _numbers(fields: Fields, key: str, matrix: Matrix) -> Float64[Array, "n"]:
+    """The numbers of a matrix; rejected if they are not as many as it has elements."""
+    if len(matrix.data) != matrix.rows * matrix.cols:
+        found = f"has {len(matrix.data)} numbers, must have {matrix.rows * matrix.cols}"
+        raise fields.problem(f"{key}.data", found)
+    return matrix.data
+
+
+def _coefficients(fields: Fields, info: CameraInfo) -> Float64[Array, "n"]:
+    model, given = info.distortion_model, _numbers(fields, "distortion_coefficients", info.distortion_coefficients)
     count = DISTORTION_COEFFICIENTS[model]
-    given = _matrix(fields, "distortion_coefficients", (None, None))
     if model == "plumb_bob" and len(given) in (0, 4):  # ROS and OpenCV omit coefficients that are zero
         return np.concatenate([given, np.zeros(count - len(given))])
     if len(given) != count:
@@ -111,33 +177,30 @@ def _coefficients(fields: Fields) -> Float64[Array, "n"]:
     return given
 
 
-def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> Float64[Array, "n"]:
-    entry = fields.fields(key, _MATRIX_KEYS)
-    rows, columns = entry.integer("rows", least=0), entry.integer("cols", least=0)
-    for name, found, expected in (("rows", rows, shape[0]), ("cols", columns, shape[1])):
-        if expected is not None and found != expected:
-            raise entry.problem(name, f"is {found}, must be {expected}")
-    return entry.vector("data", rows * columns)
-
-
-def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
-    """The covariance under the optional key `covariance` of a camera or rig; its parameters must be known ones."""
-    if not parent.has("covariance"):
+def checked_parameters(
+    parent: Fields, covariance: ParameterCovariance | None, known: Sequence[str]
+) -> ParameterCovariance | None:
+    """The covariance of a camera or rig, whose parameters must be known ones; `parent` names the place in messages."""
+    if covariance is None:
         return None
-    fields = parent.fields("covariance", ("parameters", "data"))
-    names = fields.texts("parameters")
+    fields, names = parent.fields("covariance"), covariance.parameters
     for name in names:
         if name not in known:
             raise fields.problem("parameters", f"unknown parameter {name!r}", hint(name, known))
     if len(set(names)) != len(names):
         raise fields.problem("parameters", "a parameter occurs twice")
-    data = checked_covariance(fields, "data", fields.array("data", (len(names), len(names))))
-    return ParameterCovariance(parameters=names, data=data)
+    if len(covariance.data) != len(names):
+        size = len(covariance.data)
+        raise fields.problem("data", f"has {size} x {size} numbers, must have {len(names)} x {len(names)}")
+    return covariance
 
 
-def covariance_values(covariance: ParameterCovariance) -> dict[str, Any]:
-    """The mapping that `read_covariance` reads."""
-    return {"parameters": list(covariance.parameters), "data": covariance.data}
+def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
+    """The covariance under the optional key `covariance`; see `checked_parameters`."""
+    if not parent.has("covariance"):
+        return None
+    found = definition_of(ParameterCovariance).read(parent.fields("covariance"), OF_FILE)
+    return checked_parameters(parent, found, known)
 
 
 def pinhole_camera(

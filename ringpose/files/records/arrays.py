@@ -34,7 +34,11 @@ def checked_array(
     if key.null_points:
         fields = Fields(fields.file, {name: _with_nulls(fields.raw(name), len(axes) - 1)}, path=fields.path)
     array = fields.array(name, shape, allow_nan=key.gaps or key.null_points)
-    lengths |= {axis: length for axis, length in zip(axes, array.shape, strict=True) if fixed_length(axis) is None}
+    for axis, length in zip(axes, array.shape, strict=True):
+        if fixed_length(axis) is None and lengths.setdefault(axis, length) != length:
+            found = " x ".join(map(str, array.shape))
+            expected = " x ".join(str(fixed_length(each) or lengths[each]) for each in axes)
+            raise fields.problem(name, f"has {found} numbers, must have {expected}")
     if key.form is not None:
         array = CHECKS[key.form](fields, name, array, key, unchanged)
     elif key.plausible is not None:
@@ -66,8 +70,8 @@ def _whole(fields: Fields, name: str, numbers: Numbers, key: Key) -> Array:
     return numbers.astype(np.int64)
 
 
-def _unit_vector(fields: Fields, name: str, *_: object) -> Numbers:
-    return fields.unit_vector(name)
+def _unit_vector(fields: Fields, name: str, _: Numbers, key: Key, __: str) -> Numbers:
+    return fields.unit_vector(name, key.remedy)
 
 
 def _quaternion(fields: Fields, name: str, *_: object) -> Numbers:

@@ -490,13 +490,18 @@ class Definition(Generic[T]):
     cls: type[T]
     attributes: tuple[Attribute, ...]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All keys."""
+        return tuple(each.name for each in self.attributes)
+
     def read(self, fields: Fields, context: Context) -> T:
         """The object in a mapping; `from_record` of its class makes it, if there is one.
 
         `contradiction` of its class, if there is one, is the key and the finding of values that contradict each other.
         """
-        if context.strict:
-            fields.reject_unknown(tuple(each.name for each in self.attributes))
+        if context.strict and not fields.known:  # else its keys have been looked at
+            fields.reject_unknown(self.names)
         axes: Axes = {}
         values = {}
         for each in self.attributes:
@@ -648,7 +653,7 @@ class RecordType(Generic[T]):
         """The object in a record; `location` is used in messages."""
         definition, fields = definition_of(self.cls), Fields(location, record)
         if self.strict:
-            fields.reject_unknown((self.head, *(each.name for each in definition.attributes)))
+            fields.reject_unknown((self.head, *definition.names))
             fields.values = {key: value for key, value in record.items() if key != self.head}
         if self.version and self.is_file:
             Fields(location, record).choice(self.head, (self.version, *self.earlier))

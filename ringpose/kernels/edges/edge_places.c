@@ -1,4 +1,5 @@
-/* Which places on the ring's edges an image shows, where, and the edge's normal there (ringpose-method(7), section 5). */
+/* Which places on the ring's edges an image shows, where, and the edge's normal there (ringpose-method(7),
+   section 5). */
 #include "arguments.h"
 
 #include <math.h>
@@ -70,7 +71,7 @@ static int image_place(const double n[AXES], const Lens *lens, double nudge, Pla
     return 1;
 }
 
-/* Standard deviation of the distance from the edge, with the covariance of the ring's step: J C J^T. */
+/* Standard deviation of the distance from the edge, Eq. (5.2), with the covariance of the ring's step: J C J^T. */
 static double predicted_sigma(const Predicted *predicted, size_t at, const double *covariance) {
     double jacobian[STEP], variance = 0;
     for (size_t i = 0; i < STEP; i++) jacobian[i] = predicted->wrt_step[i * predicted->count + at];

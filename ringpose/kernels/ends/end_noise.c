@@ -102,7 +102,8 @@ static double relative_scatter(const Columns *columns) {
     return fmax(columns->scatter, columns->beyond / (columns->level * columns->level));
 }
 
-/* Noise, shot noise and speckle of one end, from geometric means of its own and the pooled variances (logarithms). */
+/* Noise, shot noise and speckle of one end, Eq. (3.6), from geometric means of its own and the pooled variances
+   (logarithms). */
 static void split_scatter(Columns *columns, double pooled_scatter, double pooled_noise, const EndParams *params) {
     double square = columns->level * columns->level, minimum = params->min_noise * columns->level;
     double scatter = exp(0.5 * (log(relative_scatter(columns)) + pooled_scatter)) * square;
@@ -114,7 +115,7 @@ static void split_scatter(Columns *columns, double pooled_scatter, double pooled
     columns->minimum = fmax(columns->noise, minimum * minimum);
 }
 
-/* Columns per independent one at a Gaussian autocorrelation, correlation^(lag^2). */
+/* Columns per independent one at a Gaussian autocorrelation, correlation^(lag^2): L of Eq. (3.9). */
 static double columns_per_grain(double correlation) {
     return 1 + 2 * (correlation + pow(correlation, 4) + pow(correlation, 9));
 }
@@ -127,7 +128,7 @@ double correlation_length(const Columns *columns, double correlation) {
     return 1 + speckle_share(columns) * (columns_per_grain(correlation) - 1);
 }
 
-/* Variance over the expected scatter of correlated columns about their own mean. */
+/* Variance over the expected scatter of correlated columns about their own mean, Eq. (3.9). */
 static double scatter_correction(const Columns *columns, double correlation) {
     double independent = fmax(columns->inner / correlation_length(columns, correlation), 3);
     return independent / (independent - 1);

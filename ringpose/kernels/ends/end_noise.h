@@ -41,8 +41,8 @@ static inline double share_shown(const Columns *columns, int i, double lit) {
     return lit * (lit < 0.5 ? faint + (half - faint) * 2 * lit : half + (full - half) * (2 * lit - 1));
 }
 
-/* Variance of a column that shows that share of the stripe: N + S shown + C^2 shown^2, its texture, and clutter in so
-   far as it does not show the stripe. */
+/* Variance of a column that shows that share of the stripe, Eq. (3.11): N + S shown + C^2 shown^2, its texture, and
+   clutter in so far as it does not show the stripe. */
 static inline double column_variance(const Columns *columns, int i, double shown) {
     double hidden = 1 - shown;
     return columns->minimum + columns->texture[i] + shown * (columns->shot + columns->speckle * shown) +

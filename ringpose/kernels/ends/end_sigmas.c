@@ -1,4 +1,4 @@
-/* Variance of a fitted edge position: u^T V u of ringpose-method(7), section 3, where fill_influence gives u and
+/* Variance of a fitted edge position: u^T V u, Eq. (3.7) of ringpose-method(7), where fill_influence gives u and
    intensity_variance adds the parts of V; and the contribution of secondary minima of the cost. */
 #include "end_sigmas.h"
 
@@ -83,7 +83,7 @@ static double shared_light(const Columns *columns, const Shapes *shapes, int i, 
     return shapes->fine[2 * i - lag] * columns->headroom[FULL][i] * columns->headroom[FULL][i - lag];
 }
 
-/* Variance due to speckle, with a Gaussian autocorrelation: correlation^(lag^2). */
+/* Variance due to speckle, with a Gaussian autocorrelation, Eq. (3.8): correlation^(lag^2). */
 static double speckle_variance(const Columns *columns, const Shapes *shapes, const double *influence,
                                double correlation) {
     double sum = 0, fall = correlation, square = correlation * correlation, by = 1;
@@ -119,7 +119,8 @@ static double texture_variance(const Columns *columns, const double *influence) 
     return sum;
 }
 
-/* Relative variance of slow changes of the levels on both sides of an edge, beyond speckle: background, illumination. */
+/* Relative variance of slow changes of the levels on both sides of an edge, beyond speckle: background,
+   illumination. */
 static double slow_level_variance(const Columns *columns, const Edge *edge, const EndParams *params) {
     double full[MAX_COLUMNS], beyond[MAX_COLUMNS];
     int inner = 0, outer = 0;
@@ -169,7 +170,7 @@ double second_order_bias(const Columns *columns, const Edge *edge, double varian
     return -0.5 * fmin(variance, square) * curvature;
 }
 
-/* u^T V u, and the contributions of background, width and blur model. */
+/* u^T V u, Eq. (3.7), and the contributions of background, width and blur model. */
 double edge_variance(const Columns *columns, const Edge *edge, double correlation, double information,
                      const EndParams *params) {
     Shapes shapes;

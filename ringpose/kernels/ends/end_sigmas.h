@@ -4,9 +4,9 @@
 
 #include "end_edges.h"
 
-/* Bias of an edge's position by the curvature of the model, -1/2 sum(u_k m_k'') times the variance of the position (Box
-   1971): speckle is proportional to the light, so that the foot of the edge, where the curve is convex, has most of the
-   weight, and the edge would be found too far inside. For columns without saturation. */
+/* Bias of an edge's position by the curvature of the model, Eq. (3.10), -1/2 sum(u_k m_k'') times the variance of the
+   position (Box 1971): speckle is proportional to the light, so that the foot of the edge, where the curve is convex,
+   has most of the weight, and the edge would be found too far inside. For columns without saturation. */
 double second_order_bias(const Columns *columns, const Edge *edge, double variance);
 
 /* Variance of an edge's position along the columns. `correlation`: of the speckle of neighbouring columns;

@@ -57,9 +57,9 @@ static double saturated_share(const Columns *columns, double position) {
 /* Share of saturated columns from which an end counts as saturated. */
 #define SATURATED 0.2
 
-/* Error of a saturated end's position due to the shape of its blur. Where the stripe is saturated, only the foot of the
-   edge shows its position: 0.55 log(1 + excess) approximates by how many widths it lies before the edge, at that ratio
-   of the stripe's level to what is visible of it. */
+/* Error of a saturated end's position due to the shape of its blur, Eq. (3.12). Where the stripe is saturated, only the
+   foot of the edge shows its position: 0.55 log(1 + excess) approximates by how many widths it lies before the edge, at
+   that ratio of the stripe's level to what is visible of it. */
 static double clipped_error(const Columns *columns, const Edge *edge, const EndParams *params) {
     double headroom[MAX_COLUMNS];
     size_t inside = 0;
@@ -166,7 +166,8 @@ static int stripe_ends(Draft *draft, size_t ends, const EndParams *params, Strip
     return done;
 }
 
-/* Appends the ends of the lines of one image, (lit, dark, lines), to the drafts; 0 and a Python exception if that fails. */
+/* Appends the ends of the lines of one image, (lit, dark, lines), to the drafts; 0 and a Python exception if that
+   fails. */
 static int draft_image(PyObject *image, const Lens *lens, const EndParams *params, List *drafts) {
     static const Parameter parameter[] = {
         {"lit", IMAGE, {N, M}}, {"?=dark", IMAGE, {N, M}}, {"lines", FLOAT64, {ANY, NUMBERS(StripeLine)}}};

@@ -114,8 +114,8 @@ enum { TOGETHER = 4 };
 typedef double Doubles __attribute__((vector_size(8 * TOGETHER), aligned(8), may_alias));
 typedef int64_t Masks __attribute__((vector_size(8 * TOGETHER), aligned(8), may_alias));
 
-/* The rows of some columns about the stripe's line: distance from it, light of the lasers, and what a stripe with a peak
-   of 1 would show. */
+/* The rows of some columns about the stripe's line: distance from it, light of the lasers, and what a stripe with a
+   peak of 1 would show. */
 typedef struct {
     Doubles offset[MAX_ROWS], value[MAX_ROWS], shape[MAX_ROWS];
 } Sections;
@@ -274,15 +274,15 @@ enum { CURVE_POINTS = 64, WINDOW = 64, RUN = 5 };
 /* Columns beyond the face in which no light is expected, before the stripe on the body behind begins. */
 enum { NEAR_FIRST = 2, NEAR_LAST = 9 };
 
-/* Search for the peak of a clipped stripe: columns of the face, ratio of steps, largest peak in saturation values, least
-   growth of what is visible by a step. */
+/* Search for the peak of a clipped stripe: columns of the face, ratio of steps, largest peak in saturation values,
+   least growth of what is visible by a step. */
 enum { PEAK_COLUMNS = 24 };
 #define PEAK_STEP 1.25
 #define MAX_PEAK 4
 #define MIN_GROWTH 1.02
 
-/* Range of the ambient light across a section, in amplitudes of the stripe, from which its subtraction may leave texture:
-   a tenth of it remains where the target has moved by a tenth of a pixel. */
+/* Range of the ambient light across a section, in amplitudes of the stripe, from which its subtraction may leave
+   texture: a tenth of it remains where the target has moved by a tenth of a pixel. */
 #define MIN_CONTRAST 0.3
 
 /* Ambient light, in amplitudes of the stripe, below which light beside the stripe is that of lasers. */

@@ -1,6 +1,6 @@
-/* Two short arcs about one centre through points in a plane, by least squares. The equation is linear in bend, lean and the
-   two levels, is regular for straight arcs, and its residual is a distance along x. The usual algebraic fit
-   |P|^2 = 2 C . P + k has neither property: it is biased towards small circles, severely for points nearly on a line. */
+/* Two short arcs about one centre through points in a plane, by least squares. The equation is linear in bend, lean and
+   the two levels, is regular for straight arcs, and its residual is a distance along x. The usual algebraic fit |P|^2 =
+   2 C . P + k has neither property: it is biased towards small circles, severely for points nearly on a line. */
 #include "arguments.h"
 
 #include <math.h>
@@ -8,8 +8,8 @@
 
 #include "arcs.h"
 
-/* Moments of the normal equations for bend and lean; the levels are eliminated by centring each arc: u is x^2 + y^2, v is
-   y, and t is x. */
+/* Moments of the normal equations for bend and lean; the levels are eliminated by centring each arc: u is x^2 + y^2, v
+   is y, and t is x. */
 typedef struct {
     double mean_x[2], mean_y[2], mean_q[2];
     double uu, uv, vv, ut, vt;

@@ -299,7 +299,8 @@ static ptrdiff_t farthest_index(const Chord *chord, const double *x, const doubl
     return where;
 }
 
-/* Robust standard deviation of a run's centres, from the median of second differences; infinite if there are too few. */
+/* Robust standard deviation of a run's centres, from the median of second differences; infinite if there are
+   too few. */
 static double scatter_of(const double *y, size_t n, double *scratch) {
     size_t count = n > 2 * LAG ? n - 2 * LAG : 0;
     if (count < MIN_DIFFERENCES) return INFINITY;

@@ -42,7 +42,7 @@ static inline double line_sigma(const Track *track, double x, double middle_sigm
     return middle_sigma * hypot(1, (x - track->middle_x) / spread);
 }
 
-/* Standard deviation of the middle: scatter / sqrt(independent columns - degrees of freedom of the fit). */
+/* Standard deviation of the middle, Eq. (3.5): scatter / sqrt(independent columns - degrees of freedom of the fit). */
 static inline double middle_sigma(const Track *track, double fit_dof, double min_columns) {
     double columns = used_share(track) * track->centers / track->correlation;
     return track->scatter / sqrt(fmax(columns - fit_dof, min_columns));

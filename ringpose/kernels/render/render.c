@@ -493,7 +493,8 @@ typedef struct {
     int width;
 } PixelRays;
 
-/* Parts that a cone around the rays may meet, as far as their bounds show, at the first, the middle or the last time. */
+/* Parts that a cone around the rays may meet, as far as their bounds show, at the first, the middle or the last
+   time. */
 static void parts_near(const Scene *scene, const Block *block, Choice *choice) {
     double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1, length2 = 1;
     choice->count = 0;

@@ -36,7 +36,8 @@ typedef struct {
     double radius;
 } Part;
 
-/* A slot of parallel walls across a ring: cut above `floor` where |across| < half_width, on the side of (cosine, sine). */
+/* A slot of parallel walls across a ring: cut above `floor` where |across| < half_width, on the side of
+   (cosine, sine). */
 typedef struct {
     double cosine, sine, half_width, floor;
 } Gap;

@@ -192,8 +192,8 @@ static Steps step_between(Pixel from, Pixel to) {
     return (Steps){horizontal, !horizontal & (from.x == to.x)};
 }
 
-/* True if the estimated length exceeds the chord by more than the deviation. Their difference is that of the squares
-   by their sum, and the sum is at least that of the longer sides: mostly this spares the roots. */
+/* True if the estimated length, Eq. (2.1), exceeds the chord by more than the deviation. Their difference is that of
+   the squares by their sum, and the sum is at least that of the longer sides: mostly this spares the roots. */
 static int exceeds(Steps steps, int64_t all, Pixel from, Pixel to, double max_deviation) {
     const double wide = (double)(all - steps.vertical), high = (double)(all - steps.horizontal);
     const double dx = fabs((double)to.x - from.x), dy = fabs((double)to.y - from.y);
@@ -236,6 +236,7 @@ static size_t piece_end(const Pixel *pixel, size_t first, size_t end, CutParams 
         window.horizontal += now.horizontal - old.horizontal;
         window.vertical += now.vertical - old.vertical;
         const int64_t horizontal = window.horizontal - head.horizontal, vertical = window.vertical - head.vertical;
+        /* window times the change of the shares, Eq. (2.2); the oblique steps are the others */
         const int64_t change = llabs(horizontal) + llabs(vertical) + llabs(horizontal + vertical);
         if ((double)change > maximum) return k - params.window / 2;
     }

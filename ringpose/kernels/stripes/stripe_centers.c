@@ -213,7 +213,8 @@ static void invert_row(double factor[SHAPES][SHAPES], size_t row, double inverse
     }
 }
 
-/* Weighted design matrix of a stripe with an offset from the middle row, and the normal equations. */
+/* Weighted design matrix of a stripe with an offset from the middle row, and the normal equations; the weights are the
+   inverse variances of Eq. (3.3) of ringpose-method(7), in units of that of the noise. */
 static void shape_rows(double width, double speckle, double offset, size_t reach, double shape[][SHAPES],
                        double equation[SHAPES][SHAPES]) {
     for (size_t k = 0; k <= 2 * reach; k++) {
@@ -298,8 +299,8 @@ typedef struct {
     Weights weights[LEVELS];
 } Weigher;
 
-/* Variance of a centre at which speckle over noise is `max_speckle`: the excess is (speckle / noise)^2 times the
-   filter's response to speckle over that to white noise. */
+/* Variance of a centre at which speckle over noise is `max_speckle`, Eq. (3.4): the excess is (speckle / noise)^2 times
+   the filter's response to speckle over that to white noise. */
 static double most_speckled(const Measure *how, Scatter of, double max_speckle, const Columns *columns) {
     double width = how->width * how->width, share = width / (width + how->filter->sigma * how->filter->sigma);
     double precision = 0, square = (excess(of, 1) - 1) / (share * sqrt(share));
@@ -389,9 +390,9 @@ static Scatter speckle_weighted_centers(const Measure *how, Scatter of, const St
 enum { NARROWER = 3, MIN_CLUTTERED_COLUMNS = 24, MIN_SPECKLED_COLUMNS = 14 };
 #define BETTER 0.95
 
-/* Ridges at a distance in this range, in widths of the stripe, belong to something else; nearer ones are its speckle. They
-   distort the background of the stripe unless they are fainter than FAINT_SHARE of it. Speckle weights are not used if one
-   of CROWDED_ONE_IN columns has such a neighbour. */
+/* Ridges at a distance in this range, in widths of the stripe, belong to something else; nearer ones are its speckle.
+   They distort the background of the stripe unless they are fainter than FAINT_SHARE of it. Speckle weights are not
+   used if one of CROWDED_ONE_IN columns has such a neighbour. */
 #define OTHERS_FROM 3.0
 #define OTHERS_TO 8.0
 #define FAINT_SHARE 0.05f

@@ -29,12 +29,12 @@ enum { MIN_SHOULDER_ROWS = 5, MAX_SHOULDER_ROWS = 40 };
 typedef struct {
     float y, expected, slope, scatter, distance; /* y: of the last ridge */
     int32_t nearest, missing, columns, strong_columns, piece;
-} Track;
+} OpenPiece;
 
 /* Open pieces, from the top; `spare` has the same capacity. */
 typedef struct {
     const StripeParams *params;
-    Track *tracks, *spare;
+    OpenPiece *open, *spare;
     size_t count, capacity;
     List *pieces;
 } Course;
@@ -79,102 +79,102 @@ static size_t join_shoulders(const StripeImage *image, ptrdiff_t outside, Ridge 
 static float distance(float a, float b) { return fabsf(a - b); }
 
 /* True if a ridge is within the gate, or next to the last one: a stripe may bend. */
-static int is_next(const Track *track, float y, float apart) {
-    float step = STEP * track->scatter;
+static int is_next(const OpenPiece *open, float y, float apart) {
+    float step = STEP * open->scatter;
     step = step < MIN_STEP_PX ? MIN_STEP_PX : step > MAX_STEP_PX ? MAX_STEP_PX : step;
-    return apart <= step || (track->missing == 0 && distance(track->y, y) <= NEXT_PX);
+    return apart <= step || (open->missing == 0 && distance(open->y, y) <= NEXT_PX);
 }
 
 /* Each ridge proposes to the nearest piece; a piece accepts the nearest one, the upper one if equal. */
 static void match(Course *course, const Ridge *ridge, size_t count) {
     if (course->count == 0) return;
-    Track *track = course->tracks, *last = track + course->count - 1;
+    OpenPiece *open = course->open, *last = open + course->count - 1;
     for (size_t i = 0; i < count; i++) {
-        float apart = distance(track->expected, ridge[i].y);
-        for (; track < last; track++) {
-            float next = distance(track[1].expected, ridge[i].y);
+        float apart = distance(open->expected, ridge[i].y);
+        for (; open < last; open++) {
+            float next = distance(open[1].expected, ridge[i].y);
             if (next >= apart) break;
             apart = next;
         }
-        if (!is_next(track, ridge[i].y, apart) || (track->nearest >= 0 && apart >= track->distance)) continue;
-        track->nearest = (int32_t)i;
-        track->distance = apart;
+        if (!is_next(open, ridge[i].y, apart) || (open->nearest >= 0 && apart >= open->distance)) continue;
+        open->nearest = (int32_t)i;
+        open->distance = apart;
     }
 }
 
 /* Recursive line fit: gains of the growing window, then of an exponential one. */
-static void follow(Track *track, Ridge *ridge, const StripeParams *params) {
+static void follow(OpenPiece *open, Ridge *ridge, const StripeParams *params) {
     static const float gain[COURSE_COLUMNS + 1] = {0, 1, 1, 5 / 6.f, 7 / 10.f, 3 / 5.f, 11 / 21.f, 13 / 28.f, 5 / 12.f};
     static const float slope_gain[COURSE_COLUMNS + 1] = {0, .3f, .3f, .3f, .3f, 1 / 5.f, 1 / 7.f, 3 / 28.f, 1 / 12.f};
-    float off = ridge->y - track->expected;
-    int32_t n = ++track->columns < COURSE_COLUMNS ? track->columns : COURSE_COLUMNS;
-    track->slope += track->missing ? off * slope_gain[n] / (float)(track->missing + 1) : off * slope_gain[n];
-    track->expected += off * gain[n] + track->slope;
-    track->scatter += SCATTER_SHARE * (distance(off, 0) - track->scatter);
-    track->y = ridge->y;
-    track->strong_columns += ridge->response >= (float)params->begin_sigmas * ridge->noise;
-    track->missing = 0;
-    track->nearest = -1;
-    ridge->piece = track->piece;
+    float off = ridge->y - open->expected;
+    int32_t n = ++open->columns < COURSE_COLUMNS ? open->columns : COURSE_COLUMNS;
+    open->slope += open->missing ? off * slope_gain[n] / (float)(open->missing + 1) : off * slope_gain[n];
+    open->expected += off * gain[n] + open->slope;
+    open->scatter += SCATTER_SHARE * (distance(off, 0) - open->scatter);
+    open->y = ridge->y;
+    open->strong_columns += ridge->response >= (float)params->begin_sigmas * ridge->noise;
+    open->missing = 0;
+    open->nearest = -1;
+    ridge->piece = open->piece;
 }
 
-static void end_piece(const Course *course, const Track *track) {
-    ((StripePiece *)course->pieces->data)[track->piece] = (StripePiece){track->columns, track->strong_columns};
+static void end_piece(const Course *course, const OpenPiece *open) {
+    ((StripePiece *)course->pieces->data)[open->piece] = (StripePiece){open->columns, open->strong_columns};
 }
 
 /* Advances all pieces by a column: update, prediction only, or end. A gap ends a piece that is shorter than the gap,
    because noise starts many pieces. Returns the number of accepted ridges. */
 static size_t advance(Course *course, Ridge *ridge) {
     size_t kept = 0, taken = 0;
-    Track *track = course->tracks;
+    OpenPiece *open = course->open;
     for (size_t i = 0; i < course->count; i++) {
-        if (track[i].nearest >= 0) {
-            follow(track + i, ridge + track[i].nearest, course->params);
+        if (open[i].nearest >= 0) {
+            follow(open + i, ridge + open[i].nearest, course->params);
             taken++;
         } else {
-            track[i].expected += track[i].slope;
-            if (++track[i].missing > (int32_t)course->params->gap || track[i].missing >= track[i].columns) {
-                end_piece(course, track + i);
+            open[i].expected += open[i].slope;
+            if (++open[i].missing > (int32_t)course->params->gap || open[i].missing >= open[i].columns) {
+                end_piece(course, open + i);
                 continue;
             }
         }
-        if (kept < i) track[kept] = track[i];
-        for (size_t j = kept++; j > 0 && track[j - 1].expected > track[j].expected; j--) {
-            Track upper = track[j];
-            track[j] = track[j - 1];
-            track[j - 1] = upper;
+        if (kept < i) open[kept] = open[i];
+        for (size_t j = kept++; j > 0 && open[j - 1].expected > open[j].expected; j--) {
+            OpenPiece upper = open[j];
+            open[j] = open[j - 1];
+            open[j - 1] = upper;
         }
     }
     course->count = kept;
     return taken;
 }
 
-static int reserve_tracks(Course *course, size_t count) {
+static int reserve_open(Course *course, size_t count) {
     if (count <= course->capacity) return 1;
-    Track *spare = realloc(course->spare, 2 * count * sizeof *spare);
+    OpenPiece *spare = realloc(course->spare, 2 * count * sizeof *spare);
     if (spare) course->spare = spare;
-    Track *tracks = spare ? realloc(course->tracks, 2 * count * sizeof *tracks) : NULL;
-    if (tracks == NULL) return 0;
-    course->tracks = tracks;
+    OpenPiece *open = spare ? realloc(course->open, 2 * count * sizeof *open) : NULL;
+    if (open == NULL) return 0;
+    course->open = open;
     course->capacity = 2 * count;
     return 1;
 }
 
 /* Starts pieces with the remaining ridges and merges them into the sorted list. */
 static int begin_pieces(Course *course, Ridge *ridge, size_t count) {
-    if (!reserve(course->pieces, count) || !reserve_tracks(course, course->count + count)) return 0;
-    Track *spare = course->spare;
+    if (!reserve(course->pieces, count) || !reserve_open(course, course->count + count)) return 0;
+    OpenPiece *spare = course->spare;
     size_t t = 0, all = 0;
     for (size_t i = 0; i < count; i++) {
         if (ridge[i].piece >= 0) continue;
-        while (t < course->count && course->tracks[t].expected <= ridge[i].y) spare[all++] = course->tracks[t++];
+        while (t < course->count && course->open[t].expected <= ridge[i].y) spare[all++] = course->open[t++];
         ridge[i].piece = (int32_t)course->pieces->used++;
         int strong = ridge[i].response >= (float)course->params->begin_sigmas * ridge[i].noise;
-        spare[all++] = (Track){ridge[i].y, ridge[i].y, 0, FIRST_SCATTER_PX, 0, -1, 0, 1, strong, ridge[i].piece};
+        spare[all++] = (OpenPiece){ridge[i].y, ridge[i].y, 0, FIRST_SCATTER_PX, 0, -1, 0, 1, strong, ridge[i].piece};
     }
-    while (t < course->count) spare[all++] = course->tracks[t++];
-    course->spare = course->tracks;
-    course->tracks = spare;
+    while (t < course->count) spare[all++] = course->open[t++];
+    course->spare = course->open;
+    course->open = spare;
     course->count = all;
     return 1;
 }
@@ -195,7 +195,7 @@ static int link_columns(const StripeImage *image, ptrdiff_t outside, Course *cou
         kept += count;
     }
     ridges->used = kept;
-    for (size_t i = 0; i < course->count; i++) end_piece(course, course->tracks + i);
+    for (size_t i = 0; i < course->count; i++) end_piece(course, course->open + i);
     return 1;
 }
 
@@ -203,7 +203,7 @@ int link_ridges(const StripeImage *image, const Filter *filter, const StripePara
                 List *pieces) {
     Course course = {.params = params, .pieces = pieces};
     int done = link_columns(image, (ptrdiff_t)(3 * filter->sigma + 0.5), &course, ridges);
-    free(course.tracks);
+    free(course.open);
     free(course.spare);
     return done;
 }

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
-from ringpose.calibrate.boards.patterns.markers import Markers, marker_layout, marker_size_findings
+from ringpose.calibrate.acceptance import marker_size_findings
+from ringpose.calibrate.boards.patterns.markers import Markers, marker_layout
 from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.board import marker_corners
 from ringpose.types.calibration import Grade

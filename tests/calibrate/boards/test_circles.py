@@ -1,5 +1,7 @@
 """Centres of circles and of ellipses, drawn here point by point."""
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ FOCAL_PX, PRINCIPAL_PX, SIZE = 900.0, np.array([260.0, 210.0]), (520, 420)
 SUBPIXELS = 4
 
 
+@functools.cache
 def tilted_circles(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Draws the grid tilted by 45 degrees at 0.35 m, and returns its projected centres."""
     points = corner_points(GRID)

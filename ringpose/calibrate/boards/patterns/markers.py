@@ -7,11 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.acceptance import BOARD_LIMITS, check
 from ringpose.geometry.board import marker_corners
 from ringpose.types.arrays import Array, Float64, Int64, UInt8
-from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import Check
+from ringpose.types.board import Board
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,13 +118,3 @@ def _other_boards(board: Board, last: int) -> Iterator[Board]:
             other = replace(board, squares_x=squares_x, squares_y=squares_y, legacy_pattern=legacy)
             if last < len(marker_corners(other)):
                 yield other
-
-
-def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
-    """Check of the markers' size relative to their spacing; empty for boards without markers."""
-    ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
-    if not ratios:
-        return ()
-    width, height = np.median(ratios, axis=0).tolist()
-    error = max(abs(width - 1), abs(height - 1))
-    return (check(BOARD_LIMITS, "marker_size_error", error, width=width, height=height),)
