@@ -483,6 +483,22 @@ class Attribute(NamedTuple):
         return self.slot.read(fields, name, context, axes)
 
 
+class Writer(NamedTuple):
+    """How a key is written; what does not depend on the value is looked up once."""
+
+    attribute: str
+    name: str
+    is_omitted: Callable[[Any], bool] | None
+    """None if it is always written."""
+    write: Callable[[Any], Any] | None
+    """None for what is written as it is."""
+
+
+def _writer(key: Attribute) -> Writer:
+    is_omitted = key.is_default if key.key.presence is Presence.IF_KNOWN else None
+    return Writer(key.attribute, key.name, is_omitted, None if key.slot.value.is_plain else key.slot.write)
+
+
 @dataclass(frozen=True, eq=False)
 class Definition(Generic[T]):
     """The keys of a data class in the order of the record."""
@@ -524,14 +540,10 @@ class Definition(Generic[T]):
     def write(self, found: T, brief: bool = False) -> dict[str, Any]:
         """The mapping of an object; with `brief`, without the keys that are then left out."""
         record: dict[str, Any] = {}
-        for each, write in self.writers:
-            presence = each.key.presence
-            if brief and presence is Presence.NOT_BRIEF:
-                continue
-            value = getattr(found, each.attribute)
-            if presence is Presence.IF_KNOWN and each.is_default(value):
-                continue
-            record[each.name] = value if write is None else write(value)
+        for attribute, name, is_omitted, write in self.brief_writers if brief else self.writers:
+            value = getattr(found, attribute)
+            if is_omitted is None or not is_omitted(value):
+                record[name] = value if write is None else write(value)
         return record
 
     def values(self, found: T) -> dict[str, Any]:
@@ -545,9 +557,14 @@ class Definition(Generic[T]):
         return record
 
     @cached_property
-    def writers(self) -> list[tuple[Attribute, Callable[[Any], Any] | None]]:
-        """The keys, each with its `Slot.write`; None for what is written as it is."""
-        return [(each, None if each.slot.value.is_plain else each.slot.write) for each in self.attributes]
+    def writers(self) -> list[Writer]:
+        """How each key is written."""
+        return [_writer(each) for each in self.attributes]
+
+    @cached_property
+    def brief_writers(self) -> list[Writer]:
+        """How each key of a brief record is written."""
+        return [_writer(each) for each in self.attributes if each.key.presence is not Presence.NOT_BRIEF]
 
     def reference(self, definitions: Schema) -> Schema:
         """Reference to the JSON Schema of an object, which is added to `definitions`."""
