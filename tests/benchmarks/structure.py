@@ -16,7 +16,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from graphlib import TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
@@ -36,6 +36,7 @@ def main() -> None:
     print_c_order()
     print_small_modules(sources, trees)
     print_private_functions(trees)
+    print_numbers(trees)
     print_flags(trees)
     print_record_keys()
     print_path("the second of two shots through `ringpose pose`", trace_of_shot())
@@ -119,6 +120,27 @@ def print_private_functions(trees: dict[str, ast.Module]) -> None:
     print(f"\nprivate functions: {private}, referenced once: {once}")
 
 
+def print_numbers(trees: dict[str, ast.Module]) -> None:
+    """How many numbers have a name: constants of modules, and defaults of the fields of classes, by folder."""
+    counts = Counter[str]()
+    for name, tree in trees.items():
+        fields = [node for each in tree.body if isinstance(each, ast.ClassDef) for node in each.body]
+        counts[name.split(".")[1] if "." in name else name] += sum(map(named_numbers, [*tree.body, *fields]))
+    by_folder = ", ".join(f"{folder} {count}" for folder, count in counts.most_common() if count)
+    print(f"\nnamed numbers: {counts.total()} ({by_folder})")
+
+
+def named_numbers(node: ast.stmt) -> int:
+    """The number of names that an assignment gives to numbers; an enumeration's members are none."""
+    if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+        return 0
+    literals = [each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)]
+    if not any(isinstance(each, int | float) and not isinstance(each, bool) for each in literals):
+        return 0
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+    return sum(len(each.elts) if isinstance(each, ast.Tuple) else 1 for each in targets)
+
+
 def print_flags(trees: dict[str, ast.Module]) -> None:
     """Modules that decide which flags a line has."""
     deciding = [name for name, tree in trees.items() if decides_flags(tree)]
@@ -192,16 +214,16 @@ def _schema_keys(schema: object) -> Iterator[str]:
             yield from _schema_keys(part)
 
 
-def trace_of_shot() -> list[str]:
-    """The module of each call while a lit shot is processed after another one: up to its line on stdout."""
+def trace_of_shot() -> list[CodeType]:
+    """The code of each call while a lit shot is processed after another one: up to its line on stdout."""
     shots = [str(DATA / "rig_b" / "shots" / f"{name}.npz") for name in SHOTS]
     output = io.StringIO()
     arguments = ["pose", *shots, "--rig", str(DATA / "rig_b" / "rig.yaml"), "--quiet"]
     return trace(arguments, output, wanted=lambda: output.getvalue().count("\n") == 1)
 
 
-def trace_of_planes() -> list[str]:
-    """The module of each call during a calibration of the light planes after another one, which imports the modules."""
+def trace_of_planes() -> list[CodeType]:
+    """The code of each call during a calibration of the light planes after another one, which imports the modules."""
     board = DATA / "calib_b"
     shots = sorted(map(str, (board / "planes").glob("*.npz")))
     with tempfile.TemporaryDirectory() as folder:
@@ -223,14 +245,14 @@ def run(arguments: Sequence[str], output: io.StringIO) -> None:
         raise SystemExit(f"ringpose {' '.join(arguments)}: status {status}\n{messages.getvalue()}")
 
 
-def trace(arguments: Sequence[str], output: io.StringIO, wanted: Callable[[], bool] = lambda: True) -> list[str]:
-    """The module of each Python function of the package that is entered, in order, while `wanted` holds."""
-    entered: list[str] = []
+def trace(arguments: Sequence[str], output: io.StringIO, wanted: Callable[[], bool] = lambda: True) -> list[CodeType]:
+    """The code of each Python function of the package that is entered, in order, while `wanted` holds."""
+    entered: list[CodeType] = []
     prefix = str(PACKAGE)
 
     def note(frame: FrameType, event: str, _: Any) -> None:
         if event == "call" and frame.f_code.co_filename.startswith(prefix) and wanted():
-            entered.append(str(frame.f_globals["__name__"]))
+            entered.append(frame.f_code)
 
     sys.setprofile(note)
     try:
@@ -240,13 +262,29 @@ def trace(arguments: Sequence[str], output: io.StringIO, wanted: Callable[[], bo
     return entered
 
 
-def print_path(title: str, entered: Sequence[str]) -> None:
+def lines_entered(entered: Sequence[CodeType]) -> int:
+    """Lines of the functions of a trace; what stands within another function counts with it."""
+    functions = {(code.co_filename, code.co_qualname.split(".<locals>")[0]) for code in entered}
+    return sum(lines for path in {path for path, _ in functions} for lines in _lengths(path, functions))
+
+
+def _lengths(path: str, functions: set[tuple[str, str]]) -> Iterator[int]:
+    """The number of lines of each of these functions and methods in a source file."""
+    body = ast.parse(Path(path).read_text()).body
+    methods = [(f"{each.name}.", node) for each in body if isinstance(each, ast.ClassDef) for node in each.body]
+    for prefix, node in [*(("", node) for node in body), *methods]:
+        if isinstance(node, ast.FunctionDef) and (path, prefix + node.name) in functions:
+            yield (node.end_lineno or node.lineno) - node.lineno + 1
+
+
+def print_path(title: str, calls: Sequence[CodeType]) -> None:
     """Modules and switches of a trace, and the modules in the order of their first entry."""
+    entered = [module_name(Path(code.co_filename)) for code in calls]
     order = list(dict.fromkeys(entered))
     pairs = [frozenset(pair) for pair in pairwise(entered) if len(set(pair)) == 2]
     once = sum(pair != before for before, pair in pairwise([frozenset[str](), *pairs]))
     print(f"\n{title}: {len(entered)} calls, {len(order)} modules, {len(pairs)} switches, ", end="")
-    print(f"{once} with alternations of one pair counted once")
+    print(f"{once} with alternations of one pair counted once, {lines_entered(calls)} lines of functions entered")
     print("  " + " > ".join(name.removeprefix("ringpose.") for name in order))
 
 
