@@ -30,8 +30,8 @@ from ringpose.kernels.lines import (
     MIDDLE_X,
     MIDDLE_Y,
     SCATTER,
+    SEGMENT_COLUMNS,
     SLOPE,
-    TRACK_COLUMNS,
     X_END,
     X_START,
     Lens,
@@ -89,14 +89,14 @@ stripe stays within a row of pixels; over the rows that it crosses it averages o
 
 def break_points(
     face: Face,
-    tracks: Float64[Array, "track column=11"],
+    segments: Float64[Array, "segment column=11"],
     images: Sequence[LaserImage],
     rig: Rig,
     saturation_dn: int,
 ) -> BreakPoints:
-    """Break points of the face's stripes, with left ends first named as on the inner edge; `tracks`: all segments."""
+    """Break points of the face's stripes, with left ends first named as on the inner edge; `segments`: all segments."""
     ends = _measured(_with_common_bluntness(_ends(face, images, rig, saturation_dn)), rig.camera)
-    beside = beside_occluder(ends, tracks, rig)
+    beside = beside_occluder(ends, segments, rig)
     stamp_s = np.full(len(rig.lasers.names), np.nan)
     for image in images:
         shown = [laser for laser in image.lasers if laser in face.lasers]
@@ -195,17 +195,17 @@ class Ends(NamedTuple):
 
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:
-    """The ends of the tracks on the face, each measured in the image that shows the track's stripe."""
+    """The ends of the segments on the face, each measured in the image that shows the segment's stripe."""
     shown = [[number for number, laser in enumerate(face.lasers) if laser in image.lasers] for image in images]
     order = [number for numbers in shown for number in numbers]
     lit = [
-        LitLines(image.lit, image.dark, face.tracks[numbers][:, LINE])
+        LitLines(image.lit, image.dark, face.segments[numbers][:, LINE])
         for image, numbers in zip(images, shown, strict=True)
         if numbers
     ]
     ends = stripe_ends(lit, lens(rig.camera), EndParams(saturation_dn=saturation_dn))
     lasers = [face.lasers[number] for number in order]
-    return flagged_ends(face.tracks[order], ends, lasers, rig)
+    return flagged_ends(face.segments[order], ends, lasers, rig)
 
 
 # Positions of the ends, by the compiled loops of kernels/ends
@@ -222,7 +222,7 @@ class EndParams:
 
     saturation_dn: int
     beyond_columns: int = 40
-    """Columns beyond a track in which its end is searched."""
+    """Columns beyond a segment in which its end is searched."""
     inside_columns: int = INSIDE_COLUMNS
     outside_columns: int = OUTSIDE_COLUMNS
     flank_sigmas: float = 3.0
@@ -261,11 +261,11 @@ class LitLines(NamedTuple):
     lit: UInt[Array, "row column"]
     dark: UInt[Array, "row column"] | None
     """The view with these lasers off."""
-    lines: Float64[Array, "track column=5"]
+    lines: Float64[Array, "segment column=5"]
     """`LINE_COLUMNS`, in undistorted pixels."""
 
 
-def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Float64[Array, "track end=2 column=10"]:
+def stripe_ends(images: Sequence[LitLines], lens: Lens, params: EndParams) -> Float64[Array, "segment end=2 column=10"]:
     """Left and right end of the stripe on each line of the images in turn, to a fraction of a column.
 
     The amplitude of the Gaussian cross-section in each column is modelled as a level inside, a level outside and an
@@ -297,8 +297,8 @@ by a third. That of a single stripe may be larger, on textured background.
 
 
 def flagged_ends(
-    tracks: Float64[Array, "track column=11"],
-    found: Float64[Array, "track end=2 column=10"],
+    segments: Float64[Array, "segment column=11"],
+    found: Float64[Array, "segment end=2 column=10"],
     lasers: list[int],
     rig: Rig,
 ) -> Ends:
@@ -313,25 +313,25 @@ def flagged_ends(
     x, y, slope, along, width = ends["x"], ends["y"], ends["slope"], ends["sigma"], ends["width"]
     outside, saturated, blunt = ends["outside"], ends["saturated"], ends["blunt"] == 1
     (section, _), (background, _) = ends["section_sigma"], ends["background"]
-    count, start, end = tracks[:, CENTERS], tracks[:, X_START], tracks[:, X_END]
+    count, start, end = segments[:, CENTERS], segments[:, X_START], segments[:, X_END]
     with np.errstate(divide="ignore", invalid="ignore"):  # a scatter of 0; ends that were not found
-        error = np.log(tracks[:, SCATTER] * np.sqrt(tracks[:, CORRELATION]))
+        error = np.log(segments[:, SCATTER] * np.sqrt(segments[:, CORRELATION]))
         pooled = SHARED_WEIGHT * (np.average(error, weights=count) - error)
-        scatter = tracks[:, SCATTER] * np.exp(np.where(np.isfinite(pooled), np.maximum(pooled, -MAX_DECREASE), 0.0))
+        scatter = segments[:, SCATTER] * np.exp(np.where(np.isfinite(pooled), np.maximum(pooled, -MAX_DECREASE), 0.0))
         used = fitted_columns(count) / np.maximum(count, 1)
-        independent = used * count / tracks[:, CORRELATION] - FIT_DOF_CORRECTION / math.sqrt(len(tracks))
+        independent = used * count / segments[:, CORRELATION] - FIT_DOF_CORRECTION / math.sqrt(len(segments))
         middle = scatter / np.sqrt(np.maximum(independent, MIN_SEGMENT_COLUMNS))
         # the fitted line absorbs coarser texture, which the centres' scatter does not show
         facets = np.maximum(count / (FACET_SIGMAS * section), 1)
         middle = np.fmax(middle, section * np.sqrt(background / facets))
         clipped = (saturated > SATURATED_SHARE).any(axis=0)
-        rows = np.maximum(np.abs(tracks[:, SLOPE]) * (end - start), 1)
+        rows = np.maximum(np.abs(segments[:, SLOPE]) * (end - start), 1)
         shared = np.where(clipped, CLIPPED_PHASE / section / rows, 0.0)
         fitted_px = np.maximum(used * (end - start), 1)
         straight_x = np.stack([start, end])
         # standard deviations of the line's ordinate at the measured ends and at its own
         at_ends, at_own = (
-            np.hypot(np.hypot(middle, tilt_sigma_px(middle, at - tracks[:, MIDDLE_X], fitted_px)), shared)
+            np.hypot(np.hypot(middle, tilt_sigma_px(middle, at - segments[:, MIDDLE_X], fitted_px)), shared)
             for at in (x, straight_x)
         )
         inside = (x >= BORDER_PX) & (x <= rig.camera.image_width - 1 - BORDER_PX)
@@ -342,10 +342,10 @@ def flagged_ends(
         flags |= np.where(edge_sigma > UNCLEAR_PX, int(BreakPointFlag.UNCLEAR), 0)
         flags = np.where(inside, flags, int(BreakPointFlag.CLIPPED))
         covariance = end_covariance_px2(along, at_ends, slope)
-    straight_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (straight_x - tracks[:, MIDDLE_X])
+    straight_y = segments[:, MIDDLE_Y] + segments[:, SLOPE] * (straight_x - segments[:, MIDDLE_X])
 
     def of_lasers(values: Array, fill: float = np.nan) -> Array:
-        """The values, with axes (end, track, ...), arranged by laser, with axes (laser, end, ...)."""
+        """The values, with axes (end, segment, ...), arranged by laser, with axes (laser, end, ...)."""
         table = np.full((len(rig.lasers.names), 2, *values.shape[2:]), fill, values.dtype)
         table[lasers] = values.swapaxes(0, 1)
         return table
@@ -398,8 +398,8 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
-LINE = [TRACK_COLUMNS.index(name) for name in LINE_COLUMNS]
-"""Columns of a track that describe its line."""
+LINE = [SEGMENT_COLUMNS.index(name) for name in LINE_COLUMNS]
+"""Columns of a segment that describe its line."""
 
 
 IN_FRONT_M = 0.005
@@ -412,21 +412,21 @@ MIN_POINTS_OF_PLANE = 3
 """Ends that determine the plane of the face."""
 
 
-def beside_occluder(ends: Ends, tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "laser end=2"]:
+def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=11"], rig: Rig) -> Bool[Array, "laser end=2"]:
     """Mask of the ends beside which another stripe of the same laser begins that lies in front of the face in space."""
     beside = np.zeros(ends.flags.shape, dtype=bool)
     seen = ~np.isnan(ends.position_px[..., 0])
-    # distance, off the face, from each end to the nearer end of each track
-    near_x = tracks[:, [X_END, X_START]].T
+    # distance, off the face, from each end to the nearer end of each segment
+    near_x = segments[:, [X_END, X_START]].T
     outward = (near_x - ends.straight_px[:, :, :1]) * np.array([-1.0, 1.0])[:, None]
-    own = (tracks[:, LASER] == np.arange(len(seen))[:, None]) | (tracks[:, LASER] == UNLABELLED)
+    own = (segments[:, LASER] == np.arange(len(seen))[:, None]) | (segments[:, LASER] == UNLABELLED)
     near = seen[..., None] & own[:, None] & (outward > -BESIDE_PX / 4) & (outward < BESIDE_PX)
-    laser, side, track = np.nonzero(near)
+    laser, side, segment = np.nonzero(near)
     known = seen & np.isfinite(ends.straight_px[..., 0])
     if not len(laser) or known.sum() < MIN_POINTS_OF_PLANE:
         return beside
-    x = near_x[side, track]
-    y = tracks[track, MIDDLE_Y] + tracks[track, SLOPE] * (x - tracks[track, MIDDLE_X])
+    x = near_x[side, segment]
+    y = segments[segment, MIDDLE_Y] + segments[segment, SLOPE] * (x - segments[segment, MIDDLE_X])
     pixels = np.concatenate([ends.straight_px[known], np.stack([x, y], axis=-1)])
     of = np.concatenate([np.nonzero(known)[0], laser])
     points = intersect(undistorted_rays(pixels, rig.camera), rig.lasers.normal[of], rig.lasers.distance_m[of])

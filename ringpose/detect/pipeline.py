@@ -226,15 +226,15 @@ def _judged_ring(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> Rin
     rig, saturation_dn = view.rig, view.saturation_dn
     if not len(stripes.piece):
         raise Stop(_why_no_stripe(view.images))
-    tracks = stripe_line_segments(stripes, rig.camera)
-    face = select_face(tracks, unlabelled, rig)
-    ends = break_points(face, tracks, view.images, rig, saturation_dn)
+    segments = stripe_line_segments(stripes, rig.camera)
+    face = select_face(segments, unlabelled, rig)
+    ends = break_points(face, segments, view.images, rig, saturation_dn)
     if saturated_along_stripes(ends, view.images, saturation_dn):
         raise Stop(NoBreakPoints.HIDDEN_BY_SATURATION)
     motion = None if view.still or view.shot.lasers.all() else ring_motion(ends, view.shot, rig)
     unmoved = view.images if motion is None else [_without_moved_background(image, motion) for image in view.images]
     if unmoved != view.images:
-        ends = break_points(face, tracks, unmoved, rig, saturation_dn)
+        ends = break_points(face, segments, unmoved, rig, saturation_dn)
     judged = without_outliers(ends, rig, view.assumptions, view.camera)
     displaced = [rig.lasers.names[laser] for laser in face.displaced]
     return RingSearch(
@@ -385,11 +385,11 @@ def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = 
     if not len(stripes.piece):
         return found
     stripes = replace(stripes, laser=_nearest_lasers(stripes, found, image.lasers, rig.camera))
-    tracks = stripe_line_segments(stripes, rig.camera)
-    face = ring_face(tracks, (), rig)
+    segments = stripe_line_segments(stripes, rig.camera)
+    face = ring_face(segments, (), rig)
     if face is None:
         return found
-    again = break_points(face, tracks, [image], rig, view.shot.saturation_dn)
+    again = break_points(face, segments, [image], rig, view.shot.saturation_dn)
     far_px = np.nansum(np.abs(again.position_px - found.position_px))
     if np.nansum(np.abs(again.position_px[:, ::-1] - found.position_px)) < far_px:
         again = again.with_edges_exchanged()
@@ -438,12 +438,12 @@ def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserIma
     return replace(image, dark=None) if moved_px > MOVED_PX else image
 
 
-def select_face(tracks: Float64[Array, "track column=11"], unlabelled: Sequence[int], rig: Rig) -> Face:
+def select_face(segments: Float64[Array, "segment column=11"], unlabelled: Sequence[int], rig: Rig) -> Face:
     """The stripes on the ring's face; `unlabelled`: lasers of unlabelled segments. Raises `Stop` if there are none."""
-    face = ring_face(tracks, unlabelled, rig)
-    if not unlabelled and _masks_contradicted(face, tracks, rig):
+    face = ring_face(segments, unlabelled, rig)
+    if not unlabelled and _masks_contradicted(face, segments, rig):
         raise Stop(NoBreakPoints.CONTRADICTED_MASKS)
-    if (face is None or len(face.lasers) < CONFIRMED) and stripes_behind_camera(tracks, rig):
+    if (face is None or len(face.lasers) < CONFIRMED) and stripes_behind_camera(segments, rig):
         raise Stop(NoBreakPoints.CONTRADICTED_RIG)
     if face is None:
         raise Stop(NoBreakPoints.NO_RING)
@@ -475,8 +475,8 @@ def explained(reason: NoBreakPoints, stripes: Stripes, view: View) -> NoBreakPoi
         return reason
     x, y = stripes.position_px.T
     turned_px = np.stack([x, rig.camera.image_height - 1 - y], axis=1)
-    tracks = stripe_line_segments(replace(stripes, position_px=turned_px), rig.camera)
-    face = ring_face(tracks, view.unlabelled_lasers(), rig)
+    segments = stripe_line_segments(replace(stripes, position_px=turned_px), rig.camera)
+    face = ring_face(segments, view.unlabelled_lasers(), rig)
     fits = face is not None and len(face.lasers) >= CONFIRMED and not face.ambiguous and not face.behind
     return NoBreakPoints.UPSIDE_DOWN if fits else reason
 
@@ -499,11 +499,11 @@ def _dark_frame_lit(image: LaserImage) -> bool:
     return len(find_stripes(dark, lit, saturation_dn=image.threshold_scale_dn).piece) >= LONG_COLUMNS
 
 
-def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
+def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment column=11"], rig: Rig) -> bool:
     """Whether the stripes fit a ring of three lasers only under an assignment that contradicts the laser masks."""
     if face is not None and len(face.lasers) > 2:
         return False
-    unlabelled = tracks.copy()
+    unlabelled = segments.copy()
     unlabelled[:, LASER] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
     return other is not None and len(other.lasers) > 2
@@ -528,21 +528,21 @@ MIN_POSSIBLE_SHARE = 0.5
 upside down at most two thirds."""
 
 
-def stripes_behind_camera(tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
+def stripes_behind_camera(segments: Float64[Array, "segment column=11"], rig: Rig) -> bool:
     """Whether most straight stripes would lie behind the camera or inside its lens, for every possible laser."""
-    long = tracks[tracks[:, CENTERS] >= LONG_COLUMNS]
+    long = segments[segments[:, CENTERS] >= LONG_COLUMNS]
     possible = _possible(long, rig)
     drawn = long[:, [LASER]] == np.arange(possible.shape[1])
     anywhere = (possible & (drawn | (long[:, [LASER]] == UNLABELLED))).any(axis=1)
     return float(long[anywhere, CENTERS].sum()) < MIN_POSSIBLE_SHARE * float(long[:, CENTERS].sum())
 
 
-def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "track laser"]:
+def _possible(segments: Float64[Array, "segment column=11"], rig: Rig) -> Bool[Array, "segment laser"]:
     """For each segment and laser, whether part of the segment has a possible depth on the laser's light plane."""
-    x_px = tracks[:, [X_START, X_END]]
-    y_px = tracks[:, [MIDDLE_Y]] + tracks[:, [SLOPE]] * (x_px - tracks[:, [MIDDLE_X]])
+    x_px = segments[:, [X_START, X_END]]
+    y_px = segments[:, [MIDDLE_Y]] + segments[:, [SLOPE]] * (x_px - segments[:, [MIDDLE_X]])
     per_m = undistorted_rays(np.stack([x_px, y_px], axis=-1), rig.camera) @ planes_per_m(rig).T
-    possible: Bool[Array, "track laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
+    possible: Bool[Array, "segment laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
         per_m.min(axis=1) < POSSIBLE_PER_M[1]
     )
     return possible

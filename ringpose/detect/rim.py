@@ -1,4 +1,4 @@
-"""Selection of the segments ("tracks") on the ring's face: one per laser, coplanar, ends on two concentric circles.
+"""Selection of the segments on the ring's face: one per laser, coplanar, ends on two concentric circles.
 
 In a frame with several lasers on, this also assigns the stripes to the lasers: each assignment of segments to lasers,
 exchanges included, is scored by how well one planar ring explains it (ringpose-method(7), section 3).
@@ -27,8 +27,8 @@ from ringpose.kernels.lines import (
     LASER,
     MIDDLE_X,
     MIDDLE_Y,
+    SEGMENT_COLUMNS,
     SLOPE,
-    TRACK_COLUMNS,
     X_END,
     X_START,
     CandidateParams,
@@ -49,7 +49,7 @@ px."""
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Minimum score by number of segments, which foil hardly ever reaches; two segments have little redundancy."""
 
-TRACK_PENALTY = 3.0
+SEGMENT_PENALTY = 3.0
 """Minimum increase of the score by a further segment; a piece of foil that happens to be coplanar adds less."""
 
 CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
@@ -97,8 +97,8 @@ class Face:
     """The segments on the ring's face."""
 
     lasers: tuple[int, ...]
-    tracks: Float64[Array, "track column=11"]
-    """One for each of these lasers; columns as in `TRACK_COLUMNS`."""
+    segments: Float64[Array, "segment column=11"]
+    """One for each of these lasers; columns as in `SEGMENT_COLUMNS`."""
     score: float
     ambiguous: bool
     """Another assignment explains the same segments about as well, or explains them as stripes on the body."""
@@ -109,27 +109,27 @@ class Face:
 
 
 class Group(NamedTuple):
-    """The best hypothesis with a given number of lasers: one track for each of them."""
+    """The best hypothesis with a given number of lasers: one segment for each of them."""
 
     lasers: tuple[int, ...]
-    tracks: tuple[int, ...]
-    """Indices of the tracks."""
+    segments: tuple[int, ...]
+    """Indices of the segments."""
     score: float
     """Log likelihood up to a constant; minus infinity if no group is possible."""
     rival: float
-    """Best score of the same tracks with another assignment to lasers."""
+    """Best score of the same segments with another assignment to lasers."""
 
 
 class Faces(NamedTuple):
     """Hypotheses for the rim of the ring."""
 
-    tracks: Float64[Array, "n column=11"]
-    """The given tracks, followed by the merged ones."""
+    segments: Float64[Array, "n column=11"]
+    """The given segments, followed by the merged ones."""
     groups: tuple[Group, Group, Group]
-    """The best groups of one, two and three tracks."""
+    """The best groups of one, two and three segments."""
 
 
-def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
+def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The foremost face, from as many lasers as are consistent; None if no segment can be on a face.
 
     It is the one of the best score, unless there is one in front of it. `lasers` are those that an unlabelled segment
@@ -137,58 +137,58 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     """
     unlabelled = sum(1 << laser for laser in lasers)
     every, found = ring_faces(
-        tracks, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
+        segments, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
     )
     groups: list[Group | None] = list(found)
     best = best_hypothesis(groups)
-    while best is not None and not _lengths_consistent(every[list(best.tracks)], best.lasers, rig):
+    while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
         best = best_hypothesis(groups)
     if best is None:
         return None
     beside = _beside_band(best, every, lasers, rig)
     best = best if beside is None else _without(best, beside)
-    chosen = every[list(best.tracks)]
+    chosen = every[list(best.segments)]
     face = Face(
         lasers=best.lasers,
-        tracks=chosen,
+        segments=chosen,
         score=best.score,
-        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
-        or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
+        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.segments)]
+        or (len(best.segments) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
         displaced=() if beside is None else (beside,),
     )
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
         face = _with_further_lasers(face, every, lasers, rig)
-    face = _foremost(face, tracks, rig)
-    return replace(face, displaced=displaced_lasers(face, tracks, lasers, rig))
+    face = _foremost(face, segments, rig)
+    return replace(face, displaced=displaced_lasers(face, segments, lasers, rig))
 
 
 def _with_further_lasers(
-    face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+    face: Face, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
 ) -> Face:
     """The face with the segments of a rig's fourth and further lasers that are near its plane and about as long.
 
     Whether their ends lie on its circles is judged by the estimator. Neighbouring stripes of many lasers may fit when
     all of them are shifted by one: the assignment is ambiguous if another one leaves no more lasers without a segment.
     """
-    found = _segments_on_plane(face, tracks, lasers, rig)
-    unlabelled = bool((face.tracks[:, LASER] == UNLABELLED).any())
+    found = _segments_on_plane(face, segments, lasers, rig)
+    unlabelled = bool((face.segments[:, LASER] == UNLABELLED).any())
     count = len(rig.lasers.names)
     for shift in range(-count, count) if unlabelled else ():
         shifted = tuple(laser + shift for laser in face.lasers)
         if shift and set(shifted) <= set(lasers):
-            other = _segments_on_plane(replace(face, lasers=shifted), tracks, lasers, rig)
+            other = _segments_on_plane(replace(face, lasers=shifted), segments, lasers, rig)
             if len(other) >= len(found):
                 return replace(face, ambiguous=True)
-    return replace(face, lasers=tuple(sorted(found)), tracks=np.array([found[laser] for laser in sorted(found)]))
+    return replace(face, lasers=tuple(sorted(found)), segments=np.array([found[laser] for laser in sorted(found)]))
 
 
 def _segments_on_plane(
-    face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+    face: Face, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
 ) -> dict[int, list[float]]:
     """The segments of the face, and of each other laser the longest one on its plane; none if they have no plane."""
-    ends_m, lengths_m, origin, normal = _plane_of(face.tracks, face.lasers, rig)
-    used = face.tracks.tolist()
+    ends_m, lengths_m, origin, normal = _plane_of(face.segments, face.lasers, rig)
+    used = face.segments.tolist()
     found = {
         laser: row
         for laser, row in zip(face.lasers, used, strict=True)
@@ -196,7 +196,7 @@ def _segments_on_plane(
     }
     if len(found) < len(used) or float(ends_m[:, :, 2].min()) < DEPTH_RANGE_M[0]:
         return {}
-    for row in sorted(tracks.tolist(), key=lambda row: -row[CENTERS]):
+    for row in sorted(segments.tolist(), key=lambda row: -row[CENTERS]):
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
             if laser in found or row in found.values():
                 continue
@@ -226,24 +226,24 @@ def _off_plane_px(
 
 
 def ring_faces(
-    tracks: Float64[Array, "track column=11"],
+    segments: Float64[Array, "segment column=11"],
     unlabelled: int,
     planes: Float64[Array, "laser xyz=3"],
     ring: RingParams,
     unions: UnionParams,
     candidates: CandidateParams,
 ) -> Faces:
-    """The best groups of one, two and three tracks, each of a different laser, that lie on the rim of one planar ring.
+    """The best groups of one, two and three segments, each of another laser, that lie on the rim of one planar ring.
 
-    `unlabelled` is the bit mask of the lasers that tracks without a laser may belong to. `planes` are the light planes
-    as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them. Collinear tracks are tried as one, too.
-    The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers, and a tilt
-    prior of sigma 0.5 rad.
+    `unlabelled` is the bit mask of the lasers that segments without a laser may belong to. `planes` are the light
+    planes as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them. Collinear segments are tried as
+    one, too. The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers,
+    and a tilt prior of sigma 0.5 rad.
     """
-    tracks, planes = np.ascontiguousarray(tracks), np.ascontiguousarray(planes)
-    every, (one, two, three) = _kernels.faces(tracks, unlabelled, planes, unions, candidates, ring)
+    segments, planes = np.ascontiguousarray(segments), np.ascontiguousarray(planes)
+    every, (one, two, three) = _kernels.faces(segments, unlabelled, planes, unions, candidates, ring)
     groups = Group(*one), Group(*two), Group(*three)
-    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
+    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(SEGMENT_COLUMNS)), groups)
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
@@ -254,32 +254,32 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     segments next to a single one of a far better score are on the body behind it.
     """
     one, two, three = (
-        group if group is not None and group.score > CONVINCING_SCORE[len(group.tracks)] else None for group in groups
+        group if group is not None and group.score > CONVINCING_SCORE[len(group.segments)] else None for group in groups
     )
-    if one is not None and two is not None and not set(one.tracks) < set(two.tracks) and two.score < 2 * one.score:
+    if one is not None and two is not None and not set(one.segments) < set(two.segments) and two.score < 2 * one.score:
         two = None
     if two is None or three is None:
         return three or two or one
-    among = set(zip(two.lasers, two.tracks, strict=True)) < set(zip(three.lasers, three.tracks, strict=True))
-    return three if three.score > two.score + (TRACK_PENALTY if among else -TRACK_PENALTY) else two
+    among = set(zip(two.lasers, two.segments, strict=True)) < set(zip(three.lasers, three.segments, strict=True))
+    return three if three.score > two.score + (SEGMENT_PENALTY if among else -SEGMENT_PENALTY) else two
 
 
-def _lengths_consistent(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
+def _lengths_consistent(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> bool:
     """Whether the segments may cross one band: none is much shorter than the longest, unless the image truncates it."""
-    lengths_m = _lengths_m(_ends_m(tracks, lasers, rig))
-    whole_m = lengths_m[tracks[:, CLIPPED] == 0]
+    lengths_m = _lengths_m(_ends_m(segments, lasers, rig))
+    whole_m = lengths_m[segments[:, CLIPPED] == 0]
     return bool(lengths_m.max() < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
 
 
 def _without(group: Group, laser: int) -> Group:
-    """The group without the track of a laser, with the scores of all of them."""
+    """The group without the segment of a laser, with the scores of all of them."""
     kept = [number for number, each in enumerate(group.lasers) if each != laser]
-    lasers, tracks = (tuple(each[number] for number in kept) for each in (group.lasers, group.tracks))
-    return group._replace(lasers=lasers, tracks=tracks)
+    lasers, segments = (tuple(each[number] for number in kept) for each in (group.lasers, group.segments))
+    return group._replace(lasers=lasers, segments=segments)
 
 
 def _beside_band(
-    group: Group, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+    group: Group, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
 ) -> int | None:
     """The laser of three whose segment is beside the band of the other two, where another one of its segments is.
 
@@ -288,16 +288,16 @@ def _beside_band(
     changed: the laser's stripe on the ring is as long as the other two, on their band, and coplanar with them after a
     small turn of one light plane.
     """
-    start_px, end_px = tracks[list(group.tracks)][:, [X_START, X_END]].T
-    if len(group.tracks) < CONFIRMED or start_px.max() < end_px.min():
+    start_px, end_px = segments[list(group.segments)][:, [X_START, X_END]].T
+    if len(group.segments) < CONFIRMED or start_px.max() < end_px.min():
         return None
-    for laser, track in zip(group.lasers, group.tracks, strict=True):
+    for laser, segment in zip(group.lasers, group.segments, strict=True):
         pair = _without(group, laser)
-        rows = tracks[list(pair.tracks)]
+        rows = segments[list(pair.segments)]
         plane = _plane_of(rows, pair.lasers, rig)
-        if plane.on_band(_ends_m(tracks[[track]], [laser], rig))[0]:
+        if plane.on_band(_ends_m(segments[[segment]], [laser], rig))[0]:
             continue
-        others = _of_laser(_others(rows, tracks), laser, lasers)
+        others = _of_laser(_others(rows, segments), laser, lasers)
         ends_m = _ends_m(others, [laser] * len(others), rig)
         for other in others[plane.on_band(ends_m) & plane.alike(ends_m)]:
             if _turn_rad(np.stack([*rows, other]), [*pair.lasers, laser], rig) < MOVED_RAD:
@@ -305,31 +305,31 @@ def _beside_band(
     return None
 
 
-def _turn_rad(tracks: Float64[Array, "track=3 column=11"], lasers: Sequence[int], rig: Rig) -> float:
+def _turn_rad(segments: Float64[Array, "segment=3 column=11"], lasers: Sequence[int], rig: Rig) -> float:
     """The smallest turn of one of three light planes after which these segments are coplanar, seen from the camera."""
     off_px = []
     for number, laser in enumerate(lasers):
         others = [each for each in range(len(lasers)) if each != number]
-        plane = _plane_of(tracks[others], [lasers[each] for each in others], rig)
-        off_px.append(_off_plane_px(tracks[number].tolist(), laser, plane.origin_m, plane.normal, rig))
+        plane = _plane_of(segments[others], [lasers[each] for each in others], rig)
+        off_px.append(_off_plane_px(segments[number].tolist(), laser, plane.origin_m, plane.normal, rig))
     return min(off_px) / lens(rig.camera).fy
 
 
 def may_be_background(
-    tracks: Float64[Array, "track column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
+    segments: Float64[Array, "segment column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
 ) -> bool:
     """Whether a segment could be a stripe on the body behind the ring, drawn by another of these lasers.
 
     On the light plane of that laser, the segment is longer than any stripe on a face, and farther away than on the
     plane of its own laser, within range.
     """
-    own_m = _ends_m(tracks, own, rig)[..., 2]
+    own_m = _ends_m(segments, own, rig)[..., 2]
     for other in lasers:
-        ends_m = _ends_m(tracks, [other] * len(tracks), rig)
+        ends_m = _ends_m(segments, [other] * len(segments), rig)
         depth_m = ends_m[..., 2]
         farther = (depth_m.min(axis=1) > own_m.min(axis=1)) & (depth_m.max(axis=1) > own_m.max(axis=1))
         in_range = (depth_m.min(axis=1) > BODY_RANGE_M[0]) & (depth_m.max(axis=1) < BODY_RANGE_M[1])
-        possible = (tracks[:, LASER] == UNLABELLED) & (np.array(own) != other)
+        possible = (segments[:, LASER] == UNLABELLED) & (np.array(own) != other)
         if bool((possible & farther & in_range & (_lengths_m(ends_m) > FACE_LENGTH_M[1])).any()):
             return True
     return False
@@ -338,7 +338,7 @@ def may_be_background(
 class _Plane(NamedTuple):
     """The plane of the selected segments."""
 
-    ends_m: Float64[Array, "track end=2 xyz=3"]
+    ends_m: Float64[Array, "segment end=2 xyz=3"]
     lengths_m: list[float]
     origin_m: Float64[Array, "xyz=3"]
     normal: Float64[Array, "xyz=3"]
@@ -361,8 +361,8 @@ class _Plane(NamedTuple):
         return alike
 
 
-def _plane_of(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> _Plane:
-    ends_m = _ends_m(tracks, lasers, rig)
+def _plane_of(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> _Plane:
+    ends_m = _ends_m(segments, lasers, rig)
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
     normal = np.linalg.svd(points_m - origin_m, full_matrices=False)[2][2]
@@ -370,21 +370,21 @@ def _plane_of(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
 
 
 def _others(
-    selected: Float64[Array, "selected column=11"], tracks: Float64[Array, "track column=11"]
+    selected: Float64[Array, "selected column=11"], segments: Float64[Array, "segment column=11"]
 ) -> Float64[Array, "other column=11"]:
     """The other segments that are not truncated by the image, and longer than most reflections."""
-    used = (tracks[:, None] == selected).all(axis=2).any(axis=1)
-    return tracks[~used & (tracks[:, CLIPPED] == 0) & (tracks[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
+    used = (segments[:, None] == selected).all(axis=2).any(axis=1)
+    return segments[~used & (segments[:, CLIPPED] == 0) & (segments[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
 
 
 def _of_laser(
-    tracks: Float64[Array, "track column=11"], laser: int, lasers: Sequence[int]
+    segments: Float64[Array, "segment column=11"], laser: int, lasers: Sequence[int]
 ) -> Float64[Array, "own column=11"]:
     """The segments that may be of a laser; `lasers`: those that an unlabelled segment may belong to."""
-    return tracks[(tracks[:, LASER] == laser) | ((tracks[:, LASER] == UNLABELLED) & (laser in lasers))]
+    return segments[(segments[:, LASER] == laser) | ((segments[:, LASER] == UNLABELLED) & (laser in lasers))]
 
 
-def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> Face:
+def _foremost(face: Face, segments: Float64[Array, "segment column=11"], rig: Rig) -> Face:
     """The face, or the one in front of it; `behind` if another surface in front of it may be the face.
 
     A ring's face is its foremost flat surface; a flange behind it is an annulus, too, and a wider one has longer
@@ -395,15 +395,15 @@ def _foremost(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -
     stripe of a laser without a selected one may be off the plane because its light plane has moved
     (`displaced_lasers`).
     """
-    if len(face.lasers) < 2 or not len(others := _others(face.tracks, tracks)):
+    if len(face.lasers) < 2 or not len(others := _others(face.segments, segments)):
         return face
-    plane, lasers = _plane_of(face.tracks, face.lasers, rig), np.array(face.lasers)
+    plane, lasers = _plane_of(face.segments, face.lasers, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
     nearer = ring_face(rows, face.lasers, rig) if len(rows) >= CONFIRMED else None
     if nearer is not None and len(nearer.lasers) >= CONFIRMED:
-        nearer_m, _, _, normal = _plane_of(nearer.tracks, nearer.lasers, rig)
+        nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < MAX_TILT_OF_FACES
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
             return nearer
@@ -431,16 +431,16 @@ def parallel_in_front(
 
 
 def displaced_lasers(
-    face: Face, tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig
+    face: Face, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
 ) -> tuple[int, ...]:
     """Lasers whose stripe was not selected, but which have one like those on the ring close to its plane.
 
     Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
     are those that an unlabelled segment may belong to.
     """
-    if len(face.lasers) != CONFIRMED - 1 or not len(others := _others(face.tracks, tracks)):
+    if len(face.lasers) != CONFIRMED - 1 or not len(others := _others(face.segments, segments)):
         return ()
-    plane = _plane_of(face.tracks, face.lasers, rig)
+    plane = _plane_of(face.segments, face.lasers, rig)
     shortest_m, longest_m = min(plane.lengths_m), max(plane.lengths_m)
     found = list(face.displaced)
     for laser in set(range(len(rig.lasers.names))).difference(face.lasers, face.displaced):
@@ -455,11 +455,11 @@ def displaced_lasers(
 
 
 def _ends_m(
-    tracks: Float64[Array, "n column=11"], lasers: Sequence[int] | Int64[Array, "n"], rig: Rig
+    segments: Float64[Array, "n column=11"], lasers: Sequence[int] | Int64[Array, "n"], rig: Rig
 ) -> Float64[Array, "n end=2 xyz=3"]:
     """The ends of segments in space (m, camera frame), each on the light plane of its laser."""
-    x_px = tracks[:, [X_START, X_END]]
-    y_px = tracks[:, MIDDLE_Y, None] + tracks[:, SLOPE, None] * (x_px - tracks[:, MIDDLE_X, None])
+    x_px = segments[:, [X_START, X_END]]
+    y_px = segments[:, MIDDLE_Y, None] + segments[:, SLOPE, None] * (x_px - segments[:, MIDDLE_X, None])
     optics = lens(rig.camera)
     rays = np.ones((*x_px.shape, 3))
     rays[..., 0], rays[..., 1] = (x_px - optics.cx) / optics.fx, (y_px - optics.cy) / optics.fy

@@ -5,7 +5,7 @@ Gaussian-smoothed grey values has a minimum, and the centre is the adjacent zero
 a speckled stripe is estimated from its flanks. Centres are linked along x into pieces.
 
 The intersection of a light plane with a planar surface is a straight line. Pieces are therefore cut at kinks and joined
-across gaps, in the undistorted image: the stripe on the ring's face is one such segment ("track"), and walls or foil
+across gaps, in the undistorted image: the stripe on the ring's face is one such segment, and walls or foil
 behind it add segments of other directions or offsets.
 
 The centres are computed in kernels/stripes: stripe_search.c (noise, coarse search, ridges), stripe_patches.c (image
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.kernels import _kernels, kernel_record
-from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
+from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, TrackParams
 from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes
@@ -192,8 +192,8 @@ def _two_sided_norm(taps: Float64[Array, "tap"]) -> float:
     return math.sqrt(2 * float(taps @ taps) - float(taps[0]) ** 2)
 
 
-def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
-    """The straight line segments of the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
+def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "segment column=11"]:
+    """The straight line segments of the stripes, in undistorted pixels; columns as in `SEGMENT_COLUMNS`."""
     params = TrackParams(image_width=camera.image_width, border_px=BORDER_PX)
     return straight_segments(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params)
 
@@ -205,7 +205,7 @@ def straight_segments(
     laser: Int64[Array, "piece"],
     lens: Lens,
     params: TrackParams,
-) -> Float64[Array, "track column=11"]:
+) -> Float64[Array, "segment column=11"]:
     """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
 
     Pieces are split at their kinks (Ramer-Douglas-Peucker on running medians of seven) and joined across gaps. Each
@@ -214,7 +214,7 @@ def straight_segments(
     """
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
     found = _kernels.tracks(position, sigma, piece, laser, lens, params)
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(SEGMENT_COLUMNS))
 
 
 @lru_cache(maxsize=4)

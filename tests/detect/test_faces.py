@@ -1,4 +1,4 @@
-"""Which tracks make a face: stripes of like length on one band, and none that the body behind may show as well."""
+"""Which segments make a face: stripes of like length on one band, and none that the body behind may show as well."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from ringpose.detect.break_points import without_outliers
 from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face
 from ringpose.geometry.rays import intersect, nearest_plane, undistorted_pixels
 from ringpose.geometry.rotations import tilted
-from ringpose.kernels.lines import TRACK_COLUMNS
+from ringpose.kernels.lines import SEGMENT_COLUMNS
 from ringpose.types.detection import UNLABELLED, BreakPointFlag
 from ringpose.types.rig import LaserPlanes
 
@@ -21,7 +21,7 @@ OCCLUDED = int(BreakPointFlag.OCCLUDED)
 
 
 def row(start, end, laser=UNLABELLED):
-    """A clean track between two points in undistorted pixels."""
+    """A clean segment between two points in undistorted pixels."""
     length = end[0] - start[0]
     values = {
         "laser": laser,
@@ -34,7 +34,7 @@ def row(start, end, laser=UNLABELLED):
         "scatter": 0.05,
         "correlation": 1.0,
     }
-    return [float(values.get(name, 0.0)) for name in TRACK_COLUMNS]
+    return [float(values.get(name, 0.0)) for name in SEGMENT_COLUMNS]
 
 
 def face_ends(seed):
@@ -60,9 +60,9 @@ def test_three_stripes_on_a_ring_are_its_face(seed):
 @pytest.mark.parametrize("share", [0.2, 0.35])
 def test_a_piece_much_shorter_than_the_other_stripes_is_of_another_surface(share):
     first, (left, right), third = face_ends(1)
-    tracks = np.array([row(*first), row(left, left + share * (right - left)), row(*third)])
+    segments = np.array([row(*first), row(left, left + share * (right - left)), row(*third)])
 
-    face = ring_face(tracks, ALL, RIG)
+    face = ring_face(segments, ALL, RIG)
 
     assert face is None or len(face.lasers) < 3
 
@@ -74,28 +74,28 @@ def test_two_pieces_less_like_a_face_than_another_are_the_body_behind_it(pair, s
     one = Group((0,), (17,), 9.5, -np.inf)
     two = Group((0, 1), pair, score, -np.inf)
 
-    assert best_hypothesis((one, two, None)).tracks == chosen
+    assert best_hypothesis((one, two, None)).segments == chosen
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stripe_on_the_body_is_no_face_of_a_nearer_laser(seed):
-    tracks = np.array([row(*body_ends(seed, 2))])
+    segments = np.array([row(*body_ends(seed, 2))])
 
-    assert may_be_background(tracks, (0,), ALL, RIG)
+    assert may_be_background(segments, (0,), ALL, RIG)
 
 
 @pytest.mark.parametrize("laser", ALL)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stripe_on_the_face_is_not_taken_for_the_bodys(seed, laser):
-    tracks = np.array([row(*face_ends(seed)[laser])])
+    segments = np.array([row(*face_ends(seed)[laser])])
 
-    assert not may_be_background(tracks, (laser,), ALL, RIG)
+    assert not may_be_background(segments, (laser,), ALL, RIG)
 
 
 def test_a_labelled_stripe_is_not_assigned_to_another_laser():
-    tracks = np.array([row(*body_ends(0, 2), laser=0)])
+    segments = np.array([row(*body_ends(0, 2), laser=0)])
 
-    assert not may_be_background(tracks, (0,), ALL, RIG)
+    assert not may_be_background(segments, (0,), ALL, RIG)
 
 
 def five_lasers(labelled):
@@ -112,19 +112,19 @@ def five_lasers(labelled):
 
 @pytest.mark.parametrize("labelled", [True, False])
 def test_a_rig_with_five_lasers_uses_all_stripes(labelled):
-    tracks, rig = five_lasers(labelled)
+    segments, rig = five_lasers(labelled)
 
-    face = ring_face(tracks, range(5), rig)
+    face = ring_face(segments, range(5), rig)
 
     assert face.lasers == (0, 1, 2, 3, 4)
-    np.testing.assert_array_equal(face.tracks, tracks)
+    np.testing.assert_array_equal(face.segments, segments)
 
 
 def test_a_stripe_of_a_fourth_laser_off_the_rings_plane_is_not_used():
-    tracks, rig = five_lasers(labelled=True)
-    tracks[4, TRACK_COLUMNS.index("middle_y")] += 6.0
+    segments, rig = five_lasers(labelled=True)
+    segments[4, SEGMENT_COLUMNS.index("middle_y")] += 6.0
 
-    face = ring_face(tracks, range(5), rig)
+    face = ring_face(segments, range(5), rig)
 
     assert face.lasers == (0, 1, 2, 3)
 
@@ -147,11 +147,11 @@ def in_front(ends, laser, height_m, slope, shift_m=0.05):
 @pytest.mark.parametrize("laser", ALL)
 def test_a_ring_behind_a_parallel_surface_may_be_a_flange_below_the_face(laser, height_m, slope, expected):
     faces = [row(*ends, own) for own, ends in enumerate(face_ends(1))]
-    tracks = np.array([*faces, row(*in_front(face_ends(1)[laser], laser, height_m, slope), laser)])
+    segments = np.array([*faces, row(*in_front(face_ends(1)[laser], laser, height_m, slope), laser)])
 
-    face = ring_face(tracks, (), RIG)
+    face = ring_face(segments, (), RIG)
 
-    np.testing.assert_array_equal(face.tracks, faces)
+    np.testing.assert_array_equal(face.segments, faces)
     assert face.behind is expected
 
 
@@ -172,7 +172,7 @@ def test_the_face_is_the_foremost_of_two_rings_however_narrow(share, assigned):
     face = ring_face(np.array([*flange, *faces]), () if assigned else ALL, RIG)
 
     assert face.lasers == ALL
-    np.testing.assert_array_equal(face.tracks, faces)
+    np.testing.assert_array_equal(face.segments, faces)
     assert not face.behind
 
 
@@ -185,7 +185,7 @@ def test_stripes_on_an_arm_that_is_not_parallel_to_the_ring_are_not_on_its_face(
 
     face = ring_face(np.array([*faces, *arm]), () if assigned else ALL, RIG)
 
-    np.testing.assert_array_equal(face.tracks, faces)
+    np.testing.assert_array_equal(face.segments, faces)
     assert not face.behind
     assert ring_face(np.array(arm), () if assigned else ALL, RIG).lasers == ALL  # alone, they would be a face
 
@@ -225,7 +225,7 @@ def test_break_points_of_one_ring_are_all_kept():
 
 
 def third_stripe(seed, height_m, slope=0.0):
-    """Tracks of two stripes on a face, and that of the third laser on a surface that much nearer to the camera."""
+    """Segments of two stripes on a face, and that of the third laser on a surface that much nearer to the camera."""
     return np.array(
         [
             row(*face_ends(seed)[0], 0),
@@ -240,11 +240,11 @@ def third_stripe(seed, height_m, slope=0.0):
     [(0.01, 0.0, (1,)), (-0.01, 0.1, (1,)), (0.03, 0.0, (1,)), (-0.03, 0.0, (1,)), (0.03, 0.1, ()), (-0.05, 0.0, ())],
 )
 def test_a_third_stripe_beside_the_plane_of_two_shows_that_one_is_displaced(height_m, slope, expected):
-    tracks = third_stripe(1, height_m, slope)
-    face = ring_face(tracks[[0, 2]], (), RIG)
+    segments = third_stripe(1, height_m, slope)
+    face = ring_face(segments[[0, 2]], (), RIG)
 
     assert face.lasers == (0, 2)
-    assert displaced_lasers(face, tracks, (), RIG) == expected
+    assert displaced_lasers(face, segments, (), RIG) == expected
 
 
 def with_turned_plane(laser, deg):
@@ -275,12 +275,12 @@ def test_a_piece_beside_the_ring_is_not_taken_for_the_stripe_of_a_light_plane_th
     ends, moved = face_ends(2 if turned == 1 else 3), with_turned_plane(turned, deg)
     piece = coplanar_piece(ends, 0, shift_px, moved)
     lasers = [0, 0, 1, 2] if labelled else [UNLABELLED] * 4
-    tracks = np.array([row(*each, laser) for each, laser in zip([piece, *ends], lasers, strict=True)])
+    segments = np.array([row(*each, laser) for each, laser in zip([piece, *ends], lasers, strict=True)])
     unlabelled = () if labelled else ALL
 
-    face = ring_face(tracks, unlabelled, moved)
+    face = ring_face(segments, unlabelled, moved)
 
-    assert ring_face(tracks[[0, 2, 3]], unlabelled, moved).lasers == ALL
+    assert ring_face(segments[[0, 2, 3]], unlabelled, moved).lasers == ALL
     assert face.lasers == (1, 2)
     assert face.displaced == (0,)
-    assert ring_face(tracks, unlabelled, RIG).lasers == ALL
+    assert ring_face(segments, unlabelled, RIG).lasers == ALL

@@ -22,8 +22,8 @@ def rig_of(lasers: int) -> Rig:
     return replace(rig, camera=replace(rig.camera, image_width=800), lasers=planes)
 
 
-def tracks(rng, count):
-    """Tracks of any kind."""
+def segments(rng, count):
+    """Segments of any kind."""
     start, length = rng.uniform(0, 500, count), rng.uniform(0, 300, count)
     line = (start + length / 2, rng.uniform(50, 550, count), rng.uniform(-0.2, 0.2, count))
     spread = (rng.uniform(0.01, 0.5, count), rng.uniform(1, 20, count))
@@ -66,9 +66,9 @@ def clean_ends(count):
 def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
     """Of so many centres less four at either end, each few correlated ones count as one, and the fit takes five."""
     scatter, length = 0.3, 200.0
-    track = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
+    segment = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
 
-    found = flagged_ends(track, clean_ends(1), [0], rig_of(1))
+    found = flagged_ends(segment, clean_ends(1), [0], rig_of(1))
 
     used = columns - 8
     x = np.linspace(-length / 2, length / 2, 10_001) * used / columns
@@ -80,11 +80,11 @@ def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
 
 
 def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
-    track = np.array([[-1.0, 200.0, 300.0, 500.0, 400.0, 200.0, 0.0, 1e-6, 1.0, 0.0, 0.0]])
+    segment = np.array([[-1.0, 200.0, 300.0, 500.0, 400.0, 200.0, 0.0, 1e-6, 1.0, 0.0, 0.0]])
     ends = clean_ends(1)
     ends[..., 9] = 0.04
 
-    found = flagged_ends(track, ends, [0], rig_of(1))
+    found = flagged_ends(segment, ends, [0], rig_of(1))
 
     shift = 2.0 * 0.2 / np.sqrt(200 / (FACET_SIGMAS * 2.0))
     at_ends = np.sqrt(1.0 + 3.0 / (192 / 200) ** 2)  # four of 200 centres at either end are not used
@@ -92,7 +92,7 @@ def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
 
 
 def test_ends_belong_to_the_lasers_of_their_tracks(rng):
-    drawn, ends = tracks(rng, 5), found_ends(rng, 5)
+    drawn, ends = segments(rng, 5), found_ends(rng, 5)
     lasers = rng.permutation(8)[:5].tolist()
 
     found = flagged_ends(drawn, ends, lasers, rig_of(8))
@@ -111,10 +111,10 @@ def test_ends_belong_to_the_lasers_of_their_tracks(rng):
 )
 def test_scatter_of_a_stripe_is_estimated_together_with_that_of_the_others(scatter_px, lowest_px, highest_px):
     """Of three stripes of 68 columns; the fit of a line then takes 5 / sqrt(3) columns from each."""
-    track = np.array([[-1.0, 68.0, 300.0, 500.0, 400.0, 200.0, 0.0, 0.05, 1.0, 0.0, 0.0]] * 3)
-    track[2, 7] = scatter_px
+    segment = np.array([[-1.0, 68.0, 300.0, 500.0, 400.0, 200.0, 0.0, 0.05, 1.0, 0.0, 0.0]] * 3)
+    segment[2, 7] = scatter_px
 
-    found = flagged_ends(track, clean_ends(3), [0, 1, 2], rig_of(3))
+    found = flagged_ends(segment, clean_ends(3), [0, 1, 2], rig_of(3))
 
     middle_px = found.straight_sigma_px[2, 0] / np.hypot(1, np.sqrt(3) * 68 / 60)
     assert lowest_px <= middle_px * np.sqrt(60 - 5 / np.sqrt(3)) * 1.001
@@ -122,7 +122,7 @@ def test_scatter_of_a_stripe_is_estimated_together_with_that_of_the_others(scatt
 
 
 def test_an_end_errs_along_its_line_by_its_own_sigma_and_across_by_the_lines(rng):
-    drawn, ends = tracks(rng, 1), found_ends(rng, 1)
+    drawn, ends = segments(rng, 1), found_ends(rng, 1)
     ends[0, 1] = [drawn[0, 3], 300.0, 0.5, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
 
     marks = flagged_ends(drawn, ends, [0], rig_of(1))
@@ -142,11 +142,11 @@ def test_flags_say_what_an_end_is(rng, column, value, flag):
     ends[0, 0] = [400.0, 300.0, 0.0, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
     ends[0, 0, column] = value
 
-    assert flagged_ends(tracks(rng, 1), ends, [0], rig_of(1)).flags[0, 0] == flag
+    assert flagged_ends(segments(rng, 1), ends, [0], rig_of(1)).flags[0, 0] == flag
 
 
 def test_lasers_without_a_track_have_no_end(rng):
-    ends = flagged_ends(tracks(rng, 1), found_ends(rng, 1), [1], rig_of(3))
+    ends = flagged_ends(segments(rng, 1), found_ends(rng, 1), [1], rig_of(3))
 
     assert all(np.isnan(each[[0, 2]]).all() for each in (*ends[:2], *ends[3:]))
     assert not ends.flags[[0, 2]].any()

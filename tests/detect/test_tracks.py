@@ -31,8 +31,8 @@ def line_errors(rng, columns, grain_px):
         piece=np.zeros(columns, dtype=np.int64),
         laser=np.zeros(1, dtype=np.int64),
     )
-    tracks = stripe_line_segments(stripes, RIG.camera)
-    ends = flagged_ends(tracks, np.full((1, 2, 10), np.nan), [0], RIG)
+    segments = stripe_line_segments(stripes, RIG.camera)
+    ends = flagged_ends(segments, np.full((1, 2, 10), np.nan), [0], RIG)
     return (ends.straight_px[0, :, 1] - 600.0) / ends.straight_sigma_px[0]
 
 

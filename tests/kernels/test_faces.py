@@ -1,4 +1,4 @@
-"""The kernel that looks for the ring's face among tracks."""
+"""The kernel that looks for the ring's face among segments."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.detect.rim import ring_faces
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import BEYOND_ENDS, TRACK_COLUMNS, CandidateParams, RingParams, UnionParams
+from ringpose.kernels.lines import BEYOND_ENDS, SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
 
 
 class Rules(NamedTuple):
@@ -42,7 +42,7 @@ def planes():
 
 
 def tracks_between(start_px, end_px, *, count=40.0, scatter=0.1, spilt=0.0, laser=-1.0, clipped=0.0):
-    """Tracks from there to there, undistorted pixels; the rest is the same for all, or given for each."""
+    """Segments from there to there, undistorted pixels; the rest is the same for all, or given for each."""
     middle = (start_px + end_px) / 2
     slope = (end_px[:, 1] - start_px[:, 1]) / (end_px[:, 0] - start_px[:, 0])
     columns = (laser, count, start_px[:, 0], end_px[:, 0], *middle.T, slope, scatter, 2.0, clipped, spilt)
@@ -76,8 +76,8 @@ def crowd(rng, count):
     )
 
 
-def exact_score(tracks, params):
-    return ring_faces(tracks, ANY, planes(), *params).groups[2].score
+def exact_score(segments, params):
+    return ring_faces(segments, ANY, planes(), *params).groups[2].score
 
 
 def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
@@ -95,19 +95,19 @@ def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
 
 def test_the_true_ring_wins_under_its_true_labels(rng):
     ends = np.concatenate([true_ends(rng, moved_px=0.3), rng.uniform(100, 1100, (8, 2, 2))])
-    tracks = tracks_between(*np.moveaxis(ends, 1, 0))
+    segments = tracks_between(*np.moveaxis(ends, 1, 0))
 
-    best = ring_faces(tracks, ANY, planes(), *with_rules(**rules_of(drawn_rig()))).groups[2]
+    best = ring_faces(segments, ANY, planes(), *with_rules(**rules_of(drawn_rig()))).groups[2]
 
-    assert (best.lasers, best.tracks) == ((0, 1, 2), (0, 1, 2))
+    assert (best.lasers, best.segments) == ((0, 1, 2), (0, 1, 2))
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_more_tracks_never_lower_the_best_score(seed):
-    tracks, params = crowd(np.random.default_rng(seed), 9), with_rules(**rules_of(drawn_rig()))
+    segments, params = crowd(np.random.default_rng(seed), 9), with_rules(**rules_of(drawn_rig()))
     params = params._replace(candidates=replace(params.candidates, max_candidates=100))
 
-    scores = [exact_score(tracks[:count], params) for count in (4, 7, 10, len(tracks))]
+    scores = [exact_score(segments[:count], params) for count in (4, 7, 10, len(segments))]
 
     assert np.isfinite(scores[0])
     assert (np.diff(scores) >= 0).all()
@@ -116,15 +116,15 @@ def test_more_tracks_never_lower_the_best_score(seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_tracks_in_another_order_give_the_same_groups(seed):
     rng = np.random.default_rng(seed)
-    tracks, params = crowd(rng, 9), with_rules(**rules_of(drawn_rig()))
-    order = rng.permutation(len(tracks))
+    segments, params = crowd(rng, 9), with_rules(**rules_of(drawn_rig()))
+    order = rng.permutation(len(segments))
 
-    found, other = (ring_faces(each, ANY, planes(), *params) for each in (tracks, tracks[order]))
+    found, other = (ring_faces(each, ANY, planes(), *params) for each in (segments, segments[order]))
 
     for here, there in zip(found.groups, other.groups, strict=True):
         assert here.score == pytest.approx(there.score, abs=1e-6)
         rows, others = (
-            each.tracks[[track for _, track in sorted(zip(group.lasers, group.tracks, strict=True))]]
+            each.segments[[segment for _, segment in sorted(zip(group.lasers, group.segments, strict=True))]]
             for each, group in ((found, here), (other, there))
         )
         np.testing.assert_allclose(rows, others, rtol=1e-9)
@@ -132,9 +132,9 @@ def test_tracks_in_another_order_give_the_same_groups(seed):
 
 def test_an_exact_ring_costs_its_tilt(rng):
     ends = true_ends(rng)
-    tracks = tracks_between(ends[:, 0], ends[:, 1], count=40.0, scatter=0.3)
+    segments = tracks_between(ends[:, 0], ends[:, 1], count=40.0, scatter=0.3)
 
-    score = exact_score(tracks, with_rules(**rules_of(drawn_rig())))
+    score = exact_score(segments, with_rules(**rules_of(drawn_rig())))
 
     tilt = np.arctan2(np.hypot(0.05, 0.08), 0.9955)
     assert score == pytest.approx(3 * (2 * np.log(40.0) - 0.5) - 0.5 * (tilt / 0.5) ** 2, abs=1e-5)
@@ -156,25 +156,27 @@ WIDE = {"focal_x": 960.0, "focal_y": 960.0, "principal_x": 799.5, "principal_y":
 @pytest.mark.parametrize("lasers", [ANY, 0b010], ids=["all lasers", "one"])
 def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_are_no_reason_against_it(lasers):
     """At half a metre the next laser's stripe on a body 60 mm behind runs where this one's on the ring does."""
-    light, tracks = stripes_of_nearly_parallel_planes(0.5)
-    alone = ring_faces(tracks, ANY, light, *with_rules(**WIDE)).groups[2].score
-    tracks[1:, BEYOND_ENDS] = 3 * 40.0
-    tracks[:, 0] = np.where([lasers == ANY] * 3, -1.0, [0, 1, 2])
+    light, segments = stripes_of_nearly_parallel_planes(0.5)
+    alone = ring_faces(segments, ANY, light, *with_rules(**WIDE)).groups[2].score
+    segments[1:, BEYOND_ENDS] = 3 * 40.0
+    segments[:, 0] = np.where([lasers == ANY] * 3, -1.0, [0, 1, 2])
 
-    found = ring_faces(tracks, lasers, light, *with_rules(**WIDE)).groups[2]
+    found = ring_faces(segments, lasers, light, *with_rules(**WIDE)).groups[2]
 
-    assert found.tracks == (0, 1, 2)
+    assert found.segments == (0, 1, 2)
     assert alone - found.score == pytest.approx(2 * (3.0 if lasers == ANY else 0.75 * 15.0))
 
 
 def test_what_lies_on_the_line_of_the_nearest_of_parallel_stripes_can_be_no_other_lasers():
-    light, tracks = stripes_of_nearly_parallel_planes(0.5)
-    tracks[0, BEYOND_ENDS] = 3 * 40.0
+    light, segments = stripes_of_nearly_parallel_planes(0.5)
+    segments[0, BEYOND_ENDS] = 3 * 40.0
 
-    found = ring_faces(tracks, ANY, light, *with_rules(**WIDE)).groups[2]
+    found = ring_faces(segments, ANY, light, *with_rules(**WIDE)).groups[2]
 
-    tracks[0, BEYOND_ENDS] = 0.0
-    assert ring_faces(tracks, ANY, light, *with_rules(**WIDE)).groups[2].score - found.score == pytest.approx(0.75 * 15)
+    segments[0, BEYOND_ENDS] = 0.0
+    assert ring_faces(segments, ANY, light, *with_rules(**WIDE)).groups[2].score - found.score == pytest.approx(
+        0.75 * 15
+    )
 
 
 @pytest.mark.parametrize("lasers", [0b011, 0b001, 0])
@@ -187,25 +189,25 @@ def test_tracks_without_a_laser_belong_to_none_but_the_given_ones(rng, lasers):
 
 
 def track_of(x, y, spilt=20.0, laser=-1.0, clipped=0.0):
-    """The track that least squares make of centres."""
+    """The segment that least squares make of centres."""
     slope, offset = np.polyfit(x, y, 1)
     scatter = (y - offset - slope * x).std()
     return np.array([laser, len(x), x[0], x[-1], x.mean(), y.mean(), slope, scatter, 1.0, clipped, spilt])
 
 
 def halves(rng, step_px=0.0, **of_second):
-    """Two tracks on one line, the second off it by a step; and the track of both."""
+    """Two segments on one line, the second off it by a step; and the segment of both."""
     x = np.concatenate([np.arange(100.0, 140.0), np.arange(150.0, 200.0)])
     y = 300.0 + 0.05 * x + rng.normal(0, 0.3, len(x)) + step_px * (x >= 150)
     return np.stack([track_of(x[:40], y[:40]), track_of(x[40:], y[40:], **of_second)]), track_of(x, y)
 
 
 def test_a_union_is_the_line_through_all_centres(rng):
-    tracks, expected = halves(rng)
+    segments, expected = halves(rng)
 
-    (*_, both) = ring_faces(tracks, ANY, planes(), *RULES).tracks
+    (*_, both) = ring_faces(segments, ANY, planes(), *RULES).segments
 
-    found, wanted = (dict(zip(TRACK_COLUMNS, row.tolist(), strict=True)) for row in (both, expected))
+    found, wanted = (dict(zip(SEGMENT_COLUMNS, row.tolist(), strict=True)) for row in (both, expected))
     assert found["middle_x"] == pytest.approx(wanted["middle_x"])
     assert found["middle_y"] == pytest.approx(wanted["middle_y"], abs=0.01)
     assert found["slope"] == pytest.approx(wanted["slope"], abs=3e-4)
@@ -213,11 +215,11 @@ def test_a_union_is_the_line_through_all_centres(rng):
 
 
 def test_pieces_of_one_line_are_tried_as_one_whatever_their_order(rng):
-    tracks, _ = halves(rng)
+    segments, _ = halves(rng)
 
-    (*_, both) = ring_faces(tracks[::-1].copy(), ANY, planes(), *RULES).tracks
+    (*_, both) = ring_faces(segments[::-1].copy(), ANY, planes(), *RULES).segments
 
-    found = dict(zip(TRACK_COLUMNS, both.tolist(), strict=True))
+    found = dict(zip(SEGMENT_COLUMNS, both.tolist(), strict=True))
     assert (found["x_start"], found["x_end"], found["centers"]) == (100.0, 199.0, 90.0)
 
 
@@ -227,9 +229,9 @@ def test_pieces_of_one_line_are_tried_as_one_whatever_their_order(rng):
     ids=["off", "whole", "other", "clipped"],
 )
 def test_what_cannot_be_one_stripe_is_not_joined(rng, of_second):
-    tracks, _ = halves(rng, **of_second)
+    segments, _ = halves(rng, **of_second)
 
-    assert len(ring_faces(tracks, ANY, planes(), *RULES).tracks) == 2
+    assert len(ring_faces(segments, ANY, planes(), *RULES).segments) == 2
 
 
 def test_no_tracks_give_no_group():
@@ -240,11 +242,11 @@ def test_no_tracks_give_no_group():
 
 @pytest.mark.parametrize("laser", [3.0, -2.0, np.nan])
 def test_a_laser_beyond_the_rig_is_rejected(rng, laser):
-    tracks = crowd(rng, 4)
-    tracks[2, 0] = laser
+    segments = crowd(rng, 4)
+    segments[2, 0] = laser
 
     with pytest.raises(ValueError, match="number 2 is of a laser"):
-        ring_faces(tracks, ANY, planes(), *RULES)
+        ring_faces(segments, ANY, planes(), *RULES)
 
 
 @pytest.mark.parametrize(
@@ -256,9 +258,9 @@ def test_parameters_out_of_range_are_a_value_error(rng, wrong):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 1e300])
-@pytest.mark.parametrize("column", range(1, len(TRACK_COLUMNS)))
+@pytest.mark.parametrize("column", range(1, len(SEGMENT_COLUMNS)))
 def test_wild_tracks_give_no_crash(rng, column, value):
-    tracks = crowd(rng, 6)
-    tracks[::2, column] = value
+    segments = crowd(rng, 6)
+    segments[::2, column] = value
 
-    assert len(ring_faces(tracks, ANY, planes(), *RULES).groups) == 3
+    assert len(ring_faces(segments, ANY, planes(), *RULES).groups) == 3

@@ -1,4 +1,4 @@
-"""Straight tracks: the kernel finds the lines that were drawn."""
+"""Straight segments: the kernel finds the lines that were drawn."""
 
 from dataclasses import astuple, replace
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.detect.stripes import straight_segments
-from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackParams
+from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, TrackParams
 
 RULES = TrackParams(image_width=800, border_px=3.0)
 STRAIGHT = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0)
@@ -21,7 +21,7 @@ def line(x, y, laser=-1):
 
 
 def columns(rows, name):
-    return rows[:, TRACK_COLUMNS.index(name)]
+    return rows[:, SEGMENT_COLUMNS.index(name)]
 
 
 @pytest.mark.parametrize("wrong", [{"min_columns": 3}, {"image_width": 0}, {"max_lag": -1}, {"kink_px": np.nan}])

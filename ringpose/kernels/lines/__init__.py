@@ -1,4 +1,4 @@
-"""Arguments of the kernels for line segments through stripe centres (tracks) and for the ring's rim.
+"""Arguments of the kernels for line segments through stripe centres and for the ring's rim.
 
 The sources are tracks.c (segmentation and line fits) and rim.c (which segments lie on the rim of one planar ring).
 """
@@ -32,15 +32,15 @@ class Lens:
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackParams:
-    """Parameters of the segmentation of stripe centres into straight tracks."""
+    """Parameters of the segmentation of stripe centres into straight segments."""
 
     image_width: int
     border_px: float
-    """A track that ends closer than this to the image's left or right border is clipped."""
+    """A segment that ends closer than this to the image's left or right border is clipped."""
     kink_px: float = 0.6
     """A piece is split where it deviates from its chord by more than this plus 1.5 sigmas of its centres."""
     joined_px: float = 0.5
-    """Tracks are joined if their lines differ by less than this, plus two of their sigmas, in the middle of the gap."""
+    """Segments are joined if their lines differ by less than this plus two of their sigmas in the middle of the gap."""
     short_series: float = 1.25
     """Bias correction of the autocorrelations: fitting a line removes a part of those of a short series."""
     on_line_px: float = 2.5
@@ -50,25 +50,25 @@ class TrackParams:
     """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
 
-TRACK_COLUMNS = column_names("Track")
-"""Columns of the result of `straight_segments` (tracks.h); `beyond_ends` counts the centres on the track's line that
-lie between 2 px and the track's length (at most 100 px) + 40 px beyond its ends."""
+SEGMENT_COLUMNS = column_names("Track")
+"""Columns of the result of `straight_segments` (tracks.h); `beyond_ends` counts the centres on the segment's line that
+lie between 2 px and the segment's length (at most 100 px) + 40 px beyond its ends."""
 
-LASER, CENTERS, X_START, X_END = map(TRACK_COLUMNS.index, ("laser", "centers", "x_start", "x_end"))
-MIDDLE_X, MIDDLE_Y, SLOPE = map(TRACK_COLUMNS.index, ("middle_x", "middle_y", "slope"))
-SCATTER, CORRELATION = map(TRACK_COLUMNS.index, ("scatter", "correlation"))
-CLIPPED, BEYOND_ENDS = map(TRACK_COLUMNS.index, ("clipped", "beyond_ends"))
+LASER, CENTERS, X_START, X_END = map(SEGMENT_COLUMNS.index, ("laser", "centers", "x_start", "x_end"))
+MIDDLE_X, MIDDLE_Y, SLOPE = map(SEGMENT_COLUMNS.index, ("middle_x", "middle_y", "slope"))
+SCATTER, CORRELATION = map(SEGMENT_COLUMNS.index, ("scatter", "correlation"))
+CLIPPED, BEYOND_ENDS = map(SEGMENT_COLUMNS.index, ("clipped", "beyond_ends"))
 
 
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnionParams:
-    """Conditions under which tracks on a common line are also tried as one merged track."""
+    """Conditions under which segments on a common line are also tried as one merged segment."""
 
     min_beyond_ends: int = 5
-    """Fewest centres on a track's line beyond its ends; with fewer there is nothing to merge it with."""
+    """Fewest centres on a segment's line beyond its ends; with fewer there is nothing to merge it with."""
     max_gap: float = 0.5
-    """Longest gap, as a share of the length of both tracks together."""
+    """Longest gap, as a share of the length of both segments together."""
     separation_px: float = 1.0
     """Largest distance of the two lines in the middle of the gap, for facets,"""
     separation_sigmas: float = 3.0
@@ -76,7 +76,7 @@ class UnionParams:
     max_separation_px: float = 6.0
     """Limit of that distance, whatever the sigmas."""
     rounds: int = 2
-    """Number of rounds of pairwise merging: up to four tracks become one."""
+    """Number of rounds of pairwise merging: up to four segments become one."""
     fit_dof: float = FIT_DOF_CORRECTION
     min_columns: float = MIN_SEGMENT_COLUMNS
 
@@ -92,19 +92,19 @@ at 45 degrees or more."""
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CandidateParams:
-    """Which tracks are candidates for the rim, and how they are ranked for each laser."""
+    """Which segments are candidates for the rim, and how they are ranked for each laser."""
 
     min_depth_m: float = DEPTH_RANGE_M[0]
     max_depth_m: float = DEPTH_RANGE_M[1]
     min_length_m: float = FACE_LENGTH_M[0]
     max_length_m: float = FACE_LENGTH_M[1]
     typical_scatter_px: float = 0.3
-    """Scatter of a stripe's centres about its line, on metal. The merit of a track is 2 log(columns) -
+    """Scatter of a stripe's centres about its line, on metal. The merit of a segment is 2 log(columns) -
     (scatter / typical_scatter)^2 / 2, less the penalties below."""
     max_counted_columns: int = 120
-    """Columns beyond this number do not increase the merit: the longest tracks are on the body."""
+    """Columns beyond this number do not increase the merit: the longest segments are on the body."""
     spill_penalty: float = 15.0
-    """Penalty if all centres on the line lie beyond the ends of the track, where the face should end; proportional to
+    """Penalty if all centres on the line lie beyond the ends of the segment, where the face should end; proportional to
     their share."""
     coincidence_penalty: float = 3.0
     """Limit of that penalty if the centres may belong to another laser's stripe on the body behind the rim, at ..."""
@@ -113,9 +113,9 @@ class CandidateParams:
     """... a distance in this range behind it: light planes are nearly parallel, so that one face in five has another
     laser's stripe on its line."""
     clipped_penalty: float = 4.0
-    """Penalty of a track that is truncated by the image border: its end was not observed."""
+    """Penalty of a segment that is truncated by the image border: its end was not observed."""
     union_penalty: float = 3.0
-    """Penalty of a merged track: merging also favours the body's stripes, which shadows and glints break."""
+    """Penalty of a merged segment: merging also favours the body's stripes, which shadows and glints break."""
     max_candidates: int = 20
     """Largest number of candidates for each laser."""
 
@@ -123,7 +123,7 @@ class CandidateParams:
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RingParams:
-    """Ring model that groups of tracks are tested against; costs and penalties are chi-square / 2."""
+    """Ring model that groups of segments are tested against; costs and penalties are chi-square / 2."""
 
     focal_x: float
     focal_y: float
@@ -133,13 +133,13 @@ class RingParams:
     border_px: float = 15.0
     """A stripe closer than this to the upper or lower border may be missed without penalty."""
     along_sigma_px: float = 2.0
-    """Sigma of the distance of a track's end from its circle, before refinement."""
+    """Sigma of the distance of a segment's end from its circle, before refinement."""
     across_sigma_px: float = 0.4
-    """Sigma of the distance of a track from the line in which the plane cuts the light plane: noise, calibration."""
+    """Sigma of the distance of a segment from the line in which the plane cuts the light plane: noise, calibration."""
     plane_limit: float = 8.0
-    """Largest cost of a common plane, for each track."""
+    """Largest cost of a common plane, for each segment."""
     circle_limit: float = 6.0
-    """Largest cost of two concentric circles, for each track."""
+    """Largest cost of two concentric circles, for each segment."""
     dropped_end_penalty: float = 6.0
     """Penalty of treating one of six ends as occluded: by chance one in four hundred."""
     unseen_penalty: float = 6.0
