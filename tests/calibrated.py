@@ -18,12 +18,12 @@ def assert_calibrated(nees: Sequence[float], degrees_of_freedom: int, at_most: b
 
     With `at_most` they may be smaller.
     """
-    low, high = _quantiles(len(nees) * degrees_of_freedom, np.array([CHANCE, 1 - CHANCE]))
-    assert np.mean(nees) < high
-    assert at_most or np.mean(nees) > low
-    assert max(nees) < _quantiles(degrees_of_freedom, np.array(1 - CHANCE / len(nees)))
+    low, high = chi_squared([CHANCE, 1 - CHANCE], len(nees) * degrees_of_freedom)
+    assert np.sum(nees) * degrees_of_freedom < high
+    assert at_most or np.sum(nees) * degrees_of_freedom > low
+    assert max(nees) * degrees_of_freedom < chi_squared([1 - CHANCE / len(nees)], degrees_of_freedom)[0]
 
 
-def _quantiles(degrees_of_freedom: int, probability: np.ndarray) -> np.ndarray:
-    """Of chi-squared over its degrees of freedom."""
-    return 2.0 * gammaincinv(degrees_of_freedom / 2.0, probability) / degrees_of_freedom
+def chi_squared(probabilities: Sequence[float], degrees_of_freedom: int) -> np.ndarray:
+    """Quantiles of chi-squared; to import SciPy's statistics for them takes as long as NumPy and OpenCV together."""
+    return 2.0 * gammaincinv(degrees_of_freedom / 2.0, np.asarray(probabilities))

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from scipy.stats import chi2
+from calibrated import chi_squared
 
 from ringpose.bench.summary import ABSENT
 
@@ -48,7 +48,7 @@ def target(name: str, measured: float, most: float, least: float = -math.inf) ->
 
 def band(runs: int, dof: int, probability: float = 0.99) -> tuple[float, float]:
     """Two-sided band of the mean NEES over independent runs."""
-    least, most = chi2.ppf([(1 - probability) / 2, (1 + probability) / 2], runs * dof) / (runs * dof)
+    least, most = chi_squared([(1 - probability) / 2, (1 + probability) / 2], runs * dof) / (runs * dof)
     return float(least), float(most)
 
 

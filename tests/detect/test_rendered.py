@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from calibrated import chi_squared
 from true_edges import edge_errors_px
 
 from ringpose.detect.pipeline import detect
@@ -122,7 +122,7 @@ def test_without_a_dark_frame_wrong_ends_are_flagged(single_errors):
 def test_without_a_dark_frame_unflagged_ends_have_consistent_covariances(single_errors):
     clear = np.array([row[1] / row[3] for row in single_errors if row[4] == 0])
 
-    low, high = chi2.interval(0.99, len(clear))
+    low, high = chi_squared([0.005, 0.995], len(clear))
     assert low < np.sum(clear**2) < high
 
 

@@ -6,10 +6,10 @@ import cv2
 import moving_cameras
 import numpy as np
 import pytest
+from calibrated import chi_squared
 from moving_cameras import RATE, TOOL_FROM_CAMERA, SeenByRobot, base_from_tool, robot
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
 from ring_scenes import RIGS, pixels_of
-from scipy.stats import chi2
 from tracked_rings import errors_at, nees_at, newest, track_of
 
 from ringpose.geometry.camera_motion import CameraMotion
@@ -135,7 +135,7 @@ def test_errors_are_as_stated_if_mount_and_clock_have_errors_as_stated(rng):
         found = nees_at(motion, newest(track_of(seen, camera=robot(2.5, mount_sd, delay_sd_s))))
         squares += [2 * found["grasp"], 2 * found["normal"]]
 
-    least, most = chi2.ppf([5e-5, 1 - 5e-5], 2 * len(squares)) / 2
+    least, most = chi_squared([5e-5, 1 - 5e-5], 2 * len(squares)) / 2
     assert least < np.sum(squares) / 2 < most
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from calibrated import chi_squared
 
 from ringpose.bench.design.maps import (
     Place,
@@ -55,7 +55,7 @@ def is_as_mapped(scene, place, shots, *, rendered=False):
         pose = setup.measure(source).pose
         errors_m.append(np.inf if pose is None else np.linalg.norm(pose.center_m - at_place.views[0].center_m))
     ratio = np.sqrt(np.mean(np.square(errors_m))) / place_result(scene, place).sd["center_m"]
-    low, high = np.sqrt(chi2.ppf([0.005, 0.995], shots) / shots)  # along one direction, the widest band
+    low, high = np.sqrt(chi_squared([0.005, 0.995], shots) / shots)  # along one direction, the widest band
     return low < ratio < high
 
 

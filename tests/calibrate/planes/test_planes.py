@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibrated import chi_squared
 from known_views import TRUE_CAMERA, plane_errors, stripe_views, true_poses
-from scipy.stats import chi2
 
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
@@ -159,7 +159,7 @@ def test_errors_of_calibrations_have_the_joint_covariance_that_is_reported(free_
         error = plane_errors(found)
         normalised.append(error @ np.linalg.solve(found.covariance.data[9:, 9:], error))
 
-    low, high = chi2.ppf([0.025, 0.975], 9 * runs)
+    low, high = chi_squared([0.025, 0.975], 9 * runs)
     assert low < np.sum(normalised) < high
 
 

@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from calibrated import chi_squared
 from drawn_boards import drawn_board
 from known_views import plane_errors
 from recorded_shots import make_shot
 from ring_scenes import make_camera
-from scipy.stats import chi2
 
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
@@ -101,5 +101,5 @@ def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng):
         views = [stripe_view(shot, seen, board, CAMERA, 3) for shot, seen in zip(shots, boards, strict=True)]
         normalised.append(nees(calibrate_planes(views, CAMERA, MODEL)))
 
-    low, high = chi2.ppf([0.025 / 3, 1 - 0.025 / 3], 9 * runs)
+    low, high = chi_squared([0.025 / 3, 1 - 0.025 / 3], 9 * runs)
     assert low < np.sum(normalised) < high

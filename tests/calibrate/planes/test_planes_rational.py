@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibrated import chi_squared
 from known_views import plane_errors, stripe_views, true_poses
 from ring_scenes import make_camera
-from scipy.stats import chi2
 
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
@@ -70,5 +70,5 @@ def test_errors_with_a_rational_camera_are_as_large_as_reported(free_camera, rng
         error = errors(found)
         normalised.append(error @ np.linalg.solve(found.covariance.data, error))
 
-    low, high = chi2.ppf([0.025, 0.975], 21 * runs)
+    low, high = chi_squared([0.025, 0.975], 21 * runs)
     assert 0.75 * low < np.sum(normalised) < high
