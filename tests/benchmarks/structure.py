@@ -6,12 +6,11 @@ small data sets in tests/data.
 
 import ast
 import io
-import json
 import re
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from graphlib import TopologicalSorter
 from itertools import pairwise
@@ -167,8 +166,8 @@ def decides_flags(tree: ast.Module) -> bool:
 def print_record_keys() -> None:
     """In how many places a key of a record is written: its definition, reader and writer, schema, list in the manual.
 
-    Counted are the annotations with a `Key`, texts equal to the key in the modules that read and write records and in
-    JSON Schemas by hand, and items of lists in the manual that are not made from the code.
+    Counted are the annotations with a `Key`, texts equal to the key in the modules that read and write records, and
+    items of lists in the manual that are not made from the code.
     """
     from ringpose.files.records.codec import definition_of
     from ringpose.files.schemas import RECORDS
@@ -186,8 +185,6 @@ def print_record_keys() -> None:
     records = [path for path in (PACKAGE / "files" / "records").glob("*.py") if path.name != "ros.py"]
     nodes = [node for path in records for node in ast.walk(ast.parse(path.read_text()))]
     others = Counter(node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str))
-    for schema in (PACKAGE / "files").glob("*.schema.json"):
-        others.update(_schema_keys(json.loads(schema.read_text())))
     page = (ROOT / "man" / "ringpose-records.5").read_text()
     by_hand = re.sub(r"beginning of the table.*?end of the table", "", page, flags=re.DOTALL)
     others.update(
@@ -200,18 +197,6 @@ def print_record_keys() -> None:
         end="",
     )
     print(f"; in more than one: {more})" if more else ")")
-
-
-def _schema_keys(schema: object) -> Iterator[str]:
-    """The names of all properties of a JSON Schema."""
-    if isinstance(schema, dict):
-        if isinstance(schema.get("properties"), dict):
-            yield from schema["properties"]
-        for part in schema.values():
-            yield from _schema_keys(part)
-    elif isinstance(schema, list):
-        for part in schema:
-            yield from _schema_keys(part)
 
 
 def trace_of_shot() -> list[CodeType]:
