@@ -228,18 +228,28 @@ def write_rig(
 
 
 def write_mount(
-    path: Path, mount: Mount, camera: Path, quality: Mapping[str, Any], *, force: bool, inputs: Iterable[Path]
+    path: Path,
+    mount: Mount,
+    camera: Path,
+    quality: Mapping[str, Any],
+    *,
+    on_base: bool = False,
+    force: bool,
+    inputs: Iterable[Path],
 ) -> None:
     """Write a rig with this mount, else unchanged; or the mount alone if `camera` is not the file of a rig.
 
-    `quality` becomes the key `quality.mount`.
+    `quality` becomes the key `quality.mount`. With `on_base` the matrix is base_from_camera, of a camera that does not
+    move: it is always written alone, under this name, as no rig has a tool that carries it.
     """
-    if kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
+    if not on_base and kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
         both = {"quality": {**calibration_quality(camera), "mount": quality}}
         rig = replace(read_rig(camera, for_rings=False), mount=mount)
         write_rig(path, rig, extra=both, force=force, inputs=inputs)
         return
-    alone = definition_of(MountEntry).write(_mount_entry(mount))
+    alone = dict(definition_of(MountEntry).write(_mount_entry(mount)))
+    if on_base:
+        alone = {"base_from_camera": alone.pop("tool_from_camera")} | alone
     head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | {"mount": alone, "quality": {"mount": quality}})

@@ -40,6 +40,12 @@ def cross(a: Float64[Array, "3"], b: Float64[Array, "3"]) -> Float64[Array, "3"]
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
+def skew(vector: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+    """The matrix whose product with a vector is the cross product."""
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
 def angle_between(
     first: Float64[Array, "*shape xyz=3"], second: Float64[Array, "*shape xyz=3"]
 ) -> Float64[Array, "*shape"]:

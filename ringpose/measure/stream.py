@@ -316,11 +316,11 @@ def pose_line(
     )
     rejected = result.rejected or source.rejected
     pose, velocity = result.pose, result.velocity
-    if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
-        from ringpose.pose.transform import pose_in_frame, velocity_in_frame
+    if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.mount is not None:
+        from ringpose.pose.transform import pose_in_frame, velocity_in_frame, with_mount_error
 
-        velocity = None if velocity is None else velocity_in_frame(velocity, pose, rig.tool_from_camera)
-        pose = pose_in_frame(pose, rig.tool_from_camera)
+        velocity = None if velocity is None else velocity_in_frame(velocity, pose, rig.mount.tool_from_camera)
+        pose = with_mount_error(pose_in_frame(pose, rig.mount.tool_from_camera), rig.mount)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,

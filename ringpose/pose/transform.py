@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.geometry.ring import normal_and_center, plane_and_center
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rotations import skew, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import RingPose, RingVelocity
+from ringpose.types.rig import Mount
 
 
 def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> RingPose:
@@ -26,6 +27,41 @@ def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> R
         covariance=_propagated(jacobian, pose.covariance),
         covariance_center_m2=_propagated(rotation, pose.covariance_center_m2),
         covariance_grasp_m2=_propagated(rotation, pose.covariance_grasp_m2),
+    )
+
+
+def with_mount_error(pose: RingPose, mount: Mount) -> RingPose:
+    """A pose in the tool's frame with the error of the mount added to its covariances.
+
+    The error turns the camera by a small vector w and moves it by d, both in the tool frame (`Mount.root`): a point p
+    moves by w x (p - t) + d, where t is the camera's place, and the normal by w x n.
+    """
+    if not mount.root.any():
+        return pose
+    covariance, lever_m = mount.root @ mount.root.T, mount.tool_from_camera[:3, 3]
+    parameters = pose.covariance
+    if parameters is not None and bool(np.isfinite(pose.normal).all()):
+        known = bool(np.isfinite(pose.center_m).all())
+        on_plane = pose.center_m if known else (pose.grasp_m @ pose.normal) * pose.normal
+        normal_wrt = np.hstack([-skew(pose.normal), np.zeros((3, 3))])
+        center_wrt = np.hstack([-skew(on_plane - lever_m), np.eye(3)])
+        jacobian = np.zeros((7, 6))
+        jacobian[:5] = plane_and_center(pose.normal, on_plane, normal_wrt, center_wrt, tilt_basis(pose.normal))
+        parameters = parameters + jacobian @ covariance @ jacobian.T
+
+    def at(point_m: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+        if not np.isfinite(point_m).all():
+            return np.zeros((3, 3))
+        wrt = np.hstack([-skew(point_m - lever_m), np.eye(3)])
+        moved: Float64[Array, "3 3"] = wrt @ covariance @ wrt.T
+        return moved
+
+    center_m2, grasp_m2 = pose.covariance_center_m2, pose.covariance_grasp_m2
+    return replace(
+        pose,
+        covariance=parameters,
+        covariance_center_m2=None if center_m2 is None else center_m2 + at(pose.center_m),
+        covariance_grasp_m2=None if grasp_m2 is None else grasp_m2 + at(pose.grasp_m),
     )
 
 

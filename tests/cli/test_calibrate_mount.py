@@ -59,6 +59,26 @@ def test_the_mount_is_written_and_agrees_with_the_views(session, capsys):
     assert main([*WORDS, "--robot-convention", "kuka", "--check", "mount.yaml"]) == 0
 
 
+def test_a_camera_beside_the_robot_has_no_mount_on_its_tool(session):
+    header, *rows = (session / "poses.csv").read_text().splitlines()
+    inverted = []
+    for row in rows:  # the tool carries the board: the given poses turned round
+        name, *numbers = row.split(",")
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("ZYX", [float(each) for each in numbers[3:]], degrees=True).as_matrix()
+        pose[:3, 3] = [1e-3 * float(each) for each in numbers[:3]]
+        back = np.linalg.inv(pose)
+        numbers = [*(1e3 * back[:3, 3]), *Rotation.from_matrix(back[:3, :3]).as_euler("ZYX", degrees=True)]
+        inverted.append(",".join([name, *(f"{each:.5f}" for each in numbers)]))
+    (session / "poses.csv").write_text("\n".join([header, *inverted]) + "\n")
+
+    assert main([*WORDS, "--robot-convention", "kuka", "--eye-to-hand", "-o", "mount.yaml"]) == 0
+
+    written = yaml.safe_load((session / "mount.yaml").read_text())["mount"]
+    assert "tool_from_camera" not in written
+    np.testing.assert_allclose(written["base_from_camera"], MOUNT, atol=1e-3)
+
+
 def test_what_is_missing_or_wrong_is_reported_with_its_status(session, capsys):
     assert main([*WORDS, "-o", "mount.yaml"]) == 2
     assert "--robot-convention" in capsys.readouterr().err

@@ -6,8 +6,9 @@ import pytest
 from whole_records import complete_pose, square
 
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.transform import pose_in_frame
+from ringpose.pose.transform import pose_in_frame, with_mount_error
 from ringpose.types.pose import RingPose
+from ringpose.types.rig import Mount
 
 
 def rigid(rng):
@@ -80,3 +81,34 @@ def test_centre_in_the_plane_turns_with_the_basis(rng):
     in_space = moved_basis.T @ moved.covariance[3:5, 3:5] @ moved_basis
     expected = matrix[:3, :3] @ basis.T @ covariance[3:5, 3:5] @ basis @ matrix[:3, :3].T
     np.testing.assert_allclose(in_space, expected, atol=1e-4)
+
+
+def test_the_mounts_error_is_that_of_moved_samples(rng):
+    """Mounts with small errors move one exact pose; the places scatter as the covariance that is added says."""
+    nothing = np.zeros((3, 3))
+    pose = some_pose(rng, covariance=np.zeros((7, 7)), covariance_center_m2=nothing, covariance_grasp_m2=nothing)
+    root = 1e-4 * rng.normal(size=(6, 6))
+    matrix, count = rigid(rng), 4000
+
+    moved = with_mount_error(pose_in_frame(pose, matrix), Mount(tool_from_camera=matrix, root=root))
+
+    centers, normals = [], []
+    for turn in (root @ rng.normal(size=(6, count))).T:
+        wrong = matrix.copy()
+        wrong[:3, :3] = cv2.Rodrigues(turn[:3])[0] @ matrix[:3, :3]
+        wrong[:3, 3] += turn[3:]
+        centers.append((wrong @ [*pose.center_m, 1])[:3])
+        normals.append(wrong[:3, :3] @ pose.normal)
+    basis = np.stack([tilted(moved.normal, tilt) - moved.normal for tilt in 1e-6 * np.eye(2)]) * 1e6
+    offsets = np.sum(np.array(normals) * centers, axis=1)
+    samples = np.column_stack([(np.array(normals) - moved.normal) @ basis.T, offsets])
+    limit = 5 * np.sqrt(2 / (count - 1))
+    for found, expected in ((np.array(centers), moved.covariance_center_m2), (samples, moved.covariance[:3, :3])):
+        scale = np.sqrt(np.diag(expected))
+        assert np.abs((np.cov(found.T) - expected) / np.outer(scale, scale)).max() < limit
+
+
+def test_an_exact_mount_changes_no_covariance(rng):
+    pose = some_pose(rng, covariance=square(rng, 7))
+
+    assert with_mount_error(pose, Mount(tool_from_camera=np.eye(4), root=np.zeros((6, 6)))) is pose

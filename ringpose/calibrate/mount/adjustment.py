@@ -22,7 +22,7 @@ from ringpose.calibrate.camera.parameters import camera_with, covariance_of_free
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.geometry.camera_motion import left_jacobian
 from ringpose.geometry.ring import rotation_by
-from ringpose.geometry.rotations import rotation_vector
+from ringpose.geometry.rotations import rotation_vector, skew
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.rig import Camera
@@ -223,15 +223,15 @@ def view_numbers(
         middle = robot.after(state.board)  # M: the board in the frame in which the camera is at rest
         wrt_middle = np.kron(np.eye(2), back)
         wrt_mount = -wrt_middle.copy()
-        wrt_mount[3:, :3] = back @ _skew(middle.translation_m - state.mount.translation_m)
+        wrt_mount[3:, :3] = back @ skew(middle.translation_m - state.mount.translation_m)
         wrt_board = wrt_middle @ np.kron(np.eye(2), robot.rotation)
         wrt_error = np.zeros((6, 6))
         if eye_to_hand:
             wrt_error[:3, :3], wrt_error[3:, 3:] = robot.rotation, robot.rotation
-            wrt_error[3:, :3] = -robot.rotation @ _skew(state.board.translation_m)
+            wrt_error[3:, :3] = -robot.rotation @ skew(state.board.translation_m)
         else:
             wrt_error[:3, :3], wrt_error[3:, 3:] = -np.eye(3), -np.eye(3)
-            wrt_error[3:, :3] = _skew(middle.translation_m)
+            wrt_error[3:, :3] = skew(middle.translation_m)
         wrt_error = wrt_middle @ wrt_error
         information, gradient = np.zeros((count, count)), np.zeros(count)
         common = np.zeros((6, count))
@@ -246,11 +246,6 @@ def view_numbers(
         z=columns[0], covariance=columns[1], wrt_common=columns[2], wrt_error=columns[3],
         camera_information=columns[4], camera_gradient=columns[5], wrt_camera=columns[6],
     )  # fmt: skip
-
-
-def _skew(vector: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _marginal(numbers: ViewNumbers, sigmas: RobotSigmas) -> Float64[Array, "view 6 6"]:

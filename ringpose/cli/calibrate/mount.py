@@ -59,14 +59,12 @@ def calibrate_mount(
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardReader
     from ringpose.cli.calibrate.outputs import given, reject_existing_outputs, report_verdict
-    from ringpose.errors import UsageError
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.inputs import holds_records
     from ringpose.files.rigs import read_mount
 
-    if check is not None and output is not None:
-        raise UsageError("--check", "only compares", "leave out --output")
+    _check_mode(check, output, eye_to_hand)
     files = [board, camera, *([Path(robot_poses)] if Path(robot_poses).is_file() else [])]
     if check is None:
         reject_existing_outputs(given(output, "--output"), None, force, files)
@@ -108,6 +106,16 @@ def calibrate_mount(
     batch.finish()
 
 
+def _check_mode(check: Path | None, output: Path | None, eye_to_hand: bool) -> None:
+    """Reject options that a check would ignore."""
+    from ringpose.errors import UsageError
+
+    if check is not None and output is not None:
+        raise UsageError("--check", "only compares", "leave out --output")
+    if check is not None and eye_to_hand:
+        raise UsageError("--check", "is for the mount on a tool", "leave out --eye-to-hand")
+
+
 def _write(
     calibration: "MountCalibration", camera: Path, output: Path, read: list[Path], *, force: bool, quiet: bool
 ) -> int:
@@ -117,5 +125,6 @@ def _write(
     from ringpose.files.rigs import write_mount
 
     verdict = mount_verdict(calibration)
-    write_mount(output, calibration.mount, camera, mount_quality(calibration, verdict), force=force, inputs=read)
+    quality, on_base = mount_quality(calibration, verdict), calibration.eye_to_hand
+    write_mount(output, calibration.mount, camera, quality, on_base=on_base, force=force, inputs=read)
     return report_verdict(verdict, mount_summary(calibration, verdict), quiet=quiet)
