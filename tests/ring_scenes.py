@@ -111,8 +111,8 @@ def break_points_of(position_px, sigma_px=np.nan):
         position_px=position_px,
         covariance_px2=np.broadcast_to(sigma_px**2 * np.eye(2), (lasers, 2, 2, 2)).copy(),
         flags=np.zeros((lasers, 2), dtype=np.int64),
-        face_start_px=unknown,
-        face_end_px=unknown,
+        face_start_undistorted_px=unknown,
+        face_end_undistorted_px=unknown,
         face_sigma_px=unknown,
         labelled=True,
     )
@@ -121,7 +121,9 @@ def break_points_of(position_px, sigma_px=np.nan):
 def with_lines(points, ends_px, sigma_px):
     """With the lines of the stripes between two places each, undistorted, and standard deviations at these."""
     sigma = np.broadcast_to(sigma_px, ends_px.shape[:2]).copy()
-    return replace(points, face_start_px=ends_px[:, 0], face_end_px=ends_px[:, 1], face_sigma_px=sigma)
+    return replace(
+        points, face_start_undistorted_px=ends_px[:, 0], face_end_undistorted_px=ends_px[:, 1], face_sigma_px=sigma
+    )
 
 
 def pixels_of(points_m, camera):
@@ -211,7 +213,13 @@ def with_stripes(points, *lasers):
     """Only these lasers' break points and lines."""
     others = [laser for laser in range(len(points.flags)) if laser not in lasers]
     parts = {}
-    for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
+    for name in (
+        "position_px",
+        "covariance_px2",
+        "face_start_undistorted_px",
+        "face_end_undistorted_px",
+        "face_sigma_px",
+    ):
         parts[name] = getattr(points, name).copy()
         parts[name][others] = np.nan
     return replace(points, **parts)

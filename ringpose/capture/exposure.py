@@ -122,7 +122,7 @@ def _stripes_on_face(
     """Each stripe on the ring's face: its image, and a pixel position in each of its columns."""
     for image in images:
         for laser in image.lasers:
-            ends_px = np.stack([points.face_start_px[laser], points.face_end_px[laser]])
+            ends_px = np.stack([points.face_start_undistorted_px[laser], points.face_end_undistorted_px[laser]])
             if np.isfinite(ends_px).all():
                 start, end = project(undistorted_rays(ends_px, rig.camera), rig.camera)
                 columns = np.arange(np.ceil(start[0]), end[0])

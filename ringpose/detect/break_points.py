@@ -105,8 +105,8 @@ def break_points(
         position_px=ends.position_px,
         covariance_px2=ends.covariance_px2,
         flags=ends.flags | np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0),
-        face_start_px=ends.straight_px[:, 0],
-        face_end_px=ends.straight_px[:, 1],
+        face_start_undistorted_px=ends.straight_px[:, 0],
+        face_end_undistorted_px=ends.straight_px[:, 1],
         face_sigma_px=ends.straight_sigma_px,
         labelled=not any(
             image.label == UNLABELLED and not set(image.lasers).isdisjoint(face.lasers) for image in images
@@ -384,7 +384,7 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
     placed = np.isfinite(ends.position_px.sum(axis=-1))
     outside = outside_image(ends.position_px, MAX_OFFSET["position_px"], *size)
     known = placed & (sigma_px <= MAX_END_SIGMA_PX) & ~outside
-    outside = outside_image(ends.straight_px, MAX_OFFSET["face_start_px"], *size)
+    outside = outside_image(ends.straight_px, MAX_OFFSET["face_start_undistorted_px"], *size)
     straight = np.logical_and(*((ends.straight_sigma_px <= MAX_END_SIGMA_PX) & ~outside).T)
     return Ends(
         position_px=np.where(known[..., None], ends.position_px, np.nan),

@@ -102,7 +102,7 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
     Such ends may be borders of a shadow on a surface that goes on: the shadow of a ring on foil has the shape of a
     ring. Beside single ends of a ring there may be glints of foil.
     """
-    hidden, middle_x = 0, (points.face_start_px[:, 0] + points.face_end_px[:, 0]) / 2
+    hidden, middle_x = 0, (points.face_start_undistorted_px[:, 0] + points.face_end_undistorted_px[:, 0]) / 2
     for image in images:
         ambient, rows = _ambient(image)
         laser, edge = np.nonzero(points.seen[list(image.lasers)])
@@ -127,7 +127,10 @@ def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], s
     saturated, stripes = 0, 0
     for image in images:
         ambient, rows = _ambient(image)
-        start, end = points.face_start_px[list(image.lasers)], points.face_end_px[list(image.lasers)]
+        start, end = (
+            points.face_start_undistorted_px[list(image.lasers)],
+            points.face_end_undistorted_px[list(image.lasers)],
+        )
         known = np.isfinite(start + end).all(axis=1)
         start, end = start[known], end[known]
         column = np.arange(0, ambient.shape[1], COURSE_STEP)

@@ -203,7 +203,7 @@ def moved_to(stamp_s: float, points: BreakPoints, rig: Rig, motion: RingMotion) 
     every stripe stays where it was.
     """
     planes, camera = rig.lasers, rig.camera
-    lines_px = np.stack([points.face_start_px, points.face_end_px], axis=1)
+    lines_px = np.stack([points.face_start_undistorted_px, points.face_end_undistorted_px], axis=1)
     ends_m, lines_m = (
         intersect(each, planes.normal[:, None], planes.distance_m[:, None])
         for each in (rays(points.position_px, camera), undistorted_rays(lines_px, camera))
@@ -219,6 +219,9 @@ def moved_to(stamp_s: float, points: BreakPoints, rig: Rig, motion: RingMotion) 
     moved = replace(planes, normal=normal, distance_m=(normal * foot_m).sum(axis=1))
     lines_px = undistorted_pixels(project(lines_m, camera), camera)
     moved_points = replace(
-        points, position_px=project(ends_m, camera), face_start_px=lines_px[:, 0], face_end_px=lines_px[:, 1]
+        points,
+        position_px=project(ends_m, camera),
+        face_start_undistorted_px=lines_px[:, 0],
+        face_end_undistorted_px=lines_px[:, 1],
     )
     return moved_points, replace(rig, lasers=moved)

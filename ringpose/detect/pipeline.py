@@ -308,7 +308,7 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
     x, y = stripes.position_px.T
     near = np.zeros((len(stripes.laser), len(rig.lasers.names)))
     for laser in image.lasers:
-        ends = np.stack([predicted.face_start_px[laser], predicted.face_end_px[laser]])
+        ends = np.stack([predicted.face_start_undistorted_px[laser], predicted.face_end_undistorted_px[laser]])
         if not np.isfinite(ends).all():
             continue
         (left, first), (right, last) = sorted(project(undistorted_rays(ends, rig.camera), rig.camera).tolist())
@@ -395,15 +395,15 @@ def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = 
         again = again.with_edges_exchanged()
     unclear = again.flags & int(BreakPointFlag.UNCLEAR | BreakPointFlag.CLIPPED) != 0
     kept = found.seen & ~unclear & (np.abs(again.position_px - found.position_px).max(axis=-1) < BEYOND_ENDS_PX)
-    with_line = np.isfinite(found.face_start_px)
+    with_line = np.isfinite(found.face_start_undistorted_px)
     return replace(
         found,
         repeated=replace(
             again,
             position_px=np.where(kept[..., None], again.position_px, np.nan),
             covariance_px2=np.where(kept[..., None, None], again.covariance_px2, np.nan),
-            face_start_px=np.where(with_line, again.face_start_px, np.nan),
-            face_end_px=np.where(with_line, again.face_end_px, np.nan),
+            face_start_undistorted_px=np.where(with_line, again.face_start_undistorted_px, np.nan),
+            face_end_undistorted_px=np.where(with_line, again.face_end_undistorted_px, np.nan),
             face_sigma_px=np.where(with_line, again.face_sigma_px, np.nan),
             labelled=True,
         ),
@@ -418,7 +418,7 @@ def _nearest_lasers(
     stripes: Stripes, found: BreakPoints, lasers: Sequence[int], camera: Camera
 ) -> Int64[Array, "piece"]:
     """The laser of each piece by the nearest line on the face; `UNLABELLED` for those that are not clearly near one."""
-    lines = undistorted_rays(np.stack([found.face_start_px, found.face_end_px], axis=1), camera)
+    lines = undistorted_rays(np.stack([found.face_start_undistorted_px, found.face_end_undistorted_px], axis=1), camera)
     start, end = project(lines, camera).swapaxes(0, 1)
     count = len(stripes.laser)
     centers = np.bincount(stripes.piece, minlength=count)
@@ -562,7 +562,7 @@ def predicted_bands(
 
     Each window has a left and a right column, a top and a bottom row; right and bottom are exclusive.
     """
-    starts, stops = predicted.face_start_px.tolist(), predicted.face_end_px.tolist()
+    starts, stops = predicted.face_start_undistorted_px.tolist(), predicted.face_end_undistorted_px.tolist()
     pairs = [[starts[laser], stops[laser]] for laser in lasers]
     ends = [pair for pair in pairs if math.isfinite(sum(map(sum, pair)))]
     if not ends:

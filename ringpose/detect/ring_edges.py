@@ -211,7 +211,7 @@ def _without_displaced_stripe(
 
 def _in_front(laser: int, break_points: BreakPoints, ring: RingArcs | None, rig: Rig) -> bool:
     """Whether a laser's stripe is on a surface in front of a ring and parallel to it, which may be the ring's face."""
-    ends_px = np.stack([break_points.face_start_px[laser], break_points.face_end_px[laser]])
+    ends_px = np.stack([break_points.face_start_undistorted_px[laser], break_points.face_end_undistorted_px[laser]])
     plane = rig.lasers.normal[[laser]], rig.lasers.distance_m[[laser]]
     ends = intersect(undistorted_rays(ends_px, rig.camera), *plane)
     if ring is None or not np.isfinite(ends).all():

@@ -289,7 +289,7 @@ def measurements_of(
 def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
     """The lines of the stripes on the face that are known."""
     stamp_s = _stamps(break_points)
-    line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
+    line_px = np.stack([break_points.face_start_undistorted_px, break_points.face_end_undistorted_px], axis=1)
     has_line = np.isfinite(line_px.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1))
     line_xy = undistorted_rays(line_px[has_line], camera)[..., :2]
     _, wrt_camera = rays_wrt_pixel_and_camera(line_xy.reshape(-1, 2), camera)

@@ -42,8 +42,8 @@ def mirrored(break_points: BreakPoints, camera: Camera) -> BreakPoints:
         break_points,
         position_px=_mirrored_px(break_points.position_px, camera),
         covariance_px2=break_points.covariance_px2 * np.array([[1.0, -1.0], [-1.0, 1.0]]),
-        face_start_px=_mirrored_undistorted_px(break_points.face_end_px, camera),
-        face_end_px=_mirrored_undistorted_px(break_points.face_start_px, camera),
+        face_start_undistorted_px=_mirrored_undistorted_px(break_points.face_end_undistorted_px, camera),
+        face_end_undistorted_px=_mirrored_undistorted_px(break_points.face_start_undistorted_px, camera),
         face_sigma_px=break_points.face_sigma_px[:, ::-1],
         repeated=None,
     )

@@ -255,8 +255,8 @@ def _drawn_points(
         position_px=np.where(measured[..., None], position_px, np.nan),
         covariance_px2=np.where(measured[..., None, None], covariance_px2, np.nan),
         flags=flags.astype(np.int64),
-        face_start_px=np.where(seen[:, None], start_px, np.nan),
-        face_end_px=np.where(seen[:, None], end_px, np.nan),
+        face_start_undistorted_px=np.where(seen[:, None], start_px, np.nan),
+        face_end_undistorted_px=np.where(seen[:, None], end_px, np.nan),
         face_sigma_px=np.where(seen, end_sigma_px, np.nan)[:, None] * both,
         labelled=True,
     )
@@ -311,12 +311,12 @@ def _drawn_edges(
 
 def _as_measured(points: BreakPoints, camera: Camera, labelled: bool, stamp_s: Float64[Array, "laser"]) -> BreakPoints:
     """The break points with their lines undistorted by the calibrated camera, not by the true one."""
-    ends_px = np.stack([points.face_start_px, points.face_end_px])
+    ends_px = np.stack([points.face_start_undistorted_px, points.face_end_undistorted_px])
     straight_px, below_px = undistorted_pixels(np.stack([ends_px, ends_px + np.array([0.0, 1.0])]), camera)
     return replace(
         points,
-        face_start_px=straight_px[0],
-        face_end_px=straight_px[1],
+        face_start_undistorted_px=straight_px[0],
+        face_end_undistorted_px=straight_px[1],
         face_sigma_px=points.face_sigma_px * (below_px - straight_px)[..., 1].T,
         labelled=labelled,
         stamp_s=stamp_s,

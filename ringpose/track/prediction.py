@@ -81,8 +81,8 @@ def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | Non
         position_px=np.where(inside[..., None], position_px, np.nan),
         covariance_px2=np.where(inside[..., None, None], covariance_px2, np.nan),
         flags=np.zeros((count, 2), dtype=np.int64),
-        face_start_px=np.where(left_first[:, None], straight_px[:, 0], straight_px[:, 1]),
-        face_end_px=np.where(left_first[:, None], straight_px[:, 1], straight_px[:, 0]),
+        face_start_undistorted_px=np.where(left_first[:, None], straight_px[:, 0], straight_px[:, 1]),
+        face_end_undistorted_px=np.where(left_first[:, None], straight_px[:, 1], straight_px[:, 0]),
         face_sigma_px=sigma_px[..., 1],
         labelled=_are_apart(position_px[in_view], sigma_px[in_view, :, 1].max(axis=1)),
     )

@@ -18,7 +18,7 @@ MAX_SIGMA_PX = 1e4
 """Largest standard deviation of a detected point: larger than an image, it is not a measurement. The detector does not
 write a larger one, and readers reject it."""
 
-MAX_OFFSET = {"position_px": 1.0, "face_start_px": 10.0, "face_end_px": 10.0}
+MAX_OFFSET = {"position_px": 1.0, "face_start_undistorted_px": 10.0, "face_end_undistorted_px": 10.0}
 """Maximum distance of a measured point outside the image, in image sizes (undistorted wide images are larger). The
 detector does not write a point beyond, and readers reject it."""
 
@@ -93,16 +93,19 @@ class BreakPoints:
             least=0,
         ),
     ]
-    face_start_px: Annotated[
+    face_start_undistorted_px: Annotated[
         Float64[Array, "laser xy=2"],
         Key(
             "Start of the stripe's straight line on the ring's face, in pixels of the same camera without distortion; "
             "null where the stripe was not found.",
+            name="face_start_px",
             gaps=True,
             form=Form.POINTS,
         ),
     ]
-    face_end_px: Annotated[Float64[Array, "laser xy=2"], Key("End of that line.", gaps=True, form=Form.POINTS)]
+    face_end_undistorted_px: Annotated[
+        Float64[Array, "laser xy=2"], Key("End of that line.", name="face_end_px", gaps=True, form=Form.POINTS)
+    ]
     face_sigma_px: Annotated[
         Float64[Array, "laser end=2"],
         Key("Standard deviation perpendicular to that line, at its start and at its end.", gaps=True, form=Form.SIGMAS),
@@ -130,7 +133,7 @@ class BreakPoints:
     @property
     def of_lasers(self) -> Bool[Array, "laser"]:
         """The lasers of which a break point or a line on the face was measured."""
-        lasers: Bool[Array, "laser"] = self.seen.any(axis=1) | ~np.isnan(self.face_start_px[:, 0])
+        lasers: Bool[Array, "laser"] = self.seen.any(axis=1) | ~np.isnan(self.face_start_undistorted_px[:, 0])
         return lasers
 
     def without(self, ends: Bool[Array, "laser edge=2"], lines: Bool[Array, "laser"]) -> "BreakPoints":
@@ -139,8 +142,8 @@ class BreakPoints:
             self,
             position_px=np.where(ends[..., None], np.nan, self.position_px),
             covariance_px2=np.where(ends[..., None, None], np.nan, self.covariance_px2),
-            face_start_px=np.where(lines[:, None], np.nan, self.face_start_px),
-            face_end_px=np.where(lines[:, None], np.nan, self.face_end_px),
+            face_start_undistorted_px=np.where(lines[:, None], np.nan, self.face_start_undistorted_px),
+            face_end_undistorted_px=np.where(lines[:, None], np.nan, self.face_end_undistorted_px),
             face_sigma_px=np.where(lines[:, None], np.nan, self.face_sigma_px),
         )
 

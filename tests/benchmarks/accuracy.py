@@ -100,8 +100,8 @@ def _noisy(points: BreakPoints, generator: np.random.Generator) -> BreakPoints:
     return replace(
         points,
         position_px=points.position_px + along_px[..., None] * [1.0, 0.0],
-        face_start_px=points.face_start_px + across_px[:, 0],
-        face_end_px=points.face_end_px + across_px[:, 1],
+        face_start_undistorted_px=points.face_start_undistorted_px + across_px[:, 0],
+        face_end_undistorted_px=points.face_end_undistorted_px + across_px[:, 1],
     )
 
 

@@ -130,8 +130,8 @@ def moved(points: BreakPoints, shift_px: float = 6.0) -> BreakPoints:
     return replace(
         points,
         position_px=points.position_px + shift_px,
-        face_start_px=points.face_start_px + shift_px,
-        face_end_px=points.face_end_px + shift_px,
+        face_start_undistorted_px=points.face_start_undistorted_px + shift_px,
+        face_end_undistorted_px=points.face_end_undistorted_px + shift_px,
     )
 
 

@@ -41,7 +41,7 @@ def test_bands_find_the_centres_that_the_whole_frame_has_there():
 
 def test_without_predicted_stripes_there_are_no_bands():
     points = exact_break_points(IMAGE)
-    points.face_start_px[1] = np.nan
+    points.face_start_undistorted_px[1] = np.nan
 
     assert predicted_bands(points, (1,), IMAGE.rig.camera) is None
 
@@ -72,7 +72,7 @@ def test_a_wrong_prediction_is_replaced_by_a_search_of_the_whole_frame(drawn, wr
     if wrong == "far away":
         predicted = moved(predicted, 200.0)
     else:
-        names = ("position_px", "face_start_px", "face_end_px")
+        names = ("position_px", "face_start_undistorted_px", "face_end_undistorted_px")
         predicted = replace(predicted, **{name: getattr(predicted, name)[::-1] for name in names})
 
     found = detect(shot, rig, Prior(predicted=predicted))

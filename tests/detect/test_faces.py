@@ -214,7 +214,7 @@ def test_a_wrong_end_is_rejected_and_the_line_of_its_stripe_is_kept(labelled):
     assert np.isnan(found.position_px[1]).all()
     assert not np.isnan(found.position_px[[0, 2]]).any()
     assert found.flags[1].max() & OCCLUDED
-    assert not np.isnan(found.face_start_px).any()
+    assert not np.isnan(found.face_start_undistorted_px).any()
 
 
 def test_break_points_of_one_ring_are_all_kept():

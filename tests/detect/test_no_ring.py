@@ -30,8 +30,8 @@ def bar_ends(distance_m: float, bend_per_m: float, rng: np.random.Generator) -> 
     noisy = exact + rng.normal(0, SIGMA_PX, (3, 2, 1)) * [1.0, 0.0]
     return replace(
         break_points_of(noisy, SIGMA_PX),
-        face_start_px=exact[:, 1],
-        face_end_px=exact[:, 0],
+        face_start_undistorted_px=exact[:, 1],
+        face_end_undistorted_px=exact[:, 0],
         face_sigma_px=np.full((3, 2), 0.05),
     )
 
@@ -52,7 +52,11 @@ def faces(saturated_ends: int) -> tuple[BreakPoints, LaserImage]:
     """Three stripes on a face at columns 100 to 150, the light beside some of their ends saturated."""
     x, y = np.array([150.0, 100.0]), np.array([20.0, 60.0, 100.0])
     position = np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1)
-    points = replace(break_points_of(position, SIGMA_PX), face_start_px=position[:, 1], face_end_px=position[:, 0])
+    points = replace(
+        break_points_of(position, SIGMA_PX),
+        face_start_undistorted_px=position[:, 1],
+        face_end_undistorted_px=position[:, 0],
+    )
     dark = np.full((120, 250), 40, np.uint8)
     for end in range(saturated_ends):
         row, column = int(y[end // 2]), 151 if end % 2 == 0 else 85

@@ -333,8 +333,10 @@ def with_stripe_of(points: BreakPoints, other: BreakPoints, laser: int) -> Break
     return replace(
         points,
         position_px=np.where(taken[:, None, None], other.position_px, points.position_px),
-        face_start_px=np.where(taken[:, None], other.face_start_px, points.face_start_px),
-        face_end_px=np.where(taken[:, None], other.face_end_px, points.face_end_px),
+        face_start_undistorted_px=np.where(
+            taken[:, None], other.face_start_undistorted_px, points.face_start_undistorted_px
+        ),
+        face_end_undistorted_px=np.where(taken[:, None], other.face_end_undistorted_px, points.face_end_undistorted_px),
     )
 
 
@@ -380,8 +382,8 @@ def displaced_along(points: BreakPoints, along_px: float) -> BreakPoints:
     return replace(
         points,
         position_px=points.position_px + along,
-        face_start_px=points.face_start_px + along,
-        face_end_px=points.face_end_px + along,
+        face_start_undistorted_px=points.face_start_undistorted_px + along,
+        face_end_undistorted_px=points.face_end_undistorted_px + along,
     )
 
 

@@ -95,7 +95,7 @@ def test_one_stripe_in_view_is_handed_on_with_its_line_but_without_a_side():
     assert points.seen.sum(axis=1).tolist() == [2, 0, 0]
     assert np.all(points.flags[0] & BreakPointFlag.EDGE_UNKNOWN)
     assert np.abs(np.sort(points.position_px[0, :, 0]) - np.sort(truth_px[0, :, 0])).max() < 1.0
-    assert np.isfinite(points.face_start_px[0]).all()
+    assert np.isfinite(points.face_start_undistorted_px[0]).all()
 
 
 def test_an_edge_beyond_the_border_leaves_the_other_edge_and_whole_lines():
@@ -109,7 +109,7 @@ def test_an_edge_beyond_the_border_leaves_the_other_edge_and_whole_lines():
     assert np.count_nonzero(left) == 3
     seen_x = np.nanmax(points.position_px[..., 0], axis=1)
     assert np.abs(seen_x - np.nanmax(truth_px[..., 0], axis=1)).max() < 1.0
-    assert np.isfinite(points.face_end_px).all()
+    assert np.isfinite(points.face_end_undistorted_px).all()
 
 
 @pytest.mark.parametrize("target", ["none", "body"])

@@ -64,7 +64,11 @@ def through_another_camera(points, camera, wrong):
             rays[:, :2] += (taken - again)[:, 0] / [said[0, 0], said[1, 1]]
         return rays[:, :2] * [said[0, 0], said[1, 1]] + said[:2, 2]
 
-    return replace(points, face_start_px=moved(points.face_start_px), face_end_px=moved(points.face_end_px))
+    return replace(
+        points,
+        face_start_undistorted_px=moved(points.face_start_undistorted_px),
+        face_end_undistorted_px=moved(points.face_end_undistorted_px),
+    )
 
 
 def correlated(rng):

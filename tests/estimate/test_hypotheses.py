@@ -46,17 +46,28 @@ def shifted(points, laser, edge, shift_px):
 
 def lifted(points, laser, shift_px):
     """A stripe on something else: line and ends moved across."""
-    position, start, end = points.position_px.copy(), points.face_start_px.copy(), points.face_end_px.copy()
+    position, start, end = (
+        points.position_px.copy(),
+        points.face_start_undistorted_px.copy(),
+        points.face_end_undistorted_px.copy(),
+    )
     for part in (position, start, end):
         part[laser, ..., 1] += shift_px
-    return replace(points, position_px=position, face_start_px=start, face_end_px=end)
+    return replace(points, position_px=position, face_start_undistorted_px=start, face_end_undistorted_px=end)
 
 
 def exchanged(points, first, second):
     """Two lasers' stripes under each other's names."""
     order = np.arange(len(points.flags))
     order[[first, second]] = second, first
-    names = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px")
+    names = (
+        "position_px",
+        "covariance_px2",
+        "flags",
+        "face_start_undistorted_px",
+        "face_end_undistorted_px",
+        "face_sigma_px",
+    )
     return replace(points, **{name: getattr(points, name)[order] for name in names})
 
 
@@ -204,10 +215,10 @@ def test_a_break_point_far_away_never_passes_for_a_ring(scene, points, laser, ed
 @pytest.mark.parametrize("laser", range(3))
 @pytest.mark.parametrize("rise_px", [-200.0, 200.0])
 def test_a_line_that_leaves_its_stripe_is_left_out_or_owned_up_to(scene, points, laser, rise_px):
-    end = points.face_end_px.copy()
+    end = points.face_end_undistorted_px.copy()
     end[laser, 1] += rise_px
 
-    pose = estimate_pose(replace(points, face_end_px=end), scene.rig)
+    pose = estimate_pose(replace(points, face_end_undistorted_px=end), scene.rig)
 
     assert pose.flags & (PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT)
     assert scene.rig.lasers.names[laser] in pose.remark or PoseFlag.INCONSISTENT in pose.flags
@@ -244,15 +255,19 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
     covariance[1] = np.diag([end_sigma_px**2, 0.3**2])
     position[2] = np.nan
     unseen = np.full(2, np.nan)
-    start, end, sigma = moved.face_start_px.copy(), moved.face_end_px.copy(), moved.face_sigma_px.copy()
+    start, end, sigma = (
+        moved.face_start_undistorted_px.copy(),
+        moved.face_end_undistorted_px.copy(),
+        moved.face_sigma_px.copy(),
+    )
     end[1, 1] += rng.uniform(-15.0, 15.0)
     start[2], end[2], sigma[2] = unseen, unseen, unseen
     return replace(
         moved,
         position_px=position,
         covariance_px2=covariance,
-        face_start_px=start,
-        face_end_px=end,
+        face_start_undistorted_px=start,
+        face_end_undistorted_px=end,
         face_sigma_px=sigma,
     )
 
@@ -298,8 +313,8 @@ def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(rng)
     points = replace(
         true,
         position_px=true.position_px + shift_px[:, None],
-        face_start_px=true.face_start_px + shift_px,
-        face_end_px=true.face_end_px + shift_px,
+        face_start_undistorted_px=true.face_start_undistorted_px + shift_px,
+        face_end_undistorted_px=true.face_end_undistorted_px + shift_px,
         stamp_s=100.0 + 0.033 * np.arange(3),  # that in the middle is exactly their mean
     )
 

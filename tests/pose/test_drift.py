@@ -134,8 +134,8 @@ def test_a_wrong_stripe_in_one_shot_is_no_drift(poses, rig, laser, shift_px):
     scenes = list(poses(rig, 15))
     _, points = scenes[3]
     points.position_px[laser, :, 1] += shift_px
-    points.face_start_px[laser, 1] += shift_px
-    points.face_end_px[laser, 1] += shift_px
+    points.face_start_undistorted_px[laser, 1] += shift_px
+    points.face_end_undistorted_px[laser, 1] += shift_px
 
     lines, warnings = measured_stream(rig, scenes)
 

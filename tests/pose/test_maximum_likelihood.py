@@ -18,9 +18,9 @@ POINT_PX, LINE_PX = 0.3, 0.01
 
 def without_line(points, laser):
     """Without a stripe's line."""
-    start, end = points.face_start_px.copy(), points.face_end_px.copy()
+    start, end = points.face_start_undistorted_px.copy(), points.face_end_undistorted_px.copy()
     start[laser], end[laser] = np.nan, np.nan
-    return replace(points, face_start_px=start, face_end_px=end)
+    return replace(points, face_start_undistorted_px=start, face_end_undistorted_px=end)
 
 
 @given(

@@ -67,8 +67,10 @@ def test_scatter_of_drawn_features_is_as_stated(switched, view, rng):
 
     off_px = np.array([each.position_px for each in draws]) - exact.position_px
     whitened = np.linalg.solve(np.linalg.cholesky(exact.covariance_px2), off_px[..., None])[..., 0]
-    ends_px = np.array([[each.face_start_px[:, 1], each.face_end_px[:, 1]] for each in draws])
-    ends = (ends_px - [exact.face_start_px[:, 1], exact.face_end_px[:, 1]]) / exact.face_sigma_px.T
+    ends_px = np.array([[each.face_start_undistorted_px[:, 1], each.face_end_undistorted_px[:, 1]] for each in draws])
+    ends = (
+        ends_px - [exact.face_start_undistorted_px[:, 1], exact.face_end_undistorted_px[:, 1]]
+    ) / exact.face_sigma_px.T
 
     assert whitened.mean() == pytest.approx(0.0, abs=0.08)
     assert whitened.var() == pytest.approx(1.0, abs=0.1)
@@ -97,7 +99,7 @@ def test_a_stripe_beyond_the_border_is_clipped_and_its_line_remains(switched, vi
     assert outside.any()
     assert np.array_equal(np.isnan(points.position_px[..., 0]), outside)
     assert (points.flags[outside] == BreakPointFlag.CLIPPED).all()
-    assert np.isfinite(points.face_end_px).all()
+    assert np.isfinite(points.face_end_undistorted_px).all()
     assert drawn.truth.expect == "partial"
 
 

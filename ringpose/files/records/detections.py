@@ -121,10 +121,11 @@ def _check_positions(detection: Detection, camera: Camera, location: str) -> Non
     """Reject points farther outside the image than lens distortion can explain (`MAX_OFFSET`)."""
     width, height = camera.image_width, camera.image_height
     for part, found in (("break_points", detection.break_points), ("ring_edges", detection.ring_edges)):
-        for key, max_offset in MAX_OFFSET.items():
-            position_px = getattr(found, key, None)
+        for name, max_offset in MAX_OFFSET.items():
+            position_px = getattr(found, name, None)
             if position_px is not None and outside_image(position_px, max_offset, width, height).any():
                 where = f"lies beyond the image of {width} x {height} pixels that the rig's camera has"
+                key = name.replace("_undistorted", "")  # as in records
                 raise DataError(f"{location}: {part}.{key}", where, OTHER_RIG)
 
 

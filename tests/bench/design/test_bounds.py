@@ -49,7 +49,7 @@ def test_a_rig_that_may_have_changed_never_lowers_the_bound():
 def test_two_stripes_determine_the_ring_only_with_its_radii():
     scene = make_scene("B", distance_m=0.5)
     points = face_points_of(scene, POINT_PX, LINE_PX)
-    for part in (points.position_px, points.face_start_px, points.face_end_px):
+    for part in (points.position_px, points.face_start_undistorted_px, points.face_end_undistorted_px):
         part[2] = np.nan
     result = pose_result(points, scene.rig)
 
