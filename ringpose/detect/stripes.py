@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.kernels import _kernels, kernel_record
-from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, TrackParams
+from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, SegmentParams
 from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes
@@ -194,7 +194,7 @@ def _two_sided_norm(taps: Float64[Array, "tap"]) -> float:
 
 def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "segment column=11"]:
     """The straight line segments of the stripes, in undistorted pixels; columns as in `SEGMENT_COLUMNS`."""
-    params = TrackParams(image_width=camera.image_width, border_px=BORDER_PX)
+    params = SegmentParams(image_width=camera.image_width, border_px=BORDER_PX)
     return straight_segments(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params)
 
 
@@ -204,7 +204,7 @@ def straight_segments(
     piece: Int64[Array, "center"],
     laser: Int64[Array, "piece"],
     lens: Lens,
-    params: TrackParams,
+    params: SegmentParams,
 ) -> Float64[Array, "segment column=11"]:
     """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
 
@@ -213,7 +213,7 @@ def straight_segments(
     column.
     """
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
-    found = _kernels.tracks(position, sigma, piece, laser, lens, params)
+    found = _kernels.stripe_segments(position, sigma, piece, laser, lens, params)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(SEGMENT_COLUMNS))
 
 

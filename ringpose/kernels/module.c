@@ -2,7 +2,7 @@
    around long work; results of unknown length leave as bytes. */
 #include "arguments.h"
 #include "ends/end_edges.h"
-#include "lines/tracks.h"
+#include "lines/stripe_segments.h"
 #include "render/target.h"
 
 /* The functions, and what they take and return. Each is defined beside its loops. */
@@ -13,9 +13,9 @@
     KERNEL(fits, "(magnitude, pixels, pieces, trim) -> (lines, moments)")                                           \
     KERNEL(joins, "(lines, moments, pieces, gap, aside, shortest) -> (lines, support)")                             \
     KERNEL(stripes, "(image, dark, bands, taps, filters, params) -> (position, sigma, peak, piece)")                \
-    KERNEL(tracks, "(position, sigma, piece, laser, lens, params) -> tracks")                                       \
+    KERNEL(stripe_segments, "(position, sigma, piece, laser, lens, params) -> segments")                            \
     KERNEL(arcs, "(points, arc, arcs): fills the last")                                                             \
-    KERNEL(faces, "(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of 1, 2 and 3)")       \
+    KERNEL(faces, "(segments, unlabelled, planes, unions, candidates, ring) -> (segments, groups of 1, 2 and 3)")       \
     KERNEL(ends, "(images: (lit, dark, lines), lens, params) -> ends")                                              \
     KERNEL(edge_places, "(point, off_face, sign, number, normal, wrt_step, covariance, lens, params) -> places")              \
     KERNEL(edge_profiles, "(image, place, normal, params, value, saturated, noise): fills the last three")          \
@@ -34,7 +34,7 @@ static PyMethodDef methods[] = {KERNELS(METHOD){NULL, NULL, 0, NULL}};
 
 /* The records of parameters (kernels.h), each defined beside the loops that it is for. */
 #define RECORDS(RECORD)                                                                                             \
-    RECORD(Lens) RECORD(StripeParams) RECORD(TrackParams) RECORD(UnionParams) RECORD(CandidateParams)               \
+    RECORD(Lens) RECORD(StripeParams) RECORD(SegmentParams) RECORD(UnionParams) RECORD(CandidateParams)               \
     RECORD(RingParams) RECORD(EndParams) RECORD(PlaceParams) RECORD(ProfileParams) RECORD(StepParams)               \
     RECORD(SceneLight)
 
@@ -45,7 +45,7 @@ RECORDS(DECLARATION)
 
 static const Kind *const records[] = {RECORDS(ADDRESS)};
 
-#define TABLES(TABLE) TABLE(Track) TABLE(StripeLine) TABLE(StripeEnd) TABLE(Place) TABLE(EdgeStep) TABLE(Arcs)
+#define TABLES(TABLE) TABLE(Segment) TABLE(StripeLine) TABLE(StripeEnd) TABLE(Place) TABLE(EdgeStep) TABLE(Arcs)
 
 #define TABLE_DECLARATION(type) extern const Table type##_table;
 #define TABLE_ADDRESS(type) &type##_table,

@@ -11,7 +11,7 @@ from ringpose.detect.break_points import EndParams
 from ringpose.detect.edge_search import PlaceParams, ProfileParams, StepParams
 from ringpose.detect.stripes import StripeParams
 from ringpose.kernels import _kernels, kernel_record
-from ringpose.kernels.lines import CandidateParams, Lens, RingParams, TrackParams, UnionParams
+from ringpose.kernels.lines import CandidateParams, Lens, RingParams, SegmentParams, UnionParams
 
 IMAGE = np.zeros((8, 9), np.uint8)
 MAGNITUDE = np.zeros((8, 9), np.int16)
@@ -55,13 +55,13 @@ CALLS = {
         numbers(2, 4),
         STRIPES,
     ),
-    "tracks": (
+    "stripe_segments": (
         numbers(3, 2),
         numbers(3),
         np.zeros(3, np.int64),
         np.zeros(1, np.int64),
         LENS,
-        TrackParams(image_width=800, border_px=3.0),
+        SegmentParams(image_width=800, border_px=3.0),
     ),
     "arcs": (numbers(2, 3, 2), np.array([0, 1, 0]), numbers(2, 4)),
     "faces": (TRACKS, 7, numbers(3, 3), UnionParams(), CandidateParams(), RING),
@@ -153,7 +153,7 @@ def test_extents_that_do_not_fit_the_other_arrays_are_a_value_error(name, i):
             refused += 1
 
     free = {("cuts", 0), ("cuts", 1), ("fits", 1), ("fits", 2), ("stripes", 2), ("stripes", 3)}
-    free |= {("faces", 0), ("faces", 2), ("tracks", 3), ("fits", 0), ("chains", 0), ("edge_profiles", 0)}
+    free |= {("faces", 0), ("faces", 2), ("stripe_segments", 3), ("fits", 0), ("chains", 0), ("edge_profiles", 0)}
     assert refused == array.ndim or (name, i) in free
 
 

@@ -1,6 +1,7 @@
 """Arguments of the kernels for line segments through stripe centres and for the ring's rim.
 
-The sources are tracks.c (segmentation and line fits) and rim.c (which segments lie on the rim of one planar ring).
+The sources are stripe_segments.c (segmentation and line fits), rim.c (which segments lie on the rim of one planar ring)
+and arcs.c (two concentric arcs).
 """
 
 import math
@@ -31,7 +32,7 @@ class Lens:
 
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrackParams:
+class SegmentParams:
     """Parameters of the segmentation of stripe centres into straight segments."""
 
     image_width: int
@@ -50,9 +51,9 @@ class TrackParams:
     """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
 
-SEGMENT_COLUMNS = column_names("Track")
-"""Columns of the result of `straight_segments` (tracks.h); `beyond_ends` counts the centres on the segment's line that
-lie between 2 px and the segment's length (at most 100 px) + 40 px beyond its ends."""
+SEGMENT_COLUMNS = column_names("Segment")
+"""Columns of the result of `straight_segments` (stripe_segments.h); `beyond_ends` counts the centres on the segment's
+line that lie between 2 px and the segment's length (at most 100 px) + 40 px beyond its ends."""
 
 LASER, CENTERS, X_START, X_END = map(SEGMENT_COLUMNS.index, ("laser", "centers", "x_start", "x_end"))
 MIDDLE_X, MIDDLE_Y, SLOPE = map(SEGMENT_COLUMNS.index, ("middle_x", "middle_y", "slope"))

@@ -1,5 +1,5 @@
-/* Which tracks lie on the rim of one planar ring. Collinear tracks are merged (pieces of a stripe that speckle, a glint
-   or a bracket interrupts), candidates are ranked for each laser, and every group of one track for each of up to three
+/* Which segments lie on the rim of one planar ring. Collinear segments are merged (pieces of a stripe that speckle, a glint
+   or a bracket interrupts), candidates are ranked for each laser, and every group of one segment for each of up to three
    lasers is scored: merits less the costs of a common plane, two concentric circles, missing stripes and tilt. */
 #include "arguments.h"
 
@@ -11,7 +11,7 @@
 
 #include "arcs.h"
 #include "kernels.h"
-#include "tracks.h"
+#include "stripe_segments.h"
 
 #define UNION_PARAMS(REAL, COUNT)                                                                                   \
     COUNT(min_beyond_ends, 0, INT32_MAX)                                                                            \
@@ -65,9 +65,9 @@ RECORD(CandidateParams, CANDIDATE_PARAMS);
 RECORD_STRUCT(RingParams, RING_PARAMS);
 RECORD(RingParams, RING_PARAMS);
 
-/* A track with a hypothetical laser. */
+/* A segment with a hypothetical laser. */
 typedef struct {
-    int32_t track, laser;
+    int32_t segment, laser;
     double x[2], y[2];       /* normalised image coordinates of its start and end */
     double inverse_depth[2]; /* 1/z there, 1/m */
     double merit;
@@ -77,7 +77,7 @@ typedef struct {
 
 typedef struct {
     int lasers;
-    uint32_t unlabelled;      /* mask of the lasers that unlabelled tracks may belong to */
+    uint32_t unlabelled;      /* mask of the lasers that unlabelled segments may belong to */
     const double (*plane)[3]; /* m / d of each light plane: 1/z = (m / d) . (x, y, 1) */
     const UnionParams *unions;
     const CandidateParams *candidates;
@@ -88,11 +88,11 @@ enum { MAX_MEMBERS = 3 };
 
 typedef struct {
     int32_t index[MAX_MEMBERS];
-    double score, runner_up; /* runner_up: best score of the same tracks with other lasers; minus infinity if none */
+    double score, runner_up; /* runner_up: best score of the same segments with other lasers; minus infinity if none */
 } Best;
 
-/* True if the second track, to the right, may lie on the line of the first. */
-static int may_continue(const Track *first, const Track *second, const UnionParams *params) {
+/* True if the second segment, to the right, may lie on the line of the first. */
+static int may_continue(const Segment *first, const Segment *second, const UnionParams *params) {
     double gap = second->x_start - first->x_end;
     double lengths = first->x_end - first->x_start + second->x_end - second->x_start;
     if (first->laser != second->laser || !(gap > 0 && gap <= params->max_gap * lengths)) return 0;
@@ -103,21 +103,21 @@ static int may_continue(const Track *first, const Track *second, const UnionPara
     return separation < params->separation_px + params->separation_sigmas * sigma;
 }
 
-/* The merged track: line and scatter of all centres together, from the moments of both. */
-static Track united(const Track *first, const Track *second) {
-    const Track *part[2] = {first, second};
+/* The merged segment: line and scatter of all centres together, from the moments of both. */
+static Segment united(const Segment *first, const Segment *second) {
+    const Segment *part[2] = {first, second};
     double count = first->centers + second->centers, xx = 0, xy = 0, yy = 0;
     double middle_x = (first->centers * first->middle_x + second->centers * second->middle_x) / count;
     double middle_y = (first->centers * first->middle_y + second->centers * second->middle_y) / count;
     for (int i = 0; i < 2; i++) {
-        const Track *p = part[i];
+        const Segment *p = part[i];
         double dx = p->middle_x - middle_x, dy = p->middle_y - middle_y, length = fmax(p->x_end - p->x_start, 1);
         double own = length * length / 12;
         xx += p->centers * (own + dx * dx);
         xy += p->centers * (own * p->slope + dx * dy);
         yy += p->centers * (own * p->slope * p->slope + p->scatter * p->scatter + dy * dy);
     }
-    Track both = *first;
+    Segment both = *first;
     both.centers = count;
     both.x_end = second->x_end;
     both.middle_x = middle_x;
@@ -129,50 +129,50 @@ static Track united(const Track *first, const Track *second) {
     return both;
 }
 
-static int add(List *list, const Track *track) {
+static int add(List *list, const Segment *segment) {
     if (!reserve(list, 1)) return 0;
-    ((Track *)list->data)[list->used++] = *track;
+    ((Segment *)list->data)[list->used++] = *segment;
     return 1;
 }
 
-/* Merges one track with each of those that continue it. */
-static int unite(Track left, const List *pieces, const UnionParams *params, List *unions) {
-    const Track *piece = pieces->data;
+/* Merges one segment with each of those that continue it. */
+static int unite(Segment left, const List *pieces, const UnionParams *params, List *unions) {
+    const Segment *piece = pieces->data;
     for (size_t j = 0; j < pieces->used; j++) {
         if (!may_continue(&left, &piece[j], params)) continue;
-        Track both = united(&left, &piece[j]);
+        Segment both = united(&left, &piece[j]);
         if (!add(unions, &both)) return 0;
     }
     return 1;
 }
 
-/* Appends merged tracks, two by two in several rounds, to the list. 0 if there is no memory. */
-static int unite_collinear(const Track *track, size_t count, const UnionParams *params, List *unions) {
-    List pieces = {NULL, 0, 0, sizeof *track};
+/* Appends merged segments, two by two in several rounds, to the list. 0 if there is no memory. */
+static int unite_collinear(const Segment *segment, size_t count, const UnionParams *params, List *unions) {
+    List pieces = {NULL, 0, 0, sizeof *segment};
     size_t first = unions->used;
     int done = 1;
     for (size_t i = 0; done && i < count; i++)
-        if (track[i].beyond_ends >= params->min_beyond_ends && !track[i].clipped) done = add(&pieces, &track[i]);
-    const Track *piece = pieces.data;
+        if (segment[i].beyond_ends >= params->min_beyond_ends && !segment[i].clipped) done = add(&pieces, &segment[i]);
+    const Segment *piece = pieces.data;
     for (size_t i = 0; done && i < pieces.used; i++) done = unite(piece[i], &pieces, params, unions);
     for (size_t round = 1; done && round < (size_t)params->rounds; round++) {
         size_t last = unions->used;
-        for (; done && first < last; first++) done = unite(((Track *)unions->data)[first], &pieces, params, unions);
+        for (; done && first < last; first++) done = unite(((Segment *)unions->data)[first], &pieces, params, unions);
     }
     release(&pieces);
     return done;
 }
 
 /* The ends in normalised image coordinates. */
-static void place(const Track *track, const RingParams *ring, Candidate *candidate) {
-    double end[2] = {track->x_start, track->x_end};
+static void place(const Segment *segment, const RingParams *ring, Candidate *candidate) {
+    double end[2] = {segment->x_start, segment->x_end};
     for (int side = 0; side < 2; side++) {
         candidate->x[side] = (end[side] - ring->principal_x) / ring->focal_x;
-        candidate->y[side] = (line_y(track, end[side]) - ring->principal_y) / ring->focal_y;
+        candidate->y[side] = (line_y(segment, end[side]) - ring->principal_y) / ring->focal_y;
     }
 }
 
-/* True if the track, on that light plane, is within the depth range and has the length of a stripe on the rim; fills in
+/* True if the segment, on that light plane, is within the depth range and has the length of a stripe on the rim; fills in
    the inverse depths, 1/z = light . (x, y, 1). */
 static int possible(const double light[3], const CandidateParams *params, Candidate *candidate) {
     double point[2][3], length = 0;
@@ -188,12 +188,12 @@ static int possible(const double light[3], const CandidateParams *params, Candid
     return length > params->min_length_m * params->min_length_m && length < params->max_length_m * params->max_length_m;
 }
 
-/* True if centres on an unlabelled track's line may be another laser's stripe on the body behind. */
-static int may_be_other_laser(const Track *track, const Candidate *candidate, const Scene *scene) {
+/* True if centres on an unlabelled segment's line may be another laser's stripe on the body behind. */
+static int may_be_other_laser(const Segment *segment, const Candidate *candidate, const Scene *scene) {
     const CandidateParams *params = scene->candidates;
     double x = (candidate->x[0] + candidate->x[1]) / 2, y = (candidate->y[0] + candidate->y[1]) / 2;
     double depth = 2 / (candidate->inverse_depth[0] + candidate->inverse_depth[1]);
-    for (int laser = 0; track->laser < 0 && laser < scene->lasers; laser++) {
+    for (int laser = 0; segment->laser < 0 && laser < scene->lasers; laser++) {
         const double *light = scene->plane[laser];
         double behind = 1 / (light[0] * x + light[1] * y + light[2]) - depth;
         if (laser != candidate->laser && scene->unlabelled >> laser & 1 && behind > params->min_behind_m &&
@@ -203,21 +203,21 @@ static int may_be_other_laser(const Track *track, const Candidate *candidate, co
     return 0;
 }
 
-/* Merit of a track: long, little scatter, no centres on its line beyond its ends. If those may be another laser's, a
+/* Merit of a segment: long, little scatter, no centres on its line beyond its ends. If those may be another laser's, a
    group of three gets back what exceeds the penalty of such a coincidence. */
-static void rate(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
+static void rate(const Segment *segment, int is_union, const Scene *scene, Candidate *candidate) {
     const CandidateParams *params = scene->candidates;
-    double share = track->beyond_ends / (track->beyond_ends + track->centers);
-    double scatter = track->scatter / params->typical_scatter_px;
-    double straight = 2 * log(fmin(track->centers, params->max_counted_columns)) - 0.5 * scatter * scatter;
+    double share = segment->beyond_ends / (segment->beyond_ends + segment->centers);
+    double scatter = segment->scatter / params->typical_scatter_px;
+    double straight = 2 * log(fmin(segment->centers, params->max_counted_columns)) - 0.5 * scatter * scatter;
     double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
-    candidate->merit = straight - beyond_ends - params->clipped_penalty * track->clipped -
+    candidate->merit = straight - beyond_ends - params->clipped_penalty * segment->clipped -
                        params->union_penalty * is_union;
-    candidate->coincidence_bonus = excess > 0 && may_be_other_laser(track, candidate, scene) ? excess : 0;
+    candidate->coincidence_bonus = excess > 0 && may_be_other_laser(segment, candidate, scene) ? excess : 0;
 }
 
 /* Contribution of the ends to the normal equations of a plane, 1/z = p . (x, y, 1); the weight is the inverse variance
-   of the inverse depth, propagated from a pixel error across the track. */
+   of the inverse depth, propagated from a pixel error across the segment. */
 static void complete(const double light[3], const RingParams *ring, Candidate *candidate) {
     double sigma = fmax(ring->across_sigma_px * fabs(light[1]) / ring->focal_y, 1e-12), weight = 1 / (sigma * sigma);
     for (int side = 0; side < 2; side++) {
@@ -241,18 +241,18 @@ static int rank(const Candidate *candidate, Candidate *own, int count, int maxim
     return count < maximum ? count + 1 : maximum;
 }
 
-/* The best tracks for each laser, sorted by laser; `all` has room for the largest number of each. Returns how many. */
-static int find_candidates(const Track *track, size_t count, size_t unions, const Scene *scene, Candidate *all) {
+/* The best segments for each laser, sorted by laser; `all` has room for the largest number of each. Returns how many. */
+static int find_candidates(const Segment *segment, size_t count, size_t unions, const Scene *scene, Candidate *all) {
     int found = 0;
     for (int laser = 0; laser < scene->lasers; laser++) {
         int own = 0;
         for (size_t i = 0; i < count; i++) {
-            int allowed = track[i].laser < 0 ? scene->unlabelled >> laser & 1 : track[i].laser == laser;
-            Candidate candidate = {.track = (int32_t)i, .laser = laser};
+            int allowed = segment[i].laser < 0 ? scene->unlabelled >> laser & 1 : segment[i].laser == laser;
+            Candidate candidate = {.segment = (int32_t)i, .laser = laser};
             if (!allowed) continue;
-            place(&track[i], scene->ring, &candidate);
+            place(&segment[i], scene->ring, &candidate);
             if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
-            rate(&track[i], i >= count - unions, scene, &candidate);
+            rate(&segment[i], i >= count - unions, scene, &candidate);
             own = rank(&candidate, all + found, own, (int)scene->candidates->max_candidates);
         }
         for (int i = 0; i < own; i++) complete(scene->plane[laser], scene->ring, &all[found + i]);
@@ -273,7 +273,7 @@ static int solve3(const double a[6], const double b[3], double x[3]) {
     return 1;
 }
 
-/* Half the chi-square of the best plane 1/z = p . (x, y, 1) through the tracks' ends; for a single track the plane that
+/* Half the chi-square of the best plane 1/z = p . (x, y, 1) through the segments' ends; for a single segment the plane that
    faces the camera. */
 static double plane_cost(const Candidate *const member[], int size, double plane[3]) {
     double a[6] = {0}, b[3] = {0}, square = 0;
@@ -392,9 +392,9 @@ static double group_score(const Candidate *const member[], int size, const Scene
     return merit - cost - oblique;
 }
 
-static int is_among(int32_t track, const Best *winner, const Candidate *all, int size) {
+static int is_among(int32_t segment, const Best *winner, const Candidate *all, int size) {
     int found = 0;
-    for (int i = 0; i < size; i++) found |= track == all[winner->index[i]].track;
+    for (int i = 0; i < size; i++) found |= segment == all[winner->index[i]].segment;
     return found;
 }
 
@@ -402,7 +402,7 @@ typedef struct {
     const Candidate *all;
     int count, size;
     const Scene *scene;
-    const Best *winner; /* in the search for the runner-up: the same tracks, other lasers */
+    const Best *winner; /* in the search for the runner-up: the same segments, other lasers */
     Best *best;
     double *runner_up;
 } Search;
@@ -420,13 +420,13 @@ static void visit(Search *search, const Candidate *const member[], const int32_t
     }
 }
 
-/* True if the first tracks of a group may lie on one plane; further tracks never lower the cost. */
+/* True if the first segments of a group may lie on one plane; further segments never lower the cost. */
 static int on_one_plane(const Candidate *const member[], int count, const Search *search) {
     double plane[3], limit = search->scene->ring->plane_limit * search->size;
     return count < 2 || plane_cost(member, count, plane) < limit;
 }
 
-/* Enumerates the groups of one size with ascending lasers and distinct tracks. */
+/* Enumerates the groups of one size with ascending lasers and distinct segments. */
 static void descend(Search *search, int depth, const Candidate **member, int32_t *index) {
     if (depth == search->size) {
         visit(search, member, index);
@@ -435,8 +435,8 @@ static void descend(Search *search, int depth, const Candidate **member, int32_t
     for (int c = depth ? index[depth - 1] + 1 : 0; c < search->count; c++) {
         const Candidate *next = &search->all[c];
         int fits = depth == 0 || next->laser > member[depth - 1]->laser;
-        for (int i = 0; i < depth; i++) fits &= next->track != member[i]->track;
-        if (!fits || (search->winner && !is_among(next->track, search->winner, search->all, search->size))) continue;
+        for (int i = 0; i < depth; i++) fits &= next->segment != member[i]->segment;
+        if (!fits || (search->winner && !is_among(next->segment, search->winner, search->all, search->size))) continue;
         member[depth] = next;
         index[depth] = c;
         if (depth + 1 == search->size || on_one_plane(member, depth + 1, search))
@@ -462,52 +462,52 @@ static Best best_group(const Candidate *all, int count, int size, const Scene *s
 
 enum { MAX_LASERS = 32 };
 
-static int check_lasers(const Track *track, Py_ssize_t tracks, Py_ssize_t lasers) {
-    for (Py_ssize_t i = 0; i < tracks; i++) {
-        if (track[i].laser >= -1 && track[i].laser < (double)lasers) continue;
-        PyErr_Format(PyExc_ValueError, "tracks: number %zd is of a laser that is not of the rig", i);
+static int check_lasers(const Segment *segment, Py_ssize_t segments, Py_ssize_t lasers) {
+    for (Py_ssize_t i = 0; i < segments; i++) {
+        if (segment[i].laser >= -1 && segment[i].laser < (double)lasers) continue;
+        PyErr_Format(PyExc_ValueError, "segments: number %zd is of a laser that is not of the rig", i);
         return 0;
     }
     return 1;
 }
 
-/* The tracks, then unions of them; and the best groups of all. */
+/* The segments, then unions of them; and the best groups of all. */
 typedef struct {
-    List tracks;
+    List segments;
     Candidate *candidate;
     Best best[MAX_MEMBERS];
 } Found;
 
 /* Returns 0 if there is no memory. */
-static int find(const Track *track, size_t count, const Scene *scene, Found *found) {
-    List *all = &found->tracks;
+static int find(const Segment *segment, size_t count, const Scene *scene, Found *found) {
+    List *all = &found->segments;
     size_t room = (size_t)scene->lasers * (size_t)scene->candidates->max_candidates;
     found->candidate = malloc((room ? room : 1) * sizeof *found->candidate);
     if (found->candidate == NULL || !reserve(all, count + 1)) return 0;
-    if (count) memcpy(all->data, track, count * sizeof *track);
+    if (count) memcpy(all->data, segment, count * sizeof *segment);
     all->used = count;
-    if (!unite_collinear(track, count, scene->unions, all)) return 0;
+    if (!unite_collinear(segment, count, scene->unions, all)) return 0;
     int candidates = find_candidates(all->data, all->used, all->used - count, scene, found->candidate);
     for (int size = 1; size <= MAX_MEMBERS; size++)
         found->best[size - 1] = best_group(found->candidate, candidates, size, scene);
     return 1;
 }
 
-/* Lasers and indices of a group's tracks, its score, and that of the runner-up. */
+/* Lasers and indices of a group's segments, its score, and that of the runner-up. */
 static PyObject *group(const Found *found, int size) {
     const Best *best = &found->best[size - 1];
-    PyObject *lasers = PyTuple_New(size), *tracks = PyTuple_New(size);
-    for (int i = 0; lasers && tracks && i < size; i++) {
+    PyObject *lasers = PyTuple_New(size), *segments = PyTuple_New(size);
+    for (int i = 0; lasers && segments && i < size; i++) {
         const Candidate *candidate = best->index[0] < 0 ? NULL : &found->candidate[best->index[i]];
         PyTuple_SetItem(lasers, i, PyLong_FromLong(candidate ? candidate->laser : -1));
-        PyTuple_SetItem(tracks, i, PyLong_FromLong(candidate ? candidate->track : -1));
+        PyTuple_SetItem(segments, i, PyLong_FromLong(candidate ? candidate->segment : -1));
     }
-    return Py_BuildValue("(NNdd)", lasers, tracks, best->score, best->runner_up);
+    return Py_BuildValue("(NNdd)", lasers, segments, best->score, best->runner_up);
 }
 
 PyObject *call_faces(PyObject *module, PyObject *tuple) {
     (void)module;
-    static const Parameter parameter[] = {{"tracks", FLOAT64, {ANY, NUMBERS(Track)}},
+    static const Parameter parameter[] = {{"segments", FLOAT64, {ANY, NUMBERS(Segment)}},
                                           {"unlabelled", WHOLE, {0, INT32_MAX}},
                                           {"planes", FLOAT64, {ANY, 3}},
                                           {"unions", &UnionParams_record, {0}},
@@ -515,22 +515,22 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
                                           {"ring", &RingParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    const Py_ssize_t tracks = a.view[0].shape[0], lasers = a.view[2].shape[0];
+    const Py_ssize_t segments = a.view[0].shape[0], lasers = a.view[2].shape[0];
     const Scene scene = {(int)lasers,
                          (unsigned)a.number[1][0].whole,
                          (const double(*)[3])a.view[2].buf,
                          (const UnionParams *)a.number[3],
                          (const CandidateParams *)a.number[4],
                          (const RingParams *)a.number[5]};
-    if (!require(lasers <= MAX_LASERS && tracks <= INT32_MAX / 2, "planes, tracks: there are too many") ||
-        !check_lasers(a.view[0].buf, tracks, lasers))
+    if (!require(lasers <= MAX_LASERS && segments <= INT32_MAX / 2, "planes, segments: there are too many") ||
+        !check_lasers(a.view[0].buf, segments, lasers))
         return close_arguments(&a, NULL);
-    Found found = {.tracks = {NULL, 0, 0, sizeof(Track)}};
+    Found found = {.segments = {NULL, 0, 0, sizeof(Segment)}};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find(a.view[0].buf, (size_t)tracks, &scene, &found);
+    done = find(a.view[0].buf, (size_t)segments, &scene, &found);
     Py_END_ALLOW_THREADS
-    PyObject *bytes = list_bytes(done, &found.tracks);
+    PyObject *bytes = list_bytes(done, &found.segments);
     PyObject *result =
         bytes ? Py_BuildValue("(N(NNN))", bytes, group(&found, 1), group(&found, 2), group(&found, 3)) : NULL;
     free(found.candidate);

@@ -1,4 +1,4 @@
-/* Straight tracks: pieces of stripe centres are split at their kinks and joined across gaps; lines are fitted to them,
+/* Straight segments: pieces of stripe centres are split at their kinks and joined across gaps; lines are fitted to them,
    with the correlation length of the residuals; and centres on a line beyond its ends are counted. */
 #include "arguments.h"
 
@@ -9,10 +9,10 @@
 
 #include "kernels.h"
 #include "median.h"
-#include "tracks.h"
+#include "stripe_segments.h"
 
 /* A piece must be at least as long as half the window of the running median. */
-#define TRACK_PARAMS(REAL, COUNT)                                                                                   \
+#define SEGMENT_PARAMS(REAL, COUNT)                                                                                   \
     COUNT(image_width, 1, 1000000)                                                                                  \
     REAL(border_px, FINITE)                                                                                         \
     REAL(kink_px, NOT_NEGATIVE)                                                                                     \
@@ -21,9 +21,9 @@
     REAL(on_line_px, FINITE)                                                                                        \
     COUNT(min_columns, 4, INT32_MAX)                                                                                \
     COUNT(max_lag, 0, INT32_MAX)
-RECORD_STRUCT(TrackParams, TRACK_PARAMS);
-RECORD(TrackParams, TRACK_PARAMS);
-TABLE(Track, TRACK_COLUMNS);
+RECORD_STRUCT(SegmentParams, SEGMENT_PARAMS);
+RECORD(SegmentParams, SEGMENT_PARAMS);
+TABLE(Segment, SEGMENT_COLUMNS);
 
 typedef struct {
     size_t n;
@@ -33,18 +33,18 @@ typedef struct {
     const int64_t *piece, *laser; /* of each centre; of each piece */
 } Centers;
 
-/* Largest number of runs of neighbouring centres in one track. */
+/* Largest number of runs of neighbouring centres in one segment. */
 enum { BLOCKS = 8 };
 
-/* A track and its runs of centres, in ascending x. */
+/* A segment and its runs of centres, in ascending x. */
 typedef struct {
-    Track track;
+    Segment segment;
     size_t first[BLOCKS], last[BLOCKS], blocks; /* last is one beyond */
 } Draft;
 
 typedef struct {
     const Centers *centers;
-    const TrackParams *params;
+    const SegmentParams *params;
     double *x, *y, *residual, *scratch; /* room for all centres */
 } Work;
 
@@ -75,7 +75,7 @@ static double sum_of_lagged_products(const double *value, size_t n, size_t lag) 
 
 /* Integrated autocorrelation, 1 + 2 sum_l rho(l) up to the first lag at which it is not positive, corrected for the
    bias of short series. */
-static double correlation_columns(double *residual, size_t n, const TrackParams *params) {
+static double correlation_columns(double *residual, size_t n, const SegmentParams *params) {
     double mean = 0, columns = 1;
     for (size_t i = 0; i < n; i++) mean += residual[i];
     mean /= (double)n;
@@ -127,16 +127,16 @@ static void add_inliers(const double *x, const double *y, const double *residual
 
 static double total(const Doubles *part) { return ((*part)[0] + (*part)[1]) + ((*part)[2] + (*part)[3]); }
 
-/* Distances from a track's line. */
-static void find_residuals(const Track *track, const double *restrict x, const double *restrict y, size_t n,
+/* Distances from a segment's line. */
+static void find_residuals(const Segment *segment, const double *restrict x, const double *restrict y, size_t n,
                            double *restrict residual) {
-    double middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;
+    double middle_x = segment->middle_x, middle_y = segment->middle_y, slope = segment->slope;
     for (size_t i = 0; i < n; i++) residual[i] = fabs(y[i] - middle_y - slope * (x[i] - middle_x));
 }
 
 /* The line through a draft's centres, by two rounds of least squares, the second without outliers. */
 static void fit_line(Draft *draft, const Work *work) {
-    Track *track = &draft->track;
+    Segment *segment = &draft->segment;
     double *x = work->x, *y = work->y, *r = work->residual, limit = INFINITY;
     size_t n = gather(draft, work->centers->x, x);
     gather(draft, work->centers->y, y);
@@ -146,27 +146,27 @@ static void fit_line(Draft *draft, const Work *work) {
         Sums sums;
         add_inliers(x + cut, y + cut, r + cut, n - 2 * cut, limit, n / 2 - cut, &sums);
         double count = total(&sums.count), sum_x = total(&sums.x), sum_y = total(&sums.y);
-        track->slope = (total(&sums.xy) - sum_x * sum_y / count) / (total(&sums.xx) - sum_x * sum_x / count);
-        track->middle_x = x[n / 2] + sum_x / count;
-        track->middle_y = y[n / 2] + sum_y / count;
-        find_residuals(track, x, y, n, r);
+        segment->slope = (total(&sums.xy) - sum_x * sum_y / count) / (total(&sums.xx) - sum_x * sum_x / count);
+        segment->middle_x = x[n / 2] + sum_x / count;
+        segment->middle_y = y[n / 2] + sum_y / count;
+        find_residuals(segment, x, y, n, r);
         memcpy(work->scratch, r, n * sizeof *r);
-        track->scatter = fmax(1.4826 * median(work->scratch, n), 0.01);
-        limit = 3 * track->scatter;
+        segment->scatter = fmax(1.4826 * median(work->scratch, n), 0.01);
+        limit = 3 * segment->scatter;
     }
     size_t inliers = 0;
     for (size_t i = 0; i < n; i++) {
-        work->scratch[inliers] = y[i] - track->middle_y - track->slope * (x[i] - track->middle_x);
+        work->scratch[inliers] = y[i] - segment->middle_y - segment->slope * (x[i] - segment->middle_x);
         inliers += r[i] < limit;
     }
-    track->correlation = correlation_columns(work->scratch, inliers, work->params);
-    track->centers = (double)n;
-    track->x_start = x[0];
-    track->x_end = x[n - 1];
+    segment->correlation = correlation_columns(work->scratch, inliers, work->params);
+    segment->centers = (double)n;
+    segment->x_start = x[0];
+    segment->x_end = x[n - 1];
     double left = work->centers->column[draft->first[0]];
     double right = work->centers->column[draft->last[draft->blocks - 1] - 1];
     double border = work->params->border_px, width = work->params->image_width;
-    track->clipped = left < border || left > width - 1 - border || right < border || right > width - 1 - border;
+    segment->clipped = left < border || left > width - 1 - border || right < border || right > width - 1 - border;
 }
 
 /* Centres by column: those of column c are start[c] to start[c + 1]. */
@@ -201,10 +201,10 @@ static int sort_by_column(const Work *work, ByColumn *sorted) {
     return 1;
 }
 
-/* Number of centres on a track's line between two columns. */
-static double count_on_line(const Track *track, double from, double to, const ByColumn *sorted, const Work *work) {
+/* Number of centres on a segment's line between two columns. */
+static double count_on_line(const Segment *segment, double from, double to, const ByColumn *sorted, const Work *work) {
     const double *restrict x = sorted->x, *restrict y = sorted->y, *restrict laser = sorted->laser;
-    double own = track->laser, middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;
+    double own = segment->laser, middle_x = segment->middle_x, middle_y = segment->middle_y, slope = segment->slope;
     double limit = work->params->on_line_px;
     size_t first = (size_t)sorted->start[column_of(from, work)];
     size_t end = (size_t)sorted->start[column_of(to, work) + 1];
@@ -215,15 +215,15 @@ static double count_on_line(const Track *track, double from, double to, const By
     return count;
 }
 
-/* Counts, for every track, the centres on its line beyond its ends. 0 if there is no memory. */
+/* Counts, for every segment, the centres on its line beyond its ends. 0 if there is no memory. */
 static int count_beyond_ends(Draft *drafts, size_t count, const Work *work) {
     ByColumn sorted = {0};
     int done = sort_by_column(work, &sorted);
     for (size_t t = 0; done && t < count; t++) {
-        Track *track = &drafts[t].track;
-        double length = track->x_end - track->x_start, reach = (length < 100 ? length : 100) + 40;
-        track->beyond_ends = count_on_line(track, track->x_start - reach, track->x_start - 2, &sorted, work) +
-                       count_on_line(track, track->x_end + 2, track->x_end + reach, &sorted, work);
+        Segment *segment = &drafts[t].segment;
+        double length = segment->x_end - segment->x_start, reach = (length < 100 ? length : 100) + 40;
+        segment->beyond_ends = count_on_line(segment, segment->x_start - reach, segment->x_start - 2, &sorted, work) +
+                       count_on_line(segment, segment->x_end + 2, segment->x_end + reach, &sorted, work);
     }
     free(sorted.x);
     free(sorted.start);
@@ -337,15 +337,15 @@ static int cut(size_t first, size_t last, double sigma, double laser, const Work
         return cut(first, first + at, sigma, laser, work, drafts) && cut(first + at, last, sigma, laser, work, drafts);
     }
     Draft draft = {.first = {first}, .last = {last}, .blocks = 1};
-    draft.track.laser = laser;
+    draft.segment.laser = laser;
     fit_line(&draft, work);
     return push(drafts, &draft);
 }
 
-static double sigma_at(const Track *track, double x) { return line_sigma(track, x, middle_sigma(track, 0, 2)); }
+static double sigma_at(const Segment *segment, double x) { return line_sigma(segment, x, middle_sigma(segment, 0, 2)); }
 
-/* True if the second track continues the line of the first after a short gap. */
-static int continues(const Track *first, const Track *second, const TrackParams *params) {
+/* True if the second segment continues the line of the first after a short gap. */
+static int continues(const Segment *first, const Segment *second, const SegmentParams *params) {
     double gap = second->x_start - first->x_end;
     double length = first->x_end - first->x_start, other = second->x_end - second->x_start;
     if (first->laser != second->laser || !(gap >= 0) || gap > fmax(12, 0.5 * fmin(length, other))) return 0;
@@ -358,11 +358,11 @@ static int continues(const Track *first, const Track *second, const TrackParams 
 
 static int by_start(const void *first, const void *second) {
     const Draft *a = first, *b = second;
-    if (a->track.x_start != b->track.x_start) return a->track.x_start < b->track.x_start ? -1 : 1;
+    if (a->segment.x_start != b->segment.x_start) return a->segment.x_start < b->segment.x_start ? -1 : 1;
     return (a->first[0] > b->first[0]) - (a->first[0] < b->first[0]);
 }
 
-/* Joins tracks that continue each other; tracks that were joined to another one keep no blocks. */
+/* Joins segments that continue each other; segments that were joined to another one keep no blocks. */
 static int join(List *drafts, const Work *work) {
     if (drafts->used) qsort(drafts->data, drafts->used, sizeof(Draft), by_start);
     List joined = {NULL, 0, 0, sizeof(Draft)};
@@ -371,7 +371,7 @@ static int join(List *drafts, const Work *work) {
         for (size_t j = joined.used; j-- > 0;) {
             Draft *partner = (Draft *)joined.data + j;
             if (!partner->blocks || partner->blocks + draft.blocks > BLOCKS) continue;
-            if (!continues(&partner->track, &draft.track, work->params)) continue;
+            if (!continues(&partner->segment, &draft.segment, work->params)) continue;
             Draft both = *partner;
             both.first[both.blocks] = draft.first[0];
             both.last[both.blocks++] = draft.last[0];
@@ -391,7 +391,7 @@ static int join(List *drafts, const Work *work) {
 }
 
 /* Returns 0 if there is no memory. */
-static int find_segments(const Centers *centers, const TrackParams *params, List *tracks) {
+static int find_segments(const Centers *centers, const SegmentParams *params, List *segments) {
     size_t n = centers->n ? centers->n : 1;
     double *memory = malloc(4 * n * sizeof *memory);
     Work work = {centers, params, memory, memory + n, memory + 2 * n, memory + 3 * n};
@@ -402,10 +402,10 @@ static int find_segments(const Centers *centers, const TrackParams *params, List
         done = cut(first, last, INFINITY, (double)centers->laser[centers->piece[first]], &work, &drafts);
     }
     done = done && join(&drafts, &work) && count_beyond_ends(drafts.data, drafts.used, &work) &&
-           reserve(tracks, drafts.used);
+           reserve(segments, drafts.used);
     const Draft *draft = drafts.data;
     for (size_t i = 0; done && i < drafts.used; i++)
-        if (draft[i].blocks) ((Track *)tracks->data)[tracks->used++] = draft[i].track;
+        if (draft[i].blocks) ((Segment *)segments->data)[segments->used++] = draft[i].segment;
     release(&drafts);
     free(memory);
     return done;
@@ -424,7 +424,7 @@ static int centers_in_order(const Py_buffer view[4]) {
     return 1;
 }
 
-static int find_tracks(const Py_buffer view[4], const Lens *lens, const TrackParams *params, List *tracks) {
+static int segments_of(const Py_buffer view[4], const Lens *lens, const SegmentParams *params, List *segments) {
     const size_t n = (size_t)view[0].shape[0];
     const double(*at)[2] = view[0].buf;
     double *column = malloc((n ? 3 * n : 1) * sizeof *column);
@@ -436,24 +436,24 @@ static int find_tracks(const Py_buffer view[4], const Lens *lens, const TrackPar
     }
     undistort(lens, x, y, n);
     Centers centers = {n, column, x, y, view[1].buf, view[2].buf, view[3].buf};
-    int done = find_segments(&centers, params, tracks);
+    int done = find_segments(&centers, params, segments);
     free(column);
     return done;
 }
 
-PyObject *call_tracks(PyObject *module, PyObject *tuple) {
+PyObject *call_stripe_segments(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {{"position", FLOAT64, {N, 2}}, {"sigma", FLOAT64, {N}},
                                           {"piece", INT64, {N}},       {"laser", INT64, {ANY}},
-                                          {"lens", &Lens_record, {0}}, {"params", &TrackParams_record, {0}}};
+                                          {"lens", &Lens_record, {0}}, {"params", &SegmentParams_record, {0}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
-    const TrackParams *params = (const TrackParams *)a.number[5];
+    const SegmentParams *params = (const SegmentParams *)a.number[5];
     if (!centers_in_order(a.view)) return close_arguments(&a, NULL);
-    List tracks = {NULL, 0, 0, sizeof(Track)};
+    List segments = {NULL, 0, 0, sizeof(Segment)};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find_tracks(a.view, (const Lens *)a.number[4], params, &tracks);
+    done = segments_of(a.view, (const Lens *)a.number[4], params, &segments);
     Py_END_ALLOW_THREADS
-    return close_arguments(&a, list_bytes(done, &tracks));
+    return close_arguments(&a, list_bytes(done, &segments));
 }

@@ -1,6 +1,6 @@
-/* Straight stripe segments (tracks) and their lines. */
-#ifndef RINGPOSE_TRACKS_H
-#define RINGPOSE_TRACKS_H
+/* Straight stripe segments (segments) and their lines. */
+#ifndef RINGPOSE_STRIPE_SEGMENTS_H
+#define RINGPOSE_STRIPE_SEGMENTS_H
 
 #include <math.h>
 #include <stddef.h>
@@ -8,7 +8,7 @@
 
 #include "lens.h"
 
-#define TRACK_COLUMNS(COLUMN, COLUMNS_OF)                                                                           \
+#define SEGMENT_COLUMNS(COLUMN, COLUMNS_OF)                                                                           \
     COLUMN(laser)   /* number, or -1 */                                                                             \
     COLUMN(centers) /* their number */                                                                              \
     COLUMN(x_start) COLUMN(x_end)                                                                                   \
@@ -17,9 +17,9 @@
     COLUMN(correlation) /* columns per independent one */                                                           \
     COLUMN(clipped)     /* 1 if an end lies at the border */                                                        \
     COLUMN(beyond_ends) /* centres on the line beyond the ends */
-ROW_STRUCT(Track, TRACK_COLUMNS);
+ROW_STRUCT(Segment, SEGMENT_COLUMNS);
 
-/* Number of centres at either end of a track that its line does not use. An edge that crosses the stripe obliquely cuts
+/* Number of centres at either end of a segment that its line does not use. An edge that crosses the stripe obliquely cuts
    its last cross-sections off on one side, which would turn the line, and all lines of a shot alike. */
 enum { MAX_CUT = 4, COLUMNS_PER_CUT = 12 };
 
@@ -27,25 +27,25 @@ static inline size_t cut_centres(size_t count) {
     return count / COLUMNS_PER_CUT < MAX_CUT ? count / COLUMNS_PER_CUT : MAX_CUT;
 }
 
-/* Share of a track's centres that its line uses. */
-static inline double used_share(const Track *track) {
-    return 1 - 2 * (double)cut_centres((size_t)track->centers) / fmax(track->centers, 1);
+/* Share of a segment's centres that its line uses. */
+static inline double used_share(const Segment *segment) {
+    return 1 - 2 * (double)cut_centres((size_t)segment->centers) / fmax(segment->centers, 1);
 }
 
-static inline double line_y(const Track *track, double x) {
-    return track->middle_y + track->slope * (x - track->middle_x);
+static inline double line_y(const Segment *segment, double x) {
+    return segment->middle_y + segment->slope * (x - segment->middle_x);
 }
 
-/* Standard deviation of the ordinate at x, given that of the track's middle. */
-static inline double line_sigma(const Track *track, double x, double middle_sigma) {
-    double spread = fmax(used_share(track) * (track->x_end - track->x_start), 1) / sqrt(12);
-    return middle_sigma * hypot(1, (x - track->middle_x) / spread);
+/* Standard deviation of the ordinate at x, given that of the segment's middle. */
+static inline double line_sigma(const Segment *segment, double x, double middle_sigma) {
+    double spread = fmax(used_share(segment) * (segment->x_end - segment->x_start), 1) / sqrt(12);
+    return middle_sigma * hypot(1, (x - segment->middle_x) / spread);
 }
 
 /* Standard deviation of the middle, Eq. (3.5): scatter / sqrt(independent columns - degrees of freedom of the fit). */
-static inline double middle_sigma(const Track *track, double fit_dof, double min_columns) {
-    double columns = used_share(track) * track->centers / track->correlation;
-    return track->scatter / sqrt(fmax(columns - fit_dof, min_columns));
+static inline double middle_sigma(const Segment *segment, double fit_dof, double min_columns) {
+    double columns = used_share(segment) * segment->centers / segment->correlation;
+    return segment->scatter / sqrt(fmax(columns - fit_dof, min_columns));
 }
 
 #endif
