@@ -1,10 +1,15 @@
-"""Batches of inputs: an invalid input is reported on stderr and skipped, and the highest exit status is returned."""
+"""Batches of inputs: an invalid input is reported on stderr and skipped, and the highest exit status is returned.
+
+The progress is shown on stderr if it is a terminal.
+"""
 
 import re
+import sys
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from time import monotonic
+from typing import IO, TYPE_CHECKING, Annotated, Any, TypeVar, cast
 
 import typer
 
@@ -12,10 +17,12 @@ from ringpose.cli import messages
 from ringpose.errors import DataError, NoInputError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from ringpose.files.inputs import Input, Problem
 
-
 Result = TypeVar("Result")
+Item = TypeVar("Item")
 
 
 def _processes(jobs: int) -> int:
@@ -198,3 +205,69 @@ class Batch:
         """Exit the command with the highest status."""
         self._report_counts()
         raise typer.Exit(self.status)
+
+
+class _Screen:
+    """A terminal on stderr; write errors are ignored, so that the work continues if the terminal is closed."""
+
+    encoding = "utf-8"
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def isatty(self) -> bool:
+        """True: `with_progress` has checked it."""
+        return True
+
+    def fileno(self) -> int:
+        """File descriptor, from which rich reads the terminal's size."""
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        """Write, ignoring errors."""
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, ignoring errors."""
+        with suppress(OSError):
+            self._stream.flush()
+
+
+def with_progress(items: Iterable[Item], what: str, quiet: bool = False) -> Iterator[Item]:
+    """The items; their number is shown on stderr as they come, if this is a terminal."""
+    return iter(items) if quiet or sys.stderr is None or not sys.stderr.isatty() else _counted(items, what)
+
+
+def _progress(*columns: Any) -> "Progress":
+    """A progress display with these columns on stderr, which goes away at its end."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(file=cast("IO[str]", _Screen(sys.stderr)))
+    return Progress(*columns, console=console, transient=True, redirect_stdout=False)
+
+
+def _counted(items: Iterable[Item], what: str) -> Iterator[Item]:
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    with _progress(SpinnerColumn(), TextColumn("{task.completed:.0f} " + what), TimeElapsedColumn()) as progress:
+        task = progress.add_task(what, total=None)
+        for item in items:
+            yield item
+            progress.advance(task)
+
+
+def with_total(items: Iterable[Item], what: str, total: int, done: int = 0) -> Iterator[Item]:
+    """Yield the items and show on the terminal how many of `total` are done, the rate, and the time left."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+
+    left = TimeRemainingColumn(elapsed_when_finished=True)
+    rate = TextColumn("{task.fields[rate]}")
+    with _progress(BarColumn(), MofNCompleteColumn(), TextColumn(what), rate, left) as progress:
+        task = progress.add_task(what, total=total, completed=done, rate="")
+        begun_s = monotonic()
+        for number, item in enumerate(items, start=1):
+            yield item
+            progress.update(task, advance=1, rate=f"{number / max(monotonic() - begun_s, 1e-3):.3g}/s")

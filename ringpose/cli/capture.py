@@ -9,10 +9,9 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
-from ringpose.cli.batch import Batch
+from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.common import ImageChannel, Quiet, Verbose, file_option, finite
 from ringpose.cli.options.devices import ShotOptions
-from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:

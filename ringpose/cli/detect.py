@@ -8,10 +8,9 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
-from ringpose.cli.batch import Batch, Jobs
+from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.common import Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, file_option
-from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import SegmentMethod, StripeSource
 

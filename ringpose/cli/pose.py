@@ -11,7 +11,7 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
-from ringpose.cli.batch import Batch, Jobs
+from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.common import (
     Force,
@@ -37,7 +37,6 @@ from ringpose.cli.options.track import (
     record_writer,
     track_writer,
 )
-from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN, Method
 

@@ -10,7 +10,7 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import app, with_option_groups
-from ringpose.cli.batch import Batch
+from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.common import Quiet, Verbose, file_option, number_option
 from ringpose.cli.options.track import (
@@ -23,7 +23,6 @@ from ringpose.cli.options.track import (
     record_writer,
     track_writer,
 )
-from ringpose.cli.progress import with_progress
 from ringpose.errors import DataError, NoInputError
 
 if TYPE_CHECKING:

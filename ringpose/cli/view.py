@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ringpose.cli.app import app
-from ringpose.cli.batch import Batch
+from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile, file_option
 from ringpose.cli.pages import PagePort, announce
-from ringpose.cli.progress import with_progress
 from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Nuisance parameters: errors that many residuals have in common (ringpose-method(7), section 5).
+"""Errors that many residuals have in common, nuisance parameters of the fit (ringpose-method(7), section 5).
 
 Light planes and camera are known with a joint covariance, that of the calibration plus what may have changed since
 (section 11). The columns of its square root are independent errors of unit variance; each one is a parameter of the fit
@@ -13,10 +13,11 @@ from math import sqrt
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, Rig, laser_parameters
+from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS, Camera, ParameterCovariance, Rig, laser_parameters
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""
@@ -135,3 +136,63 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     kept = variance > _NEGLIGIBLE * (float(variance[-1]) if len(variance) else 0.0)
     root: Float64[Array, "n error"] = scale[:, None] * axes[:, kept] * np.sqrt(variance[kept])
     return root
+
+
+def point_covariance(
+    points: Float64[Array, "n xyz=3"],
+    covariance_px2: Float64[Array, "n xy=2 xy=2"],
+    laser: Int64[Array, "n"],
+    rig: Rig,
+) -> Float64[Array, "coordinate coordinate"]:
+    """Covariance of the 3 n coordinates x1 y1 z1 x2 ..., to first order; NaN if the covariance of a break point is NaN.
+
+    The errors of break points are independent of each other; the errors of the rig, where its covariance is known, are
+    common to all.
+    """
+    light_normal = rig.lasers.normal[laser]
+    jacobians = point_jacobians(points, light_normal, rig.camera)
+    independent = np.zeros((len(points), 3, len(points), 3))
+    each = np.arange(len(points))
+    independent[each, :, each] = jacobians.wrt_pixel @ covariance_px2 @ jacobians.wrt_pixel.swapaxes(1, 2)
+    total = independent.reshape(points.size, points.size)
+    if rig.covariance is None:
+        return total
+    errors = rig_errors(rig)
+    if errors is None:
+        return np.full_like(total, np.nan)
+    wrt_planes = points_wrt_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
+    wrt_rig = (jacobians.wrt_camera @ errors.camera + wrt_planes).reshape(points.size, -1) @ errors.root
+    total += wrt_rig @ wrt_rig.T
+    return total
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointJacobians:
+    """Derivatives of points in space with respect to their pixels and to the camera's parameters."""
+
+    wrt_pixel: Float64[Array, "n xyz=3 xy=2"]
+    wrt_camera: Float64[Array, "n xyz=3 parameter"]
+    """Derivatives in the order of `CAMERA_PARAMETERS`, as many as the camera has."""
+
+
+def point_jacobians(
+    points: Float64[Array, "n xyz=3"], light_normal: Float64[Array, "n xyz=3"], camera: Camera
+) -> PointJacobians:
+    """dP/dr = t (1 - r m^T / (m . r)), chained with dr/dpixel and dr/dparameter of the distortion."""
+    ray = points / points[:, 2:]
+    cosine = np.sum(light_normal * ray, axis=-1)[:, None, None]
+    wrt_ray = points[:, 2, None, None] * (np.eye(3) - ray[:, :, None] * light_normal[:, None, :] / cosine)[:, :, :2]
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(ray[:, :2], camera)
+    wrt_pixel = wrt_ray @ np.linalg.inv(pixel_wrt_ray)
+    return PointJacobians(wrt_pixel=wrt_pixel, wrt_camera=-wrt_pixel @ pixel_wrt_camera)
+
+
+def points_wrt_plane(
+    points: Float64[Array, "n xyz=3"], light_normal: Float64[Array, "n xyz=3"], basis: Float64[Array, "n 2 xyz=3"]
+) -> Float64[Array, "n xyz=3 parameter=3"]:
+    """dP/dtilt_k = -P (e_k . r) / (m . r) and dP/ddistance = r / (m . r), each point by its own light plane."""
+    ray = points / points[:, 2:]
+    wrt_tilts = -points[:, :, None] * (basis @ ray[:, :, None]).swapaxes(1, 2)
+    along = np.concatenate([wrt_tilts, ray[:, :, None]], axis=2)
+    derivative: Float64[Array, "n xyz=3 parameter=3"] = along / np.sum(light_normal * ray, axis=-1)[:, None, None]
+    return derivative

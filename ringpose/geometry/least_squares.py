@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Bool, Float64
 
 State = TypeVar("State")
 
@@ -92,3 +92,34 @@ def influence_on(
     row = np.linalg.solve(information, np.broadcast_to(unit, (*information.shape[:-1], 1)))
     influence: Float64[Array, "*shape n"] = (row * shapes).sum(axis=-2) * weight
     return influence
+
+
+MIN_SHARE = 1e-14
+"""Lower limit of eigenvalues, over the largest one: rounding of smaller ones would make variances negative."""
+
+
+def damped_step(
+    information: Float64[Array, "parameter parameter"],
+    gradient: Float64[Array, "parameter"],
+    free: Bool[Array, "parameter"],
+    damping: float,
+) -> Float64[Array, "parameter"]:
+    """Levenberg-Marquardt step of the free parameters; `gradient` is the right-hand side of the normal equations."""
+    return covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ gradient
+
+
+def covariance_of_free(
+    information: Float64[Array, "parameter parameter"], free: Bool[Array, "parameter"] | None = None
+) -> Float64[Array, "parameter parameter"]:
+    """Inverse of the normal matrix `information` over the free parameters; zero for those held fixed.
+
+    The parameters may have different units. By default those are free for which there is any information.
+    """
+    index = np.flatnonzero(np.diag(information) > 0 if free is None else free)
+    scale = np.sqrt(np.diag(information)[index])
+    inner = information[np.ix_(index, index)] / np.outer(scale, scale)
+    covariance = np.zeros_like(information)
+    size, axes = np.linalg.eigh(inner)
+    size = np.maximum(size, MIN_SHARE * size.max(initial=0.0))
+    covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
+    return covariance

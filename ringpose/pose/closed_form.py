@@ -17,12 +17,12 @@ from ringpose.estimate.covariance import (
     exceeds_sd,
     standard_deviation,
 )
+from ringpose.estimate.nuisance import point_covariance
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
-from ringpose.geometry.rays import GRAZING, nearest_plane, project
+from ringpose.geometry.rays import GRAZING, intersect, nearest_plane, project, rays
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.kernels import _kernels, column_slices
 from ringpose.measure.status import flags_of
-from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPoints
 from ringpose.types.finding import NOTHING, Finding
@@ -433,3 +433,13 @@ def _solution_values(form: ClosedForm, normal: Float64[Array, "3"]) -> Float64[A
     tilt = form.normal @ basis.T / (form.normal @ normal)[:, None]
     in_plane = form.center_m @ basis.T - (form.center_m @ normal)[:, None] * tilt
     return np.concatenate([tilt, form.offset_m[:, None], in_plane, form.radius_m, form.center_m, form.grasp_m], axis=-1)
+
+
+def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:
+    """Intersections of the rays of the break points with their light planes.
+
+    NaN where a break point was not seen, and where its ray is parallel to the plane or meets it behind the camera.
+    """
+    directions = rays(break_points.position_px, rig.camera)
+    position = intersect(directions, rig.lasers.normal[:, None], rig.lasers.distance_m[:, None])
+    return RingPoints(position_m=position)

@@ -12,8 +12,7 @@ import numpy as np
 
 from ringpose.geometry.rays import intersect, nearest_plane, rays, towards_camera, undistorted_pixels
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.pose.closed_form import constrained_form, mean_radii, why_undetermined
-from ringpose.pose.triangulation import triangulated
+from ringpose.pose.closed_form import constrained_form, mean_radii, triangulated, why_undetermined
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.detection import BreakPoints, Detection, RingEdgePoints
 from ringpose.types.pose import KnownRadii, NoPose, RingPose

@@ -23,8 +23,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from ringpose.calibrate.boards.patterns.circles import seen_offsets
-from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
-from ringpose.calibrate.camera.parameters import projection_jacobians
+from ringpose.calibrate.boards.pose import board_pose, moved_pose, projection_jacobians, residuals
 from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64

@@ -12,9 +12,10 @@ import numpy as np
 
 from ringpose.calibrate.acceptance import BOARD_LIMITS, check, marker_size_findings
 from ringpose.calibrate.boards.corner_errors import view_equations, whiten, without_distortion_bias
+from ringpose.calibrate.boards.pose import projection_jacobians
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
-from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
+from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.validation import (
     known_lens,
     leave_one_out,

@@ -24,14 +24,9 @@ from ringpose.calibrate.boards.corner_errors import (
     without_distortion_bias,
 )
 from ringpose.calibrate.boards.pose import board_pose, moved_pose
-from ringpose.calibrate.camera.parameters import (
-    CameraModel,
-    camera_with,
-    covariance_of_free,
-    damped_step,
-    parameters_of,
-)
+from ringpose.calibrate.camera.parameters import CameraModel, camera_with, parameters_of
 from ringpose.errors import DataError
+from ringpose.geometry.least_squares import covariance_of_free, damped_step
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.rig import DISTORTION_COEFFICIENTS, Camera

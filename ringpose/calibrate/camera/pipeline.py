@@ -23,7 +23,8 @@ from ringpose.calibrate.camera.outliers import (
     view_explanation,
     whole_markers,
 )
-from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, covariance_of_free, parameter_names
+from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameter_names
+from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView

@@ -12,7 +12,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.pose import board_pose
+from ringpose.calibrate.boards.pose import board_pose, projection_jacobians
 from ringpose.calibrate.camera.bundle_adjustment import (
     MIN_VIEWS,
     CameraSolution,
@@ -20,15 +20,9 @@ from ringpose.calibrate.camera.bundle_adjustment import (
     camera_solution,
     corners_of,
 )
-from ringpose.calibrate.camera.parameters import (
-    CameraModel,
-    camera_with,
-    covariance_of_free,
-    parameters_of,
-    projection_jacobians,
-)
+from ringpose.calibrate.camera.parameters import CameraModel, camera_with, parameters_of
 from ringpose.errors import DataError
-from ringpose.geometry.least_squares import gauss_newton
+from ringpose.geometry.least_squares import covariance_of_free, gauss_newton
 from ringpose.geometry.rays import project, rays
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView

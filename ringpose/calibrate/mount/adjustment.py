@@ -18,9 +18,10 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import moderated_variances, view_equations
 from ringpose.calibrate.boards.pose import board_pose
-from ringpose.calibrate.camera.parameters import camera_with, covariance_of_free, parameters_of
+from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.geometry.camera_motion import left_jacobian
+from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import rotation_vector, skew
 from ringpose.types.arrays import Array, Float64

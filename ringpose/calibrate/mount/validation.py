@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.camera.parameters import covariance_of_free
 from ringpose.calibrate.mount.adjustment import (
     MIN_FREE_VIEWS,
     MountSolution,
@@ -15,6 +14,7 @@ from ringpose.calibrate.mount.adjustment import (
     inverse_marginal,
     robot_sigmas,
 )
+from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool, Float64
 
 MIN_VIEWS = 3

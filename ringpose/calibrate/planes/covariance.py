@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
-from ringpose.calibrate.camera.parameters import covariance_of_free, parameter_names
+from ringpose.calibrate.camera.parameters import parameter_names
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
     JointState,
@@ -24,9 +24,10 @@ from ringpose.calibrate.planes.joint_adjustment import (
     joint_fit,
     prior_information,
 )
+from ringpose.estimate.nuisance import point_covariance
+from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.rays import project, rays
 from ringpose.pose.closed_form import differentiated, pose_covariance
-from ringpose.pose.triangulation import point_covariance
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.options import Method
 from ringpose.types.rig import (

@@ -23,12 +23,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, view_equations
 from ringpose.calibrate.boards.pose import moved_pose
-from ringpose.calibrate.camera.parameters import (
-    camera_with,
-    covariance_of_free,
-    parameter_names,
-    parameters_of,
-)
+from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of
 from ringpose.calibrate.planes.stripes.errors import (
     StripeRays,
     StripeResiduals,
@@ -39,7 +34,7 @@ from ringpose.calibrate.planes.stripes.errors import (
     stripe_residuals,
 )
 from ringpose.errors import DataError
-from ringpose.geometry.least_squares import huber_weights, robust_std
+from ringpose.geometry.least_squares import covariance_of_free, huber_weights, robust_std
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli.batch import with_progress
 from ringpose.cli.options.common import (
     STDOUT,
     CsvFile,
@@ -18,7 +19,6 @@ from ringpose.cli.options.common import (
     numbers,
 )
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
-from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Minimized
 from ringpose.types.plausible import (

@@ -11,7 +11,7 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import with_option_groups
-from ringpose.cli.batch import Batch
+from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.common import (
     STDOUT,
     CsvFile,
@@ -21,7 +21,6 @@ from ringpose.cli.options.common import (
     file_option,
     number_option,
 )
-from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError, NoInputError, UsageError
 from ringpose.types.options import Method
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.batch import Batch
+from ringpose.cli.batch import Batch, with_total
 from ringpose.cli.bench.score import Cron, report_missed
 from ringpose.cli.options.common import Force, Quiet, Report, check_report, file_option
-from ringpose.cli.progress import with_total
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:

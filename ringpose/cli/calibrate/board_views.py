@@ -6,8 +6,7 @@ from pathlib import Path
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.shots import BoardShots
 from ringpose.cli import messages
-from ringpose.cli.batch import Batch
-from ringpose.cli.progress import with_progress
+from ringpose.cli.batch import Batch, with_progress
 from ringpose.errors import NO_POSE
 from ringpose.files.atomic import make_folder, reject_inputs
 from ringpose.files.images.codecs import write_image

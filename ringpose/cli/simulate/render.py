@@ -70,7 +70,7 @@ def simulate(
     from dataclasses import replace
 
     from ringpose.cli import messages
-    from ringpose.cli.progress import with_progress
+    from ringpose.cli.batch import with_progress
     from ringpose.cli.simulate.features import deviations_of, write_features
     from ringpose.errors import UsageError
     from ringpose.files import records

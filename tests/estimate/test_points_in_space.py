@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from ring_scenes import axes_across, make_scene, moved_rig
 
-from ringpose.pose.triangulation import point_covariance, point_jacobians, points_wrt_plane, triangulated
+from ringpose.estimate.nuisance import point_covariance, point_jacobians, points_wrt_plane
+from ringpose.pose.closed_form import triangulated
 from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS
 
 LASER = np.repeat([0, 1, 2], 2)
