@@ -1,13 +1,21 @@
-"""The Typer application with which every subcommand registers, and options that are defined in groups."""
+"""The Typer application with which every subcommand registers, and the options that several commands share."""
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from functools import wraps
 from inspect import signature
+from math import isfinite
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
+
+from ringpose.errors import UsageError
+from ringpose.types.options import Method
+from ringpose.types.options import PoseFrame as PoseFrame
+from ringpose.types.plausible import Range
 
 
 class TwoWords(TyperGroup):
@@ -76,3 +84,96 @@ def _options(
     ] = False,
 ) -> None:
     pass
+
+
+STDOUT = "-"
+
+
+class Channel(StrEnum):
+    """A channel of a colour image."""
+
+    R = "r"
+    G = "g"
+    B = "b"
+
+
+def finite(value: float | None) -> float | None:
+    """The value; NaN, which passes Typer's bounds, and infinity are rejected."""
+    if value is not None and not isfinite(value):
+        raise typer.BadParameter(f"{value} is not a finite number")
+    return value
+
+
+def number_option(
+    name: str, unit: str, meaning: str, least: int | float | None = None, most: int | float | None = None
+) -> Any:
+    """An option that takes a finite number within bounds."""
+    return typer.Option(name, metavar=unit, min=least, max=most, callback=finite, help=meaning)
+
+
+def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
+    """An option that names a file or folder.
+
+    A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
+    """
+    return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
+
+
+def check_plausible(option: str, value: float | None, plausible: Range, remedy: str = "") -> None:
+    """Reject the value of an option that is outside the range of its quantity; None is not given.
+
+    `remedy` is for values that are plausible in no other unit.
+    """
+    if value is not None and not plausible.holds(value):
+        found, cause = plausible.finding(value)
+        raise UsageError(option, found, cause if plausible.likely(value) or not remedy else remedy)
+
+
+def numbers(text: str | None, option: str, remedy: str, plausible: Range) -> list[float]:
+    """The numbers of an option, separated by commas; UsageError unless all are in the range of their quantity."""
+    try:
+        found = [float(word) for word in text.split(",")] if text is not None else []
+    except ValueError:
+        raise UsageError(option, f"{text!r} is not a list of numbers", remedy) from None
+    for number in found:
+        check_plausible(option, number, plausible, remedy)
+    return found
+
+
+PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
+_INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line.")
+Inputs = Annotated[list[str], _INPUTS]
+OptionalInputs = Annotated[list[str] | None, _INPUTS]
+RigFile = Annotated[Path, file_option("--rig", meaning="The calibrated rig (rig.yaml).")]
+BoardFile = Annotated[Path, file_option("--board", meaning="The board file: its kind and its sizes.")]
+Overlay = Annotated[
+    Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
+]
+Report = Annotated[Path | None, file_option("--report", meaning="Write an HTML page with pictures (needs matplotlib).")]
+
+
+def check_report(report: Path | None, force: bool) -> None:
+    """Reject a report, before any computation, that exists or that cannot be drawn."""
+    from ringpose.files.atomic import reject_existing
+    from ringpose.report.page import require_matplotlib
+
+    if report is not None:
+        require_matplotlib()
+        reject_existing(report, force)
+
+
+_OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
+OutputFile = Annotated[Path, _OUTPUT]
+CalibrationOutput = Annotated[
+    Path | None, file_option("--output", "-o", meaning="Where the result is written; required to calibrate.")
+]
+JsonFile = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
+]
+CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="The rows as CSV; - instead of tables.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.")]
+ImageChannel = Annotated[
+    Channel | None, typer.Option("--channel", help="Read this channel of colour images; else their luminance.")
+]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Report the result of each input on stderr.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr, only errors.")]

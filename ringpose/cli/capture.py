@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.app import ImageChannel, Quiet, Verbose, app, file_option, finite, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
-from ringpose.cli.options.common import ImageChannel, Quiet, Verbose, file_option, finite
 from ringpose.cli.options.devices import ShotOptions
 from ringpose.errors import NO_POSE, UsageError
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.app import Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option, with_option_groups
 from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, file_option
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import SegmentMethod, StripeSource
 

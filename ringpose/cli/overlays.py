@@ -6,7 +6,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from ringpose.cli import messages
-from ringpose.cli.options.common import check_report
+from ringpose.cli.app import check_report
 from ringpose.errors import DataError, RingposeError
 from ringpose.files import atomic
 from ringpose.files.io import write_page

@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import app, with_option_groups
-from ringpose.cli.batch import Batch, Jobs, with_progress
-from ringpose.cli.options.assumptions import Assumed
-from ringpose.cli.options.common import (
+from ringpose.cli.app import (
     Force,
     ImageChannel,
     OptionalInputs,
@@ -24,7 +21,11 @@ from ringpose.cli.options.common import (
     Report,
     RigFile,
     Verbose,
+    app,
+    with_option_groups,
 )
+from ringpose.cli.batch import Batch, Jobs, with_progress
+from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.options.known_ring import RingOptions, known_ring
 from ringpose.cli.options.track import (

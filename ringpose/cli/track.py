@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import app, with_option_groups
+from ringpose.cli.app import Quiet, Verbose, app, file_option, number_option, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
-from ringpose.cli.options.common import Quiet, Verbose, file_option, number_option
 from ringpose.cli.options.track import (
     Format,
     Newest,

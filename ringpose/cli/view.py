@@ -6,9 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ringpose.cli.app import app
+from ringpose.cli.app import Force, ImageChannel, Inputs, Quiet, RigFile, app, file_option
 from ringpose.cli.batch import Batch, with_progress
-from ringpose.cli.options.common import Force, ImageChannel, Inputs, Quiet, RigFile, file_option
 from ringpose.cli.pages import PagePort, announce
 from ringpose.errors import DataError, NoInputError, UsageError
 

@@ -8,9 +8,8 @@ from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.cameras.opencv import storage_values
 from ringpose.files.io import read_bytes
-from ringpose.files.kinds import BOARD
 from ringpose.files.records.codec import Context, RecordType, definition_of
-from ringpose.files.schema import Fields
+from ringpose.files.schema import BOARD, Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.board import marker_dictionary
 from ringpose.types.board import MAX_SQUARES, Board, BoardKind

@@ -13,8 +13,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.io import read_bytes
-from ringpose.files.kinds import EXCHANGED, kind_of_data, kind_of_text
-from ringpose.files.schema import FREE_PREFIX, MAX_VALUE, hint, unusable
+from ringpose.files.schema import EXCHANGED, FREE_PREFIX, MAX_VALUE, hint, kind_of_data, kind_of_text, unusable
 from ringpose.types.arrays import Array
 
 MAX_BYTES = 2**26

@@ -19,10 +19,9 @@ from ringpose.files.cameras.ros import (
     without_hints,
 )
 from ringpose.files.io import provenance, read_bytes
-from ringpose.files.kinds import RIG, kind_of
 from ringpose.files.records import plain
 from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
-from ringpose.files.schema import ROUNDED, Fields
+from ringpose.files.schema import RIG, ROUNDED, Fields, kind_of
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability

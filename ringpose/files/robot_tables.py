@@ -13,8 +13,7 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.inputs import Input, Problem, Record, file_lines, holds_records, inputs
-from ringpose.files.kinds import ROBOT_POSE, kind_of
-from ringpose.files.schema import MAX_QUATERNION_ERROR, ROUNDED, Fields
+from ringpose.files.schema import MAX_QUATERNION_ERROR, ROBOT_POSE, ROUNDED, Fields, kind_of
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.robot_conventions import PoseConvention, convention_named
 from ringpose.geometry.rotations import rotation_of

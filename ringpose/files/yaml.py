@@ -10,9 +10,8 @@ from yaml.composer import Composer
 
 from ringpose.errors import DataError
 from ringpose.files.io import read_bytes
-from ringpose.files.kinds import EXCHANGED, kind_of_data
 from ringpose.files.records import plain
-from ringpose.files.schema import Fields
+from ringpose.files.schema import EXCHANGED, Fields, kind_of_data
 
 MAX_VALUES = 1_000_000
 """Maximum number of values in one document."""

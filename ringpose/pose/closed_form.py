@@ -56,6 +56,10 @@ Small against the arc's height even of nearly collinear points (1e-3 of their ex
 (1e-16 of their distance).
 """
 
+_ARC_COLUMNS = column_slices("Arcs")
+
+_ARC_COLUMNS = column_slices("Arcs")
+
 MIN_LASERS_ON_AN_EDGE = 3
 """A circle needs three points on one edge; the other edge may have fewer."""
 
@@ -379,7 +383,7 @@ def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"
     rows = np.empty((*points.shape[:-2], 4))
     centred = np.ascontiguousarray(points - points.mean(axis=-2, keepdims=True)).reshape(-1, *points.shape[-2:])
     _kernels.arcs(centred, np.ascontiguousarray(arc), rows.reshape(-1, 4))
-    return ArcEquations(**{name: rows[..., columns] for name, columns in column_slices("Arcs").items()})
+    return ArcEquations(**{name: rows[..., columns] for name, columns in _ARC_COLUMNS.items()})
 
 
 def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from ringpose.cli.app import STDOUT, Force, JsonFile, file_option, number_option
 from ringpose.cli.batch import Batch
 from ringpose.cli.bench.score import By, TruthFiles, group_names, report_missed, scores_of_lines
-from ringpose.cli.options.common import STDOUT, Force, JsonFile, file_option, number_option
 from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:

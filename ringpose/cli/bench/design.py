@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.batch import with_progress
-from ringpose.cli.options.common import (
+from ringpose.cli.app import (
     STDOUT,
     CsvFile,
     Force,
@@ -18,6 +17,7 @@ from ringpose.cli.options.common import (
     number_option,
     numbers,
 )
+from ringpose.cli.batch import with_progress
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import Minimized

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import with_option_groups
-from ringpose.cli.batch import Batch, with_progress
-from ringpose.cli.options.common import (
+from ringpose.cli.app import (
     STDOUT,
     CsvFile,
     Force,
@@ -20,7 +18,9 @@ from ringpose.cli.options.common import (
     Quiet,
     file_option,
     number_option,
+    with_option_groups,
 )
+from ringpose.cli.batch import Batch, with_progress
 from ringpose.errors import NO_POSE, DataError, NoInputError, UsageError
 from ringpose.types.options import Method
 

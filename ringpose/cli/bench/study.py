@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
+from ringpose.cli.app import Force, Quiet, Report, check_report, file_option
 from ringpose.cli.batch import Batch, with_total
 from ringpose.cli.bench.score import Cron, report_missed
-from ringpose.cli.options.common import Force, Quiet, Report, check_report, file_option
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:

@@ -4,9 +4,7 @@ from typing import Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
-from ringpose.cli.options.common import (
+from ringpose.cli.app import (
     BoardFile,
     CalibrationOutput,
     Force,
@@ -16,8 +14,10 @@ from ringpose.cli.options.common import (
     Quiet,
     Report,
     Verbose,
+    app,
     numbers,
 )
+from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.types.options import DistortionModel
 from ringpose.types.plausible import DISTANCE_M
 

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.options.common import Force, OutputFile
+from ringpose.cli.app import Force, OutputFile, app
 from ringpose.types.options import CameraFormat
 
 CameraInput = Annotated[

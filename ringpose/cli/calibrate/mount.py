@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.options.common import BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, file_option
+from ringpose.cli.app import BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option
 from ringpose.cli.options.robot import RobotColumns, RobotConvention, tool_poses
 
 if TYPE_CHECKING:

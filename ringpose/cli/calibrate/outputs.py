@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from typer.core import TyperCommand
 
-from ringpose.cli.options.common import check_report, file_option
+from ringpose.cli.app import check_report, file_option
 
 if TYPE_CHECKING:
     from ringpose.types.calibration import Verdict

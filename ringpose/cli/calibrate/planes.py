@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
-from ringpose.cli.options.common import (
+from ringpose.cli.app import (
     CalibrationOutput,
     Force,
     ImageChannel,
@@ -18,10 +16,12 @@ from ringpose.cli.options.common import (
     Quiet,
     Report,
     Verbose,
+    app,
     file_option,
     finite,
     numbers,
 )
+from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
 from ringpose.types.options import PlanesMethod
 from ringpose.types.plausible import EXPECTED_DEG
 

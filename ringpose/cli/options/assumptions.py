@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ringpose.cli.options.common import check_plausible
+from ringpose.cli.app import check_plausible
 from ringpose.errors import UsageError
 from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.plausible import MAX_RATE_DEG_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR

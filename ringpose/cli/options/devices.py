@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ringpose.cli.options.common import finite
+from ringpose.cli.app import finite
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import check_plausible
+from ringpose.cli.app import check_plausible
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 from ringpose.types.plausible import RADIUS_SD_M, RING_RADIUS_M

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ringpose.cli import messages
+from ringpose.cli.app import check_plausible, number_option
 from ringpose.cli.batch import Batch
-from ringpose.cli.options.common import check_plausible, number_option
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN
 from ringpose.types.plausible import GRIPPER_M

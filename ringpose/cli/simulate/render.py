@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.options.common import Force, Quiet, Verbose
+from ringpose.cli.app import Force, Quiet, Verbose, app
 from ringpose.cli.simulate.console import console
 from ringpose.cli.simulate.features import (
     Background,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options.common import Verbose, finite
+from ringpose.cli.app import Verbose, finite
 from ringpose.types.options import AdvancePolicy, Clock, Relay, ServedTarget
 
 if TYPE_CHECKING:

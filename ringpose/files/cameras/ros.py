@@ -13,10 +13,9 @@ import numpy as np
 from ringpose.errors import ImplausibleValueWarning
 from ringpose.files import atomic
 from ringpose.files.io import provenance
-from ringpose.files.kinds import CAMERA
 from ringpose.files.records import plain
 from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
-from ringpose.files.schema import Fields, hint
+from ringpose.files.schema import CAMERA, Fields, hint
 from ringpose.files.yaml import write_yaml
 from ringpose.geometry.rays import fold_px
 from ringpose.types.arrays import Array, Float64, Int64

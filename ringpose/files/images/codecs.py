@@ -17,7 +17,7 @@ from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.images.headers import ImageHeader, image_header
 from ringpose.files.io import read_bytes
-from ringpose.files.kinds import EXCHANGED, kind_of_data, kind_of_text
+from ringpose.files.schema import EXCHANGED, kind_of_data, kind_of_text
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.image import MAX_SHOT_PIXELS, check_shot_size

@@ -12,8 +12,8 @@ from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
 from ringpose.files.images.shots import write_shot
 from ringpose.files.io import provenance, sha256
-from ringpose.files.kinds import SESSION
 from ringpose.files.records.codec import RecordType
+from ringpose.files.schema import SESSION
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot
 from ringpose.types.session import Capture, CaptureState, Session

@@ -19,9 +19,8 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar, Union,
 import numpy as np
 
 from ringpose.files.io import software
-from ringpose.files.kinds import Kind
 from ringpose.files.records.arrays import Axes, checked_array, fixed_length
-from ringpose.files.schema import Fields
+from ringpose.files.schema import Fields, Kind
 from ringpose.types.arrays import element_and_axes
 from ringpose.types.record import REQUIRED, Form, Key, Presence
 

@@ -11,10 +11,9 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.io import provenance
-from ringpose.files.kinds import DETECTION
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.records.codec import RecordType
-from ringpose.files.schema import FREE_PREFIX, Fields
+from ringpose.files.schema import DETECTION, FREE_PREFIX, Fields
 from ringpose.types.detection import MAX_OFFSET, BreakPoints, Detection, NoBreakPoints, outside_image
 from ringpose.types.rig import Camera, Rig, reject_other_rig
 

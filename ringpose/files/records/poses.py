@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, get_args
 
-from ringpose.files.kinds import POSE_LINE
 from ringpose.files.records.codec import RecordType, flags_by_name
-from ringpose.files.schema import Fields
+from ringpose.files.schema import POSE_LINE, Fields
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, PoseLine, Status
 
 _HARMLESS = {"enum": [name for name, flag in flags_by_name(PoseFlag).items() if flag in HARMLESS_FLAGS]}

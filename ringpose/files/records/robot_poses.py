@@ -10,8 +10,8 @@ import numpy as np
 
 from ringpose.errors import DataError, NoInputError, RingposeError
 from ringpose.files.inputs import Input, Problem, Record, inputs
-from ringpose.files.kinds import ROBOT_POSE, kind_of
 from ringpose.files.records.codec import RecordType
+from ringpose.files.schema import ROBOT_POSE, kind_of
 from ringpose.geometry.rotations import rotation_of
 from ringpose.types.options import STDIN
 from ringpose.types.rig import RobotPose, RobotPoses

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ringpose.files.kinds import TRACK_LINE
 from ringpose.files.records.codec import RecordType
 from ringpose.files.records.poses import status_rules
+from ringpose.files.schema import TRACK_LINE
 from ringpose.types.pose import PoseLine
 from ringpose.types.track import TrackLine
 

@@ -6,9 +6,8 @@ from typing import Any
 
 from ringpose.files import records
 from ringpose.files.inputs import file_lines
-from ringpose.files.kinds import TRUTH
 from ringpose.files.records.codec import RecordType
-from ringpose.files.schema import Fields
+from ringpose.files.schema import TRUTH, Fields
 from ringpose.types.scene import Truth
 
 _KNOWN = {"center_m": {"type": "array"}, "normal": {"type": "array"}}
