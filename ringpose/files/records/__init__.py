@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
@@ -33,11 +34,11 @@ def line_of(record: Mapping[str, Any]) -> str:
 
 
 def _encoded(value: Any) -> str:
-    try:
+    with suppress(ValueError, OverflowError):  # a name of a file that is not UTF-8, or a number of more than 64 bits
         text = _encoder().encode(value).decode()
-    except (ValueError, OverflowError):  # a name of a file that is not UTF-8, or a number of more than 64 bits
-        text = "\xff"
-    return text if text.isascii() else json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
+        if text.isascii():
+            return text
+    return json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
 
 
 @lru_cache
