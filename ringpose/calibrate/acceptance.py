@@ -130,6 +130,8 @@ MOUNT_LIMITS: Mapping[str, Limit] = {
 MOUNT_CHECK_LIMITS: Mapping[str, Limit] = {
     "difference_sigmas": Limit(4.0, 8.0,
         "the given mount contradicts the views: something has moved, or it is inverted; calibrate it again"),
+    "difference_rotation_sd_rad": Limit(radians(0.1), radians(1), "{uncertain}"),
+    "difference_translation_sd_m": Limit(1e-3, 1e-2, "{uncertain}"),
 }
 # fmt: on
 

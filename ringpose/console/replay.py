@@ -199,9 +199,5 @@ def _plot(
     return {"title": title, "series": series}
 
 
-def _vector(vector: Float64[Array, "3"] | None) -> list[float] | None:
-    return None if vector is None or not np.isfinite(vector).all() else [float(part) for part in vector]
-
-
 def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)

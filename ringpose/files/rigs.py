@@ -243,7 +243,10 @@ def write_mount(
     """
     if not on_base and kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
         both = {"quality": {**calibration_quality(camera), "mount": quality}}
-        rig = replace(read_rig(camera, for_rings=False), mount=mount)
+        rig = read_rig(camera, for_rings=False)
+        if rig.mount is not None:
+            mount = replace(mount, delay_s=rig.mount.delay_s, delay_sd_s=rig.mount.delay_sd_s)
+        rig = replace(rig, mount=mount)
         write_rig(path, rig, extra=both, force=force, inputs=inputs)
         return
     alone = dict(definition_of(MountEntry).write(_mount_entry(mount)))

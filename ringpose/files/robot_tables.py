@@ -19,7 +19,7 @@ from ringpose.geometry.robot_conventions import PoseConvention, convention_named
 from ringpose.geometry.rotations import rotation_of
 from ringpose.types.options import STDIN
 from ringpose.types.plausible import REACH_M, STAMP_S
-from ringpose.types.robot import ToolPose, ToolPoses
+from ringpose.types.robot import ReportedPose, ReportedPoses
 
 FAR_M = 20.0
 """Distance from the base that no robot's tool has; in a file in metres it is in millimetres."""
@@ -39,14 +39,14 @@ _EXPLICIT = "give --robot-convention, as kuka, or mm,ZYX,deg, or m,xyzw (ringpos
 
 def read_tool_poses(
     source: str, convention: PoseConvention | None = None, columns: Sequence[str] = (), is_tum: bool = False
-) -> ToolPoses:
+) -> ReportedPoses:
     """The poses of a file, a folder of files with one pose each, or standard input (`-`, JSON lines).
 
     Identical repeats are left out and counted; two poses of one stamp or name that differ are an error.
     """
     path = Path(source)
     if source == STDIN or holds_records(path):
-        if convention is not None and convention.order != "xyzw":
+        if convention is not None and (convention.order, convention.length_m) != ("xyzw", 1.0):
             raise UsageError("--robot-convention", "is of no use for JSON lines: their keys state it", "leave it out")
         read = [_pose_in_record(item) for item in inputs([source], (".jsonl",))]
     elif path.is_dir():
@@ -66,7 +66,7 @@ def _files(folder: Path) -> list[Path]:
 
 def _poses_in_file(
     path: Path, convention: PoseConvention | None, columns: Sequence[str], is_tum: bool, *, one: bool
-) -> Iterator[ToolPose]:
+) -> Iterator[ReportedPose]:
     if path.suffix.lower() in _YAML_SUFFIXES:
         poses = list(_poses_in_yaml(path))
     else:
@@ -140,7 +140,7 @@ def _whole_matrices(rows: list[_Row], path: Path) -> list[_Row]:
     return [_Row(block[0].location, [word for row in block for word in row.words]) for block in blocks]
 
 
-def _poses_in_rows(rows: list[_Row], convention: PoseConvention, columns: Sequence[str]) -> Iterator[ToolPose]:
+def _poses_in_rows(rows: list[_Row], convention: PoseConvention, columns: Sequence[str]) -> Iterator[ReportedPose]:
     """The poses in the rows of a table, whose columns are given, named by its first row, or those of the convention."""
     names = list(columns)
     if rows and sum(_number(word) is not None or _is_missing(word) for word in rows[0].words) < 3:
@@ -150,7 +150,7 @@ def _poses_in_rows(rows: list[_Row], convention: PoseConvention, columns: Sequen
         yield _pose_in_row(row, convention, [_OTHER_NAMES.get(name, name) for name in names])
 
 
-def _pose_in_row(row: _Row, convention: PoseConvention, names: list[str]) -> ToolPose:
+def _pose_in_row(row: _Row, convention: PoseConvention, names: list[str]) -> ReportedPose:
     words = row.words
     if not names:
         if convention.rotation == "quaternion" and len(words) >= 17:
@@ -174,7 +174,7 @@ def _pose_in_row(row: _Row, convention: PoseConvention, names: list[str]) -> Too
         raise DataError(
             row.location, f"stamp_s {stamp_s:.17g}: {STAMP_S.finding(stamp_s)[0]}", STAMP_S.finding(stamp_s)[1]
         )
-    return ToolPose(row.location, name, stamp_s, position_m, rotation)
+    return ReportedPose(row.location, name, stamp_s, position_m, rotation)
 
 
 def _usual_columns(row: _Row, words: list[str], convention: PoseConvention) -> list[str]:
@@ -202,13 +202,16 @@ def _placed(
     location: str, numbers: np.ndarray[Any, np.dtype[np.float64]], convention: PoseConvention
 ) -> tuple[np.ndarray[Any, np.dtype[np.float64]], np.ndarray[Any, np.dtype[np.float64]]]:
     """Position in metres and rotation of the numbers of a pose."""
-    if convention.rotation == "matrix":
-        matrix = numbers.reshape(4, 4).T if convention.order == "columns" else numbers.reshape(4, 4)
-        return convention.length_m * matrix[:3, 3], _rotation(location, matrix)
-    position_m, turn = convention.length_m * numbers[:3], numbers[3:]
+    matrix = numbers.reshape(4, 4) if convention.rotation == "matrix" else None
+    if matrix is not None and convention.order == "columns":
+        matrix = matrix.T
+    position_m = convention.length_m * (numbers[:3] if matrix is None else matrix[:3, 3])
     if np.abs(position_m).max() > REACH_M.highest:
         found = f"is {np.abs(position_m).max():.4g} m away from the base along an axis"
         raise DataError(location, found, "likely the positions are in millimetres: give mm in --robot-convention")
+    if matrix is not None:
+        return position_m, _rotation(location, matrix)
+    turn = numbers[3:]
     if convention.rotation == "quaternion":
         length = float(np.linalg.norm(turn))
         if abs(length - 1.0) > MAX_QUATERNION_ERROR:
@@ -233,7 +236,7 @@ def _rotation(location: str, matrix: np.ndarray[Any, np.dtype[np.float64]]) -> n
     return rotation if error < ROUNDED**2 else left @ right
 
 
-def _check_distances(poses: Sequence[ToolPose], location: str, convention: PoseConvention | None) -> None:
+def _check_distances(poses: Sequence[ReportedPose], location: str, convention: PoseConvention | None) -> None:
     """Reject poses that are far too near to the base, or too far, or that never turn, for their units."""
     distance_m = np.array([float(np.linalg.norm(pose.position_m)) for pose in poses])
     if np.median(distance_m) > FAR_M:
@@ -249,7 +252,7 @@ def _check_distances(poses: Sequence[ToolPose], location: str, convention: PoseC
             raise DataError(location, found, "likely the angles are in radians: give rad in --robot-convention")
 
 
-def _pose_in_record(item: Input | Problem) -> ToolPose:
+def _pose_in_record(item: Input | Problem) -> ReportedPose:
     """The pose in a JSON line; `stamp_s` may be missing if there is a `shot`, or if poses go by their order."""
     if not isinstance(item, Record):
         if isinstance(item, Path):
@@ -265,12 +268,12 @@ def _pose_in_record(item: Input | Problem) -> ToolPose:
     )  # fmt: skip
 
 
-def _pose_of(pose: Fields, location: str, name: str, stamp_s: float | None) -> ToolPose:
+def _pose_of(pose: Fields, location: str, name: str, stamp_s: float | None) -> ReportedPose:
     position_m = pose.quantities("position_m", 3, REACH_M)
-    return ToolPose(location, name, stamp_s, position_m, rotation_of(pose.quaternion("orientation_xyzw")))
+    return ReportedPose(location, name, stamp_s, position_m, rotation_of(pose.quaternion("orientation_xyzw")))
 
 
-def _poses_in_yaml(path: Path) -> Iterator[ToolPose]:
+def _poses_in_yaml(path: Path) -> Iterator[ReportedPose]:
     """The poses in a list `poses`, as messages of ROS: `pose` or `transform`, in a stamped message or bare."""
     top = read_yaml(path)
     entries = list(top.each("poses")) if top.has("poses") else [top]
@@ -289,7 +292,7 @@ def _poses_in_yaml(path: Path) -> Iterator[ToolPose]:
         position_m = np.array([place.quantity(axis, REACH_M) for axis in "xyz"])
         plain = {"orientation_xyzw": [turn.number(axis) for axis in "xyzw"]}
         rotation = rotation_of(Fields(path.name, plain, path=turn.path).quaternion("orientation_xyzw"))
-        yield ToolPose(location, name, stamp_s, position_m, rotation)
+        yield ReportedPose(location, name, stamp_s, position_m, rotation)
 
 
 def _ros_stamp_s(entry: Fields) -> float | None:
@@ -302,10 +305,10 @@ def _ros_stamp_s(entry: Fields) -> float | None:
     return entry.optional("stamp_s", entry.stamp_s)
 
 
-def _without_repeats(read: Iterable[ToolPose]) -> ToolPoses:
+def _without_repeats(read: Iterable[ReportedPose]) -> ReportedPoses:
     """The poses without identical repeats; two of one name or stamp that differ are an error."""
-    kept: list[ToolPose] = []
-    known: dict[tuple[str, float | None], ToolPose] = {}
+    kept: list[ReportedPose] = []
+    known: dict[tuple[str, float | None], ReportedPose] = {}
     repeats = 0
     for pose in read:
         key = (pose.name, pose.stamp_s)
@@ -318,7 +321,7 @@ def _without_repeats(read: Iterable[ToolPose]) -> ToolPoses:
             what = f"name {pose.name!r}" if pose.name else f"stamp {pose.stamp_s:.6f}"
             found = f"has the {what} of {first.location}, but another pose"
             raise DataError(pose.location, found, "leave out the wrong one")
-    return ToolPoses(poses=tuple(kept), repeats=repeats)
+    return ReportedPoses(poses=tuple(kept), repeats=repeats)
 
 
 def convention_of(text: str | None) -> tuple[PoseConvention | None, bool]:

@@ -254,8 +254,6 @@ RULES = (
 )
 """One row for each flag, in the order of `PoseFlag`."""
 
-RULE_OF = MappingProxyType({rule.flag: rule for rule in RULES})
-
 LASTING_FLAGS = PoseFlag(sum(rule.flag for rule in RULES if rule.lasting))
 """Flags of the newest used line that also concern its track."""
 

@@ -12,10 +12,8 @@ import numpy as np
 
 if TYPE_CHECKING or "jaxtyping" in sys.modules:
     from jaxtyping import Bool as Bool
-    from jaxtyping import Complex64 as Complex64
     from jaxtyping import Float32 as Float32
     from jaxtyping import Float64 as Float64
-    from jaxtyping import Int8 as Int8
     from jaxtyping import Int16 as Int16
     from jaxtyping import Int32 as Int32
     from jaxtyping import Int64 as Int64
@@ -32,7 +30,7 @@ else:
 
     Bool, Float64, Int64 = (type(name, (_Unchecked,), {}) for name in ("Bool", "Float64", "Int64"))
 
-    Complex64 = Float32 = Int8 = Int16 = Int32 = UInt = UInt8 = UInt16 = _Unchecked
+    Float32 = Int16 = Int32 = UInt = UInt8 = UInt16 = _Unchecked
 
 Array = np.ndarray[Any, np.dtype[Any]]
 """A NumPy array; element type and shape are added as in `Float64[Array, "laser xyz=3"]` (jaxtyping's notation)."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from ringpose.types.arrays import Array, Float64
 
 
-class ToolPose(NamedTuple):
+class ReportedPose(NamedTuple):
     """A pose of the tool in the base frame, and to which shot it belongs."""
 
     location: str
@@ -20,9 +20,9 @@ class ToolPose(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ToolPoses:
+class ReportedPoses:
     """The poses of one file, without identical repeats."""
 
-    poses: tuple[ToolPose, ...]
+    poses: tuple[ReportedPose, ...]
     repeats: int = 0
     """Identical repeats that were left out."""

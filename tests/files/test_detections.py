@@ -83,6 +83,15 @@ def test_rejections_that_are_not_json_are_refused(rng, tmp_path):
         detection_in(Archive(tmp_path / "b.npz"))
 
 
+@pytest.mark.parametrize("key", ["break_points", "shot.name"])
+def test_a_key_beside_its_parts_is_refused(key, rng, tmp_path):
+    arrays = dict(np.load(written(full_detection(rng), tmp_path)))
+    np.savez(tmp_path / "b.npz", **arrays | {key: np.array("a")})
+
+    with pytest.raises(DataError, match=r"b\.npz: .* is given beside its parts"):
+        detection_in(Archive(tmp_path / "b.npz"))
+
+
 def test_nothing_found_is_read_as_nothing(there_and_back):
     nothing = Segments(start_px=np.empty((0, 2)), end_px=np.empty((0, 2)), support=np.empty(0, np.int64))
     before = Detection(shot="a", stamp_s=math.nan, break_points=NoBreakPoints.NO_STRIPE, segments=nothing)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
-from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_rig
-from ringpose.types.rig import ParameterCovariance
+from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_mount, write_rig
+from ringpose.types.rig import Mount, ParameterCovariance
 
 MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
 """Turns the z axis over alone: what comes of a left-handed frame."""
@@ -162,6 +162,17 @@ def test_a_covariance_of_rank_one_is_accepted(rig_file):
     rig = read_rig(rig_file("covariance", {"parameters": ["fx", "left.distance"], "data": [[4, 2e-3], [2e-3, 1e-6]]}))
 
     assert rig.covariance.parameters == ("fx", "left.distance")
+
+
+def test_another_mount_keeps_the_delay_of_the_robots_poses(rig_file, tmp_path):
+    file = rig_file("mount.delay_s", 0.02)
+    mount = Mount(tool_from_camera=np.eye(4), root=1e-3 * np.eye(6))
+
+    write_mount(tmp_path / "mounted.yaml", mount, file, {}, force=False, inputs=[])
+
+    written = read_rig(tmp_path / "mounted.yaml", for_rings=False).mount
+    np.testing.assert_array_equal(written.tool_from_camera, np.eye(4))
+    assert written.delay_s == 0.02
 
 
 def test_a_rig_without_mount_is_rejected_for_the_tool_frame(rig_file):

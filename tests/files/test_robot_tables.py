@@ -113,6 +113,7 @@ def test_json_lines_need_no_stamp_where_they_name_the_shot(tmp_path):
         ("1000,200,300,null,0,0", "kuka", "is null, must be a number"),
         ("1000,200,300,0,0", "kuka", "--robot-columns"),
         ("1,0,0,0,0,1,0,0,0,0,1,0,0.1,0.2,0.3,1", "m,matrix", "column by column"),
+        ("1,0,0,1000,0,1,0,200,0,0,1,300,0,0,0,1", "m,matrix", "millimetres"),
     ],
 )
 def test_implausible_values_are_refused_with_the_likely_cause(row, convention, cause, tmp_path):

@@ -115,6 +115,8 @@ class MountSolution:
     information: Float64[Array, "view common common"]
     gradient: Float64[Array, "view common"]
     prior: Float64[Array, "common common"]
+    pull: Float64[Array, "common"]
+    """What the camera's prior adds to the gradient, with the opposite sign."""
     residual_rms_px: Float64[Array, "view"]
     boards: tuple[BoardPose, ...]
     """The board in the camera, by the state."""
@@ -157,13 +159,16 @@ def adjusted_mount(
         if iteration > 1 and length < _MIN_STEP:
             break
         state = _moved(state, stations, numbers, sigmas, step, refine_camera)
+    else:  # the last step is not in the linear model yet
+        numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
     shown = list(zip(stations, _poses(state, eye_to_hand), strict=True))
     residuals = [view_equations(one.view, pose, state.camera, 1.0).residual for one, pose in shown]
     rms_px = np.array([np.sqrt(2.0 * np.mean(each**2)) for each in residuals])
     information, gradient = _normal_equations(numbers, sigmas)
     return MountSolution(
         state=state, sigmas=sigmas, corner_px=corner_px, numbers=numbers, information=information, gradient=gradient,
-        prior=prior, boards=tuple(pose for _, pose in shown), residual_rms_px=rms_px,
+        prior=prior, pull=prior @ _camera_offset(state.camera, camera, prior),
+        boards=tuple(pose for _, pose in shown), residual_rms_px=rms_px,
         covariance=covariance_of_free(information.sum(axis=0) + prior),
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ from pathlib import PurePath
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.types.robot import ToolPose
+from ringpose.types.robot import ReportedPose
 
 MAX_APART_S = 1.0
 """Longest time between a shot and the pose of a robot that stands still."""
@@ -17,12 +17,13 @@ MAX_MOVED_M, MAX_TURNED_RAD = 1e-3, 1e-3
 
 
 def matched_poses(
-    names: Sequence[str], stamps_s: Sequence[float], poses: Sequence[ToolPose], location: str
-) -> list[ToolPose | DataError]:
+    names: Sequence[str], stamps_s: Sequence[float], poses: Sequence[ReportedPose], location: str
+) -> list[ReportedPose | DataError]:
     """The pose of each view, or why it has none: by the names, else by the stamps, else by their order."""
     if any(pose.name for pose in poses):
         return _by_name(names, poses)
     if all(pose.stamp_s is not None for pose in poses):
+        poses = sorted(poses, key=lambda pose: pose.stamp_s or 0.0)
         return [_at_stamp(name, stamp_s, poses) for name, stamp_s in zip(names, stamps_s, strict=True)]
     if len(poses) != len(names):
         found = f"has {len(poses)} poses without names or stamps for {len(names)} images"
@@ -30,7 +31,7 @@ def matched_poses(
     return list(poses)
 
 
-def _by_name(names: Sequence[str], poses: Sequence[ToolPose]) -> list[ToolPose | DataError]:
+def _by_name(names: Sequence[str], poses: Sequence[ReportedPose]) -> list[ReportedPose | DataError]:
     """Poses by the name of the image without its suffix; else by the number at the end of both names."""
     found = _pairs(names, poses, lambda name: PurePath(name).stem)
     if all(pose is None for pose in found):
@@ -41,8 +42,8 @@ def _by_name(names: Sequence[str], poses: Sequence[ToolPose]) -> list[ToolPose |
     ]
 
 
-def _pairs(names: Sequence[str], poses: Sequence[ToolPose], key: Callable[[str], str]) -> list[ToolPose | None]:
-    by_key: dict[str, list[ToolPose]] = {}
+def _pairs(names: Sequence[str], poses: Sequence[ReportedPose], key: Callable[[str], str]) -> list[ReportedPose | None]:
+    by_key: dict[str, list[ReportedPose]] = {}
     for pose in poses:
         by_key.setdefault(key(pose.name), []).append(pose)
     keys = [key(name) for name in names]
@@ -54,8 +55,8 @@ def _last_number(name: str) -> str:
     return numbers[-1].lstrip("0") or "0" if numbers else ""
 
 
-def _at_stamp(name: str, stamp_s: float, poses: Sequence[ToolPose]) -> ToolPose | DataError:
-    """The pose nearest in time, of a robot that stands still at the time of the shot."""
+def _at_stamp(name: str, stamp_s: float, poses: Sequence[ReportedPose]) -> ReportedPose | DataError:
+    """The nearest of the poses, given in the order of time, of a robot that stands still at the time of the shot."""
     if not np.isfinite(stamp_s) or stamp_s == 0.0:
         return DataError(name, "has no stamp, and the robot's poses have no names", "name the images in a column shot")
     stamps_s = np.array([pose.stamp_s for pose in poses], dtype=np.float64)

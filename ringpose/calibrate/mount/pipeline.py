@@ -1,5 +1,6 @@
 """From views of a board and robot poses to an assessed mount (ringpose-method(7), section 13)."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,8 @@ from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.mount.adjustment import (
     MIN_FREE_VIEWS,
+    ROTATION_BOUNDS_RAD,
+    TRANSLATION_BOUNDS_M,
     MountSolution,
     Station,
     adjusted_mount,
@@ -37,10 +40,13 @@ from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.rig import Camera, Mount
-from ringpose.types.robot import ToolPose
+from ringpose.types.robot import ReportedPose
 
 MAX_WRONG_SHARE = 1 / 3
 """Share of the views up to which single ones are left out as wrong."""
+
+AT_BOUND = 0.9
+"""Share of the upper bound of the robot's error from which it counts as reached: 45 mm or 2.6 degrees."""
 
 MAX_SCALE = 1.1
 """Factor between the robot's and the board's lengths from which one of them has another unit or a wrong size."""
@@ -80,7 +86,7 @@ class MountCalibration:
         return Mount(tool_from_camera=self.solution.state.mount.matrix, root=axes * np.sqrt(np.maximum(variance, 0.0)))
 
 
-def stations_of(views: Sequence[BoardView], poses: Sequence[ToolPose | DataError]) -> list[Station]:
+def stations_of(views: Sequence[BoardView], poses: Sequence[ReportedPose | DataError]) -> list[Station]:
     """The views that have a pose of the robot."""
     return [
         Station(view=view, base_from_tool=Transform(pose.rotation, pose.position_m), location=pose.location)
@@ -101,7 +107,7 @@ def calibrate_mount(
 
     `convention`: the one in which the robot's poses were given, for the likely cause of a contradiction.
     """
-    stations = sorted(stations, key=lambda station: station.name)
+    stations = sorted(stations, key=lambda station: _in_order(station.name))
     stations = [replace(one, view=without_distortion_bias(one.view, camera)) for one in stations]
     boards = [board_pose(station.view, camera) for station in stations]
     _check_motions(stations, boards, eye_to_hand, convention)
@@ -133,6 +139,7 @@ def calibrate_mount(
         rejected |= {chosen[index].name: reason for index, reason in zip(wrong.views, reasons, strict=True)}
         used = [index for position, index in enumerate(used) if position not in wrong.views]
         _check_turns(_turns(stations, boards, used, eye_to_hand), len(used), eye_to_hand)
+    _check_fit(solution)
     without = left_out(solution, chosen)
     fixed = None if refine_camera or camera.covariance is None else camera.covariance.data
     covariance, of_rotation, of_translation = validated_covariance(solution, without, fixed)
@@ -148,6 +155,11 @@ def calibrate_mount(
         eye_to_hand=eye_to_hand,
         board_moved=board_moved,
     )
+
+
+def _in_order(name: str) -> list[tuple[int, str]]:
+    """Sorts names by the numbers in them, the order in which the images were taken: view 2 before view 10."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _transform(pose: BoardPose) -> Transform:
@@ -171,7 +183,8 @@ def _solved(
         )
     except np.linalg.LinAlgError as error:
         found = "views and robot poses contradict each other so far that no mount fits them"
-        raise DataError("calibrate-mount", found, "check the board's sizes and the robot's convention") from error
+        remedy = "check their order and names, the board's sizes and the robot's convention"
+        raise DataError("calibrate-mount", found, remedy) from error
 
 
 def _check_motions(
@@ -219,6 +232,21 @@ def _check_turns(turns: Turns, views: int, eye_to_hand: bool) -> Turns:
         )
         raise DataError("calibrate-mount", found, f"add views that are turned about the {frame}'s {missing} axis")
     return turns
+
+
+def _check_fit(solution: MountSolution) -> None:
+    """Raise DataError if the robot's error is at the bound of its estimate, as no robot's is."""
+    sigmas = solution.sigmas
+    if (
+        sigmas.rotation_rad > AT_BOUND * ROTATION_BOUNDS_RAD[1]
+        or sigmas.translation_m > AT_BOUND * TRANSLATION_BOUNDS_M[1]
+    ):
+        found = (
+            f"the robot's poses do not fit the views: its error would be {1e3 * sigmas.translation_m:.3g} mm and "
+            f"{np.degrees(sigmas.rotation_rad):.3g} degrees"
+        )
+        remedy = "likely they are in another order than the images, of another session, or their columns are exchanged"
+        raise DataError("calibrate-mount", found, remedy)
 
 
 def _slip(

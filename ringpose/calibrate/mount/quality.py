@@ -33,7 +33,11 @@ def held_out_rms_m(calibration: MountCalibration) -> float:
 
 def sds(calibration: MountCalibration) -> tuple[float, float]:
     """Standard deviations of the mount in the worst direction: rotation in radians, translation in metres."""
-    turn, shift = calibration.covariance[:3, :3], calibration.covariance[3:6, 3:6]
+    return _worst_sds(calibration.covariance)
+
+
+def _worst_sds(covariance: Float64[Array, "n n"]) -> tuple[float, float]:
+    turn, shift = covariance[:3, :3], covariance[3:6, 3:6]
     return float(np.sqrt(np.linalg.eigvalsh(turn)[-1])), float(np.sqrt(np.linalg.eigvalsh(shift)[-1]))
 
 
@@ -67,7 +71,7 @@ def mount_verdict(calibration: MountCalibration) -> Verdict:
 
 
 def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[str, Any]:
-    """The key `mount_quality` of the rig file."""
+    """The key `quality.mount` of the rig file."""
     solution, without = calibration.solution, calibration.without
     rotation_sd, translation_sd = sds(calibration)
     share, share_sd = calibration.board_scale
@@ -147,6 +151,9 @@ class MountComparison(NamedTuple):
     turn_rad: Float64[Array, "3"]
     sigmas: float
     """Root of the squared Mahalanobis distance over its six degrees of freedom."""
+    rotation_sd_rad: float
+    translation_sd_m: float
+    """Standard deviations of the difference in the worst direction."""
 
 
 def compared_mount(calibration: MountCalibration, given: Mount) -> MountComparison:
@@ -156,12 +163,21 @@ def compared_mount(calibration: MountCalibration, given: Mount) -> MountComparis
     shift_m = given.tool_from_camera[:3, 3] - mount.translation_m
     both = calibration.covariance[:6, :6] + given.covariance[:6, :6]
     difference = np.append(turn_rad, shift_m)
-    return MountComparison(shift_m, turn_rad, float(np.sqrt(difference @ np.linalg.solve(both, difference) / 6)))
+    sigmas = float(np.sqrt(difference @ np.linalg.solve(both, difference) / 6))
+    return MountComparison(shift_m, turn_rad, sigmas, *_worst_sds(both))
 
 
 def comparison_verdict(comparison: MountComparison) -> Verdict:
     """Whether a given mount agrees with the views."""
-    return Verdict(findings=(check(MOUNT_CHECK_LIMITS, "difference_sigmas", comparison.sigmas),))
+    uncertain = "the given mount or the views are too uncertain to tell; take more views, turned more"
+    values = {
+        "difference_sigmas": comparison.sigmas,
+        "difference_rotation_sd_rad": comparison.rotation_sd_rad,
+        "difference_translation_sd_m": comparison.translation_sd_m,
+    }
+    return Verdict(
+        findings=tuple(check(MOUNT_CHECK_LIMITS, name, value, uncertain=uncertain) for name, value in values.items())
+    )
 
 
 def comparison_lines(comparison: MountComparison, verdict: Verdict) -> list[str]:

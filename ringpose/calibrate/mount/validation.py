@@ -44,7 +44,8 @@ class LeftOut(NamedTuple):
 def left_out(solution: MountSolution, stations: Sequence[Station]) -> LeftOut:
     """One Gauss-Newton step without each view."""
     numbers = solution.numbers
-    information, gradient = solution.information.sum(axis=0) + solution.prior, solution.gradient.sum(axis=0)
+    information = solution.information.sum(axis=0) + solution.prior
+    gradient = solution.gradient.sum(axis=0) - solution.pull
     steps, covariances, distances_m, angles_rad = [], [], [], []
     for view, station in enumerate(stations):
         covariance = covariance_of_free(information - solution.information[view])
@@ -89,7 +90,7 @@ def validated_covariance(
     return total, factors[0], factors[1]
 
 
-class Explanation(NamedTuple):
+class WrongViews(NamedTuple):
     """What is wrong with some of the views."""
 
     views: tuple[int, ...]
@@ -98,7 +99,7 @@ class Explanation(NamedTuple):
     """Whether the board was moved, and not one pose is wrong."""
 
 
-def wrong_views(solution: MountSolution) -> Explanation | None:
+def wrong_views(solution: MountSolution) -> WrongViews | None:
     """One view with another pose than the robot reports, or a board that was moved between two views; else None.
 
     Either explanation has six parameters more. Those that reduce chi-squared most are tried with the robot's error
@@ -108,8 +109,8 @@ def wrong_views(solution: MountSolution) -> Explanation | None:
     views = len(numbers.z)
     if views <= MIN_VIEWS:
         return None
-    alone = [Explanation((view,), slipped=False) for view in range(views)]
-    moved = [Explanation(_fewer(np.arange(views) >= first), slipped=True) for first in range(2, views - 1)]
+    alone = [WrongViews((view,), slipped=False) for view in range(views)]
+    moved = [WrongViews(_fewer(np.arange(views) >= first), slipped=True) for first in range(2, views - 1)]
     chi2 = [_chi2(_with(numbers, each), weights, solution.prior) for each in (*alone, *moved)]
     before = _chi2(numbers, weights, solution.prior)
     count, degrees_of_freedom = len(chi2), 6 * views - 18
@@ -135,7 +136,7 @@ def _fewer(later: Bool[Array, "view"]) -> tuple[int, ...]:
     return tuple(np.flatnonzero(later if 2 * later.sum() <= len(later) else ~later).tolist())
 
 
-def _with(numbers: ViewNumbers, explanation: Explanation) -> ViewNumbers:
+def _with(numbers: ViewNumbers, explanation: WrongViews) -> ViewNumbers:
     """The model with a board of its own for the views of an explanation; one view then determines nothing else."""
     chosen = np.isin(np.arange(len(numbers.z)), explanation.views)[:, None, None]
     moved = np.where(chosen, numbers.wrt_common[:, :, 6:12], 0.0)
@@ -179,7 +180,9 @@ def board_scale(solution: MountSolution) -> tuple[float, float]:
     design = np.concatenate([numbers.wrt_common, column], axis=2)
     weighted = design.swapaxes(1, 2) @ weights
     information = (weighted @ design).sum(axis=0)
-    information[:-1, :-1] += solution.prior
+    information[:-1, :-1] += solution.prior + numbers.camera_information.sum(axis=0)
+    gradient = (weighted @ numbers.z[..., None]).sum(axis=0)[:, 0]
+    gradient[:-1] += numbers.camera_gradient.sum(axis=0) - solution.pull
     covariance = covariance_of_free(information)
-    share = float((covariance @ (weighted @ numbers.z[..., None]).sum(axis=0)[:, 0])[-1])
+    share = float((covariance @ gradient)[-1])
     return -share, float(np.sqrt(covariance[-1, -1]))

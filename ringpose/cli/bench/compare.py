@@ -61,7 +61,7 @@ def compare(
     _require_pairs(result_a, result_b, paired, allow_other_rig)
     names = group_names(result_a.scores, by)
     rows = rows_of(paired, names, tolerance)
-    matched = _matched(result_a, result_b, paired)
+    matched = _matched(result_a, result_b)
     words = f"{matched['both']} of {matched['shots']} shots matched"
     if json != STDOUT:
         records.write_text(comparison_text(rows, paired, names, tolerance, words))
@@ -155,7 +155,7 @@ def _require_pairs(
         raise DataError(b.name, found, "use one rig.yaml, or --allow-other-rig to compare rigs")
 
 
-def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:
+def _matched(a: _Result, b: _Result) -> dict[str, Any]:
     """The number of shots of the truth, and the shots for which both results, only A, or only B have a record."""
     lines_a, lines_b = ({score.shot for score in result.scores if score.status != "lost"} for result in (a, b))
     shots = dict.fromkeys(score.shot for score in (*a.scores, *b.scores))

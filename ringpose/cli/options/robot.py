@@ -8,7 +8,7 @@ from ringpose.cli import messages
 
 if TYPE_CHECKING:
     from ringpose.geometry.robot_conventions import PoseConvention
-    from ringpose.types.robot import ToolPoses
+    from ringpose.types.robot import ReportedPoses
 
 RobotConvention = Annotated[
     str | None,
@@ -24,7 +24,9 @@ RobotColumns = Annotated[
 ]
 
 
-def tool_poses(source: str, convention: str | None, columns: str | None) -> "tuple[ToolPoses, PoseConvention | None]":
+def tool_poses(
+    source: str, convention: str | None, columns: str | None
+) -> "tuple[ReportedPoses, PoseConvention | None]":
     """The poses that the options give, and the convention; repeats are reported."""
     from ringpose.files.robot_tables import convention_of, read_tool_poses
 

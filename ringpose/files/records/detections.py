@@ -90,10 +90,10 @@ def detection_in(archive: Archive) -> Detection:
         if key == REJECTED:
             value = _parsed_rejections(archive, value)
         part, _, name = key.partition(".")
-        if name:
-            record.setdefault(part, {})[name] = value
-        else:
-            record[key] = value
+        values = record.setdefault(part, {}) if name else record
+        if not isinstance(values, dict) or (not name and key in record):
+            raise archive.problem(key, "is given beside its parts", "give the output of ringpose detect")
+        values[name or key] = value
     return detection_of(record, str(archive.path))
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ringpose.calibrate.mount.adjustment import Station
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.pipeline import calibrate_mount
-from ringpose.calibrate.mount.quality import compared_mount, mount_verdict
+from ringpose.calibrate.mount.quality import compared_mount, comparison_verdict, mount_verdict
 from ringpose.errors import DataError
 from ringpose.geometry.board import corner_points
 from ringpose.geometry.robot_conventions import convention_named
@@ -202,7 +202,34 @@ def test_a_given_mount_is_judged(rng):
         )
 
     assert compared(mount).sigmas < 3.0
+    assert comparison_verdict(compared(mount)).grade is Grade.GOOD
     assert compared(turned).sigmas > 8.0
+
+
+def test_a_given_mount_that_is_too_uncertain_is_not_good(rng):
+    mount, stations = world(rng, 10)
+    calibration = calibrate_mount(stations, TRUE_CAMERA)
+    wrong = Transform(mount.rotation, mount.translation_m + np.array([0.1, 0.0, 0.0]))
+
+    given = replace(calibration.mount, tool_from_camera=wrong.matrix, root=0.1 * np.eye(6))
+    verdict = comparison_verdict(compared_mount(calibration, given))
+
+    assert verdict.grade is Grade.REDO
+    assert "too uncertain" in " ".join(verdict.advice)
+
+
+@pytest.mark.parametrize("order", [(5, 2, 7, 0, 3, 6, 1, 4), (1, 0, 2, 3, 4, 5, 6, 7)])
+def test_poses_in_another_order_than_the_images_give_no_mount_unnamed(order, rng):
+    _, stations = world(rng, 8)
+    shuffled = [
+        replace(one, base_from_tool=stations[index].base_from_tool) for one, index in zip(stations, order, strict=True)
+    ]
+
+    try:
+        calibration = calibrate_mount(shuffled, TRUE_CAMERA)
+    except DataError:
+        return
+    assert set(calibration.rejected) == {stations[0].name, stations[1].name}
 
 
 @pytest.mark.slow

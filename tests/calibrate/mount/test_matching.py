@@ -1,0 +1,36 @@
+"""Which pose of the robot belongs to which view."""
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.mount.matching import matched_poses
+from ringpose.errors import DataError
+from ringpose.types.robot import ReportedPose
+
+
+def pose(stamp_s, x_m=0.0, name=""):
+    return ReportedPose("poses.csv:1", name, stamp_s, np.array([x_m, 0.0, 0.0]), np.eye(3))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_the_pose_nearest_in_time_is_taken_whatever_the_order(order):
+    poses = [pose(1000.0, 0.1), pose(1005.0, 0.2), pose(1010.0, 0.3)]
+
+    matched = matched_poses(["a", "b"], [1005.1, 1009.8], [poses[index] for index in order], "poses.csv")
+
+    assert [found.position_m[0] for found in matched] == [0.2, 0.3]
+
+
+def test_a_robot_that_moves_has_no_pose_for_the_view():
+    (found,) = matched_poses(["a"], [1000.5], [pose(1001.0, 0.2), pose(1000.0, 0.1)], "poses.csv")
+
+    assert isinstance(found, DataError)
+    assert "moved while it was taken, by 100 mm" in str(found)
+
+
+def test_images_and_poses_are_paired_by_the_numbers_in_their_names():
+    matched = matched_poses(
+        ["img2", "img10"], [0.0, 0.0], [pose(None, 0.3, "pose_010"), pose(None, 0.1, "pose_002")], "p"
+    )
+
+    assert [found.position_m[0] for found in matched] == [0.1, 0.3]
