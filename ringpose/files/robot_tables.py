@@ -97,6 +97,8 @@ def _rows(path: Path) -> Iterator[_Row]:
     """The lines of a table; brackets, and what robots write around the numbers, are left out."""
     for number, line in enumerate(file_lines(path), start=1):
         text = line.decode(errors="replace").strip().lstrip("\ufeff")
+        if not text.replace("\t", " ").isprintable() or "\ufffd" in text:
+            raise DataError(f"{path}:{number}", "is not text", "give a table with one pose a line (ringpose-robot(7))")
         if not text or text[0] in "#%":
             continue
         name = ""

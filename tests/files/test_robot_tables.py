@@ -121,6 +121,15 @@ def test_implausible_values_are_refused_with_the_likely_cause(row, convention, c
         read(tmp_path, f"{row}\n" * 3, convention, name="poses.txt")
 
 
+@pytest.mark.parametrize("content", [b"1,2,3\x1b[2J,4,5,6\n", bytes(range(128, 256)) * 4])
+def test_a_file_that_is_not_text_is_named_without_its_content(content, tmp_path):
+    (tmp_path / "poses.csv").write_bytes(content)
+
+    with pytest.raises(DataError, match=r"poses\.csv:1: is not text; give a table") as error:
+        read_tool_poses(str(tmp_path / "poses.csv"), convention_named("kuka"))
+    assert str(error.value).isprintable()
+
+
 def test_a_table_without_a_convention_is_refused(tmp_path):
     with pytest.raises(UsageError, match="does not state units"):
         read(tmp_path, "1,2,3,0,0,0,1\n")
