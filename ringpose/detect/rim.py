@@ -438,8 +438,10 @@ def displaced_lasers(
     Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
     are those that an unlabelled segment may belong to.
     """
-    if len(face.lasers) != CONFIRMED - 1 or not len(others := _others(face.segments, segments)):
+    if len(face.lasers) != CONFIRMED - 1:
         return ()
+    if not len(others := _others(face.segments, segments)):
+        return face.displaced
     plane = _plane_of(face.segments, face.lasers, rig)
     shortest_m, longest_m = min(plane.lengths_m), max(plane.lengths_m)
     found = list(face.displaced)

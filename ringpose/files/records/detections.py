@@ -119,10 +119,13 @@ def checked_detection(detection: Detection, rig: Rig, location: str) -> Detectio
 def _check_positions(detection: Detection, camera: Camera, location: str) -> None:
     """Reject points farther outside the image than lens distortion can explain (`MAX_OFFSET`)."""
     width, height = camera.image_width, camera.image_height
-    for part, found in (("break_points", detection.break_points), ("ring_edges", detection.ring_edges)):
-        for name, max_offset in MAX_OFFSET.items():
-            position_px = getattr(found, name, None)
-            if position_px is not None and outside_image(position_px, max_offset, width, height).any():
+    for part, points, names in (
+        ("break_points", detection.measured, tuple(MAX_OFFSET)),
+        ("repeated", detection.repeated, tuple(MAX_OFFSET)),
+        ("ring_edges", detection.ring_edges, ("position_px",)),
+    ):
+        for name in () if points is None else names:
+            if outside_image(getattr(points, name), MAX_OFFSET[name], width, height).any():
                 where = f"lies beyond the image of {width} x {height} pixels that the rig's camera has"
                 key = name.replace("_undistorted", "")  # as in records
                 raise DataError(f"{location}: {part}.{key}", where, OTHER_RIG)
