@@ -1,5 +1,6 @@
 import json
 import time
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -112,10 +113,12 @@ def test_detections_are_measured_with_their_own_rig_only(run, pose, rig, picture
     assert "is of another rig" in message
 
 
+@pytest.mark.parametrize("part", ["break_points", "repeated"])
 @pytest.mark.parametrize(("key", "limit_px"), [("position_px", 1281.0), ("face_start_px", 7041.0)])
-def test_detection_beside_the_rigs_image_is_refused(pose, detections, tmp_path, key, limit_px):
+def test_detection_beside_the_rigs_image_is_refused(pose, detections, tmp_path, part, key, limit_px):
     records = [json.loads(line) for line in detections.read_text().splitlines()]
-    place = records[0]["break_points"][key][1]
+    records[0]["repeated"] = deepcopy(records[0]["break_points"])
+    place = records[0][part][key][1]
     (place[0] if key == "position_px" else place)[0] = limit_px
     changed = tmp_path / "changed.jsonl"
     changed.write_text("".join(json.dumps(record) + "\n" for record in records))
@@ -123,7 +126,7 @@ def test_detection_beside_the_rigs_image_is_refused(pose, detections, tmp_path, 
     status, out, (message,) = pose(inputs=[changed])
 
     assert (status, len(out)) == (65, len(records) - 1)
-    assert f"{changed}:1: break_points.{key}: lies beyond the image of 640 x 480 pixels" in message
+    assert f"{changed}:1: {part}.{key}: lies beyond the image of 640 x 480 pixels" in message
 
 
 def test_what_is_not_a_name_ends_no_stream(pose, detections, tmp_path, monkeypatch):
