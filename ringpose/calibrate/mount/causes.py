@@ -6,7 +6,7 @@ from typing import Any, cast
 import numpy as np
 
 from ringpose.calibrate.mount.adjustment import Station, moving_from_fixed
-from ringpose.calibrate.mount.closed_form import Transform, Turns, closed_form_mount, turns_between
+from ringpose.calibrate.mount.closed_form import Transform, Turns, best_rotation, closed_form_mount, turns_between
 from ringpose.geometry.robot_conventions import ANGLE_ORDERS, PoseConvention
 from ringpose.types.arrays import Array, Float64
 
@@ -21,14 +21,8 @@ _MAX_VIEWS = 12
 
 def rotation_error_rad(turns: Turns) -> float:
     """Median difference between the rotation vectors of robot and camera, after the best rotation between them."""
-    weight = np.ones(len(turns.robot_rad))
-    error = weight
-    for _ in range(5):
-        left, _, right = np.linalg.svd((turns.robot_rad * weight[:, None]).T @ turns.camera_rad)
-        rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-        error = np.linalg.norm(turns.robot_rad - turns.camera_rad @ rotation.T, axis=1)
-        weight = 1.0 / np.maximum(error, max(float(np.median(error)), 1e-9))
-    return float(np.median(error))
+    rotation = best_rotation(turns)
+    return float(np.median(np.linalg.norm(turns.robot_rad - turns.camera_rad @ rotation.T, axis=1)))
 
 
 def likely_cause(

@@ -79,7 +79,7 @@ def closed_form_mount(
 
     The scale is 1 if robot and board are in the same unit; X and Y are computed with the scale 1.
     """
-    rotation = _rotation(turns)
+    rotation = best_rotation(turns)
     rows, right, positions = [], [], []
     for i, j in combinations(range(len(robot)), 2):
         relative = robot[j].after(robot[i].inverse())
@@ -96,7 +96,7 @@ def closed_form_mount(
     return mount, _mean([g.inverse().after(mount).after(t) for g, t in zip(robot, board, strict=True)]), scale
 
 
-def _rotation(turns: Turns) -> Float64[Array, "3 3"]:
+def best_rotation(turns: Turns) -> Float64[Array, "3 3"]:
     """The rotation that maps the camera's rotation vectors onto the robot's, insensitive to a few wrong ones.
 
     Two vectors that are parallel leave the turn about them open; the third axis follows from their cross product.

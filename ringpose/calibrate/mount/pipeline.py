@@ -121,21 +121,18 @@ def calibrate_mount(
         wrong = wrong_views(solution)
         if wrong is None:
             break
-        if wrong.slipped and not board_moved:
-            rest = [index for index in range(len(chosen)) if index not in wrong.views]
-            others = _solved(
-                [chosen[index] for index in rest], [own[index] for index in rest], camera, eye_to_hand, refine_camera
-            )
+        slipped = wrong.slipped and not board_moved
+        if not slipped and len(rejected) + 1 > MAX_WRONG_SHARE * len(stations):
+            break
+        rest = [index for index in range(len(chosen)) if index not in wrong.views]
+        others = _solved(
+            [chosen[index] for index in rest], [own[index] for index in rest], camera, eye_to_hand, refine_camera
+        )
+        if slipped:
             board_moved = _slip(wrong.views, chosen, own, others, eye_to_hand)
             reasons = [board_moved] * len(wrong.views)
-        elif len(rejected) + 1 <= MAX_WRONG_SHARE * len(stations):
-            rest = [index for index in range(len(chosen)) if index not in wrong.views]
-            others = _solved(
-                [chosen[index] for index in rest], [own[index] for index in rest], camera, eye_to_hand, refine_camera
-            )
-            reasons = [_wrong_pose(chosen[index], own[index], others, eye_to_hand) for index in wrong.views]
         else:
-            break
+            reasons = [_wrong_pose(chosen[index], own[index], others, eye_to_hand) for index in wrong.views]
         rejected |= {chosen[index].name: reason for index, reason in zip(wrong.views, reasons, strict=True)}
         used = [index for position, index in enumerate(used) if position not in wrong.views]
         _check_turns(_turns(stations, boards, used, eye_to_hand), len(used), eye_to_hand)
