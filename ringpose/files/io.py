@@ -114,25 +114,25 @@ def write_page(path: Path, html: str, *, force: bool = False) -> None:
 @lru_cache
 def software() -> str:
     """Program and version, as records have them: `ringpose 0.2.0`."""
-    return f"ringpose {_version()}"
+    return f"ringpose {version()}"
 
 
 @lru_cache
-def _version() -> str:
+def version() -> str:
     """The version, by the name of the folder that installers write; importlib.metadata takes 20 ms to import."""
     for folder in sys.path:
         installed = next(Path(folder).glob("ringpose-*.dist-info"), None)
         if installed is not None:
             return installed.name.removeprefix("ringpose-").removesuffix(".dist-info")
-    from importlib.metadata import version
+    from importlib import metadata
 
-    return version("ringpose")
+    return metadata.version("ringpose")
 
 
 def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
     """The `provenance` entry of an output file: version, command line, time, and hashes of the inputs."""
     return {
-        "version": _version(),
+        "version": version(),
         "command": shlex.join(["ringpose", *sys.argv[1:]]),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "inputs": {str(path): sha256(path) for path in inputs},

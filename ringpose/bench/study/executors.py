@@ -18,7 +18,7 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from ringpose.errors import DataError, DeviceError
-from ringpose.files.io import read_bytes
+from ringpose.files.io import read_bytes, version
 from ringpose.files.records import parsed_record
 from ringpose.processes import Pool
 from ringpose.types.study import Row
@@ -63,7 +63,6 @@ class Done(NamedTuple):
 def software() -> dict[str, str]:
     """Versions on which results depend, and the hash of the installed code."""
     import platform
-    from importlib.metadata import version
 
     import cv2
     import numpy as np
@@ -71,7 +70,7 @@ def software() -> dict[str, str]:
     from ringpose import __file__ as package
 
     return {
-        "version": version("ringpose"),
+        "version": version(),
         "code_sha256": _code_sha256(Path(str(package)).parent),
         "python": platform.python_version(),
         "numpy": np.__version__,
