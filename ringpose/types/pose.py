@@ -307,7 +307,7 @@ class RadiusPrior:
     outer_m: Annotated[float, Key("Radius of the outer edge; null if none is assumed.", null=nan)]
     inner_sd_m: Annotated[float, Key("Standard deviation of `inner_m`.", null=nan, added=True)]
     outer_sd_m: Annotated[float, Key("Standard deviation of `outer_m`.", null=nan, added=True)]
-    source: Annotated[str, Key("`given`, or the name of the catalogue's ring.")]
+    source: Annotated[str, Key("`given`, or the name of the catalogue's ring; `or` joins the names of several.")]
 
     @classmethod
     def from_record(cls, sd_m: float, **keys: Any) -> "RadiusPrior":

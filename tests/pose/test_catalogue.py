@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene
 
+from ringpose.files.rings import read_rings
 from ringpose.measure.stream import estimate_pose
-from ringpose.pose.catalogue import LIKELY_ENOUGH, NONE_OF_THESE, ring_posterior
+from ringpose.pose.catalogue import LIKELY_ENOUGH, NONE_OF_THESE, likely_ring, ring_posterior
+from ringpose.types.plausible import FACE_WIDTH_M, RING_RADIUS_M
 from ringpose.types.pose import Ring
 
 SIZES = {"R468": (0.4285, 0.4685), "R597": (0.567, 0.597), "R833": (0.798, 0.833), "R1312": (1.272, 1.312)}
@@ -77,7 +79,7 @@ def test_a_wider_interval_promises_less():
 def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(rng, rig, distance_m):
     named, told, right = 0, 0.0, 0
     for _ in range(60):
-        which = rng.integers(len(RINGS) + 1)
+        which = len(RINGS) if rng.random() < 0.5 else rng.integers(len(RINGS))
         if which < len(RINGS):
             radii = rng.uniform(*RINGS[which].radius_inner_m), rng.uniform(*RINGS[which].radius_outer_m)
         else:
@@ -99,3 +101,52 @@ def test_a_band_as_wide_as_none_is_a_little_less_likely_at_the_limit_than_inside
     shares = [ring_posterior(2 / 1.164, band, np.diag([1e-4, 1e-6]), RINGS)[NONE_OF_THESE] for band in (0.1999, 0.2001)]
 
     assert shares[0] == pytest.approx(shares[1], rel=0.01)
+
+
+def test_a_catalogue_of_many_flanges_is_as_often_right_as_it_promises(rng):
+    """Half of the rings are of the catalogue, the others of any size; exact and poor measurements."""
+    rings = read_rings()
+    names = [*(ring.name for ring in rings), NONE_OF_THESE]
+    promised, happened = [], []
+    for _ in range(1500):
+        which = len(rings) if rng.random() < 0.5 else rng.integers(len(rings))
+        if which < len(rings):
+            inner_m, outer_m = rng.uniform(*rings[which].radius_inner_m), rng.uniform(*rings[which].radius_outer_m)
+        else:
+            middle_m = np.exp(rng.uniform(*np.log([RING_RADIUS_M.lowest, RING_RADIUS_M.highest])))
+            band_m = np.exp(rng.uniform(*np.log([FACE_WIDTH_M.lowest, FACE_WIDTH_M.highest])))
+            inner_m, outer_m = middle_m - 0.5 * band_m, middle_m + 0.5 * band_m
+        curvature, band_m = 2.0 / (inner_m + outer_m), outer_m - inner_m
+        sd = np.array(
+            [curvature * np.exp(rng.uniform(*np.log([1e-4, 0.1]))), np.exp(rng.uniform(*np.log([2e-5, 2e-3])))]
+        )
+        posterior = ring_posterior(*rng.normal([curvature, band_m], sd), np.diag(sd**2), rings)
+        promised.append([posterior[name] for name in names])
+        happened.append(np.arange(len(names)) == which)
+    promised, happened = np.array(promised), np.array(happened)
+
+    sure = promised > LIKELY_ENOUGH
+    expected_wrong = (1.0 - promised[sure]).sum()
+    assert sure.sum() > 700
+    assert (sure & ~happened).sum() <= expected_wrong + 3.0 * np.sqrt(expected_wrong)
+    for start, end in ((0.02, 0.2), (0.2, 0.5), (0.5, 0.95)):
+        likely = (promised > start) & (promised < end)
+        assert abs((promised - happened)[likely].sum()) < 3.5 * np.sqrt((promised * (1.0 - promised))[likely].sum())
+
+
+def test_rings_of_nearly_equal_size_are_not_told_apart_and_give_one_radius():
+    """Facings of 535, 533.4 and 532 mm, bores between 381 and 463 mm."""
+    rings = read_rings()
+    posterior = ring_posterior(2 / 0.490, 0.042, np.diag([0.02**2, 0.001**2]), rings)
+
+    found = likely_ring(posterior, rings)
+
+    assert max(posterior.values()) < LIKELY_ENOUGH
+    assert set(found.name.split(" or ")) == {"en1092-dn450-pn10", "asme-nps18"}
+    np.testing.assert_allclose(found.radius_outer_m, [0.265, 0.2675])
+
+
+def test_with_no_ring_that_is_likely_enough_no_radius_is_assumed():
+    posterior = ring_posterior(2 / 0.490, 0.042, np.diag([2.0**2, 0.01**2]), RINGS)
+
+    assert likely_ring(posterior, RINGS) is None
