@@ -78,13 +78,14 @@ def keys(cls: type) -> Iterator[str]:
         if record.cls is cls and record.version:
             yield from (f".It Va {record.head}", f".Li {record.version}")
     for each in attributes:
-        value, parts = each.slot.value, each.slot.value.parts
+        value = each.slot.value
         yield f".It Va {each.name}{_axes(value.axes) if isinstance(value, Numbers) else ''}"
         yield from mdoc(each.key.description)
         if isinstance(value, Choice) and not all(f"`{word}`" in each.key.description for word in value.words):
             yield f".Cm {' , '.join(value.words)} ."
-        if parts is not None and parts.cls not in (*PARTS, CameraInfo):
-            yield from keys(parts.cls)
+        for part in value.parts:
+            if part.cls not in (*PARTS, CameraInfo):
+                yield from keys(part.cls)
     yield ".El"
 
 
@@ -101,8 +102,8 @@ def _axes(axes: Sequence[str]) -> str:
 def _names(cls: type) -> Iterator[str]:
     for each in definition_of(cls).attributes:
         yield each.name
-        if (parts := each.slot.value.parts) is not None:
-            yield from _names(parts.cls)
+        for part in each.slot.value.parts:
+            yield from _names(part.cls)
 
 
 KEYS = {name for record in RECORDS.values() for name in _names(record.cls)}

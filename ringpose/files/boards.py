@@ -22,8 +22,6 @@ RECORD = RecordType(
     strict=True,
 )
 
-_KEYS = ("ringpose", *definition_of(Board).names)
-
 REQUIRED = {
     "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),
     "chessboard": ("squares_x", "squares_y", "square_m"),
@@ -39,7 +37,7 @@ MIN_COUNT = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, 
 
 def read_board(path: Path) -> Board:
     """The board in a board file, including the markers of its dictionary file, if it names one."""
-    board = board_of(read_yaml(path, _KEYS))
+    board = board_of(read_yaml(path, RECORD.keys))
     if board.dictionary is None:
         return board
     file = path.parent / board.dictionary

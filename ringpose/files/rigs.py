@@ -122,8 +122,6 @@ RECORD = RecordType(
     strict=True,
 )
 
-_KEYS = ("ringpose", *definition_of(RigFile).names)
-
 
 def read_rig(path: Path, *, for_rings: bool = True) -> Rig:
     """The rig in a rig.yaml, with exactly normalised normals.
@@ -136,7 +134,7 @@ def read_rig(path: Path, *, for_rings: bool = True) -> Rig:
 
 def rig_in(text: bytes, location: str, *, for_rings: bool = True) -> Rig:
     """The rig in the text of a rig.yaml, checked as by `read_rig`; `location` is used in messages."""
-    fields = Fields(location, parsed(text, location), _KEYS)
+    fields = Fields(location, parsed(text, location), RECORD.keys)
     rig = rig_of(fields, hashlib.sha256(text).hexdigest())
     for entry, finding in zip(fields.each("lasers"), steep_stripes(rig.lasers), strict=True):
         if finding and for_rings:
@@ -175,7 +173,7 @@ def steep_stripes(lasers: LaserPlanes) -> list[str]:
 
 def read_mount(path: Path) -> Mount:
     """The key `mount` of a rig.yaml, or of a file with this key alone."""
-    fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
+    fields = Fields(str(path), parsed(read_bytes(path), str(path)), RECORD.keys)
     if not fields.has("mount"):
         remedy = "run calibrate-mount, or give its tool_from_camera (ringpose-conventions(7))"
         raise fields.problem("mount", "is missing", remedy)
@@ -185,7 +183,7 @@ def read_mount(path: Path) -> Mount:
 
 def calibration_quality(path: Path) -> Mapping[str, Any]:
     """The key `quality` of a rig file: how its calibration was assessed; empty if it has none."""
-    fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
+    fields = Fields(str(path), parsed(read_bytes(path), str(path)), RECORD.keys)
     return fields.fields("quality").values if fields.has("quality") else {}
 
 
@@ -220,7 +218,7 @@ def write_rig(
     """
     values = rig_values(rig)
     with without_hints():
-        rig_of(Fields(str(path), plain(values), _KEYS))
+        rig_of(Fields(str(path), plain(values), RECORD.keys))
     head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | values | dict(extra))

@@ -76,13 +76,17 @@ class Fields:
     def raw(self, key: str) -> Any:
         """The value as it was read; a missing key or null is rejected."""
         if key not in self.values:
-            unknown = [other for other in self.values if isinstance(other, str) and other not in self.known]
-            similar = difflib.get_close_matches(key, unknown, n=1)
-            remedy = f"did you mean {key!r} instead of {similar[0]!r}?" if similar else ""
-            raise self.problem("", f"has no key {key!r}", remedy)
+            raise self.missing(key)
         if self.values[key] is None:
             raise self.problem(key, "is null, must have a value")
         return self.values[key]
+
+    def missing(self, key: str) -> DataError:
+        """The error to raise for a key that is missing; a similar one that is there may be its misspelling."""
+        unknown = [other for other in self.values if isinstance(other, str) and other not in self.known]
+        similar = difflib.get_close_matches(key, unknown, n=1)
+        remedy = f"did you mean {key!r} instead of {similar[0]!r}?" if similar else ""
+        return self.problem("", f"has no key {key!r}", remedy)
 
     def text(self, key: str) -> str:
         """A string that is not empty."""
@@ -106,10 +110,12 @@ class Fields:
         return value
 
     def scalar(self, key: str) -> str | float | int | bool:
-        """A text, a number, true or false."""
+        """A text, a finite number, true or false."""
         value = self.values[key]
         if not isinstance(value, str | float | int):
             raise self.problem(key, f"is {kind(value)}, must be a text, a number, true or false")
+        if not isinstance(value, str):
+            self._check_range(key, value, (-math.inf, math.inf))
         return value
 
     def integer(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> int:
@@ -225,11 +231,15 @@ class Fields:
 
     def each(self, key: str, known: Iterable[str] | None = None) -> Iterator["Fields"]:
         """The mappings in the list at a key."""
+        for name, item in self.listed(key).values.items():
+            yield Fields(self.file, item, known, self._below(name))
+
+    def listed(self, key: str) -> "Fields":
+        """The items of the list at a key, named `key[0]` and so on."""
         items = self.raw(key)
         if not isinstance(items, list):
             raise self.problem(key, f"is {kind(items)}, must be a list")
-        for number, item in enumerate(items):
-            yield Fields(self.file, item, known, self._below(f"{key}[{number}]"))
+        return Fields(self.file, {f"{key}[{number}]": item for number, item in enumerate(items)}, path=self.path)
 
     def texts(self, key: str) -> tuple[str, ...]:
         """A list of strings."""

@@ -8,6 +8,7 @@ from ringpose.files.cameras import ros
 from ringpose.files.images import sessions
 from ringpose.files.records import detections, poses, robot_poses, tracks, truths
 from ringpose.files.records.codec import RecordType
+from ringpose.files.scenes import scene
 
 RECORDS: Mapping[str, RecordType[Any]] = {
     "pose": poses.RECORD,
@@ -19,4 +20,5 @@ RECORDS: Mapping[str, RecordType[Any]] = {
     "rig": rigs.RECORD,
     "camera": ros.RECORD,
     "board": boards.RECORD,
+    "scene": scene.RECORD,
 }

@@ -203,7 +203,8 @@ def _random_board_pose(
     scene: Scene, boards: BoardSet, approach: BoardApproach, number: int, generator: np.random.Generator
 ) -> NamedBoardPose:
     """A random pose with the board's centre at a depth within the limits; with lasers on, near their stripes."""
-    depth_m = float(generator.uniform(*approach.distances_m))
+    nearest_m, farthest_m = approach.distances_m
+    depth_m = float(generator.uniform(nearest_m, farthest_m))
     middle = depth_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
     if any(boards.sequence):
         planes, across = scene.rig.lasers, scene.rig.lasers.normal[:, :2]

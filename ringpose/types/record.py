@@ -21,6 +21,8 @@ class Form(Enum):
 
     UNIT_VECTOR = auto()
     QUATERNION = auto()
+    DIRECTION = auto()
+    """A vector that is not of length 0."""
     DIRECTIONS = auto()
     """Vectors in the plane, none of them of length 0."""
     ORTHONORMAL = auto()
@@ -38,6 +40,8 @@ class Form(Enum):
     """A vector whose length, not its elements, is in the plausible range."""
     DISTINCT = auto()
     """Names, of which none is empty and none occurs twice."""
+    FILE_NAME = auto()
+    """A name that is a valid file name."""
 
 
 class Presence(Enum):
@@ -80,6 +84,8 @@ class Key:
     most: float | int = inf
     plausible: Range | None = None
     """Range of the quantity."""
+    positive: bool = False
+    """Whether a number, or each of an array, must be greater than 0."""
     pattern: str = ""
     """Regular expression of a text in the schema; readers accept any text."""
     blank: bool = False
@@ -92,9 +98,11 @@ class Key:
     remedy: str = ""
     """What to do where a vector does not have its length."""
     words: Mapping[Any, str] = field(default_factory=dict)
-    """Words that stand for some values."""
+    """Words that stand for some values, or for all of a class without keys."""
     constant: tuple[str, ...] | None = None
     """The only value that a property has."""
+    tag: str = ""
+    """Of several data classes: the key whose word, or presence, shows which one a mapping is."""
     grows: bool = False
     """Later versions may add words: an entry with an unknown one is ignored."""
 

@@ -21,30 +21,64 @@ from ringpose.types.target import Body, FreeMotion, Part, RingShape, TargetPath,
 TargetKind = Literal["ring", "body", "none"]
 """The body with its ring, the body without it, or stars only."""
 
+_MIN_DIVISOR = 1e-6
+"""Minimum of numbers by which others are divided."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserLight:
     """The line lasers: a Gaussian sheet of light of uniform intensity over the fan angle."""
 
-    power_w: float = 0.02
-    sigma_m: float = 0.0002
-    """Half thickness of the sheet (one sigma) at the projector."""
-    divergence_rad: float = 0.0007
-    """Growth of that half thickness with distance, added in quadrature."""
-    fan_rad: float = 1.4
-    """Full angle of the fan, around the direction in the plane nearest to the optical axis."""
+    power_w: Annotated[
+        float, Key("Power of each laser.", plausible=plausible.LASER_POWER_W, presence=Presence.IF_KNOWN)
+    ] = 0.02
+    sigma_m: Annotated[
+        float,
+        Key(
+            "Half thickness of the sheet (one sigma) at the projector.",
+            plausible=plausible.SHEET_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0002
+    divergence_rad: Annotated[
+        float,
+        Key(
+            "Growth of that half thickness with distance, added in quadrature.",
+            plausible=plausible.DIVERGENCE_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0007
+    fan_rad: Annotated[
+        float,
+        Key(
+            "Full angle of the fan, around the direction in the plane nearest to the optical axis.",
+            plausible=plausible.FAN_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 1.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beacon:
     """A flashing lamp."""
 
-    ambient_w_m2: float
-    """Irradiance while it is on, distributed like the ambient light."""
-    on_s: float
-    off_s: float
-    phase_s: float = 0.0
-    """A time at which it is switched on, on the clock of the frames' time stamps."""
+    ambient_w_m2: Annotated[
+        float,
+        Key(
+            "Irradiance while it is on, distributed like the ambient light.",
+            plausible=plausible.IRRADIANCE_W_M2,
+        ),
+    ]
+    on_s: Annotated[float, Key("Time for which it is on.", least=_MIN_DIVISOR)]
+    off_s: Annotated[float, Key("Time for which it is off.", least=_MIN_DIVISOR)]
+    phase_s: Annotated[
+        float,
+        Key(
+            "A time at which it is switched on, on the clock of the frames' stamps.",
+            least=0,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0
 
     def share_on(self, begin_s: float, duration_s: float) -> float:
         """Share of an interval during which the lamp is on."""
@@ -67,10 +101,19 @@ GEO_RADIUS_M = 4.2164e7
 class Earth:
     """The Earth, lit by the sun, as a sphere of uniform albedo."""
 
-    direction: Float64[Array, "xyz=3"]
-    """Direction towards the Earth's centre, camera frame."""
-    orbit_radius_m: float = GEO_RADIUS_M
-    albedo: float = 0.3
+    direction: Annotated[
+        Float64[Array, "xyz=3"],
+        Key("Direction towards the Earth's centre, camera frame.", form=Form.DIRECTION),
+    ]
+    orbit_radius_m: Annotated[
+        float,
+        Key(
+            "Distance from the Earth's centre; that of the geostationary orbit without it.",
+            least=1.02 * EARTH_RADIUS_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = GEO_RADIUS_M
+    albedo: Annotated[float, Key("Albedo of the Earth.", least=0, most=1, presence=Presence.IF_KNOWN)] = 0.3
 
     @property
     def angular_radius_rad(self) -> float:
@@ -102,35 +145,72 @@ class Light:
 class Optics:
     """Optical parameters of the lens; its distortion is part of the rig."""
 
-    f_number: float = 8.0
-    transmission: float = 0.9
-    blur_px: float = 0.7
-    """Sigma of the point spread function."""
+    f_number: Annotated[
+        float,
+        Key(
+            "Focal length by the diameter of the pupil.",
+            plausible=plausible.F_NUMBER,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 8.0
+    transmission: Annotated[
+        float,
+        Key("Share of the light that passes.", least=0, most=1, presence=Presence.IF_KNOWN),
+    ] = 0.9
+    blur_px: Annotated[
+        float,
+        Key("Sigma of the point spread function.", plausible=plausible.BLUR_PX, presence=Presence.IF_KNOWN),
+    ] = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
     """EMVA 1288's linear camera model."""
 
-    bits: Literal[8, 12] = 8
-    """12 bits are stored in the lower part of 16."""
-    pixel_m: float = 4.5e-6
-    quantum_efficiency: float = 0.5
-    wavelength_m: float = 650e-9
-    saturation_capacity_e: float = 12000.0
-    temporal_dark_noise_e: float = 8.0
-    overall_system_gain_dn_per_e: float = 0.0211
-    black_level_dn: float = 2.0
-    photo_response_non_uniformity: float = 0.005
+    bits: Annotated[
+        Literal[8, 12],
+        Key("Bits of a pixel; 12 are stored in the lower part of 16.", presence=Presence.IF_KNOWN),
+    ] = 8
+    pixel_m: Annotated[float, Key("Pitch of the pixels.", plausible=plausible.PIXEL_M, presence=Presence.IF_KNOWN)] = (
+        4.5e-6
+    )
+    quantum_efficiency: Annotated[
+        float,
+        Key("Electrons by photons.", least=_MIN_DIVISOR, most=1, presence=Presence.IF_KNOWN),
+    ] = 0.5
+    wavelength_m: Annotated[
+        float, Key("Wavelength of the light.", plausible=plausible.WAVELENGTH_M, presence=Presence.IF_KNOWN)
+    ] = 650e-9
+    saturation_capacity_e: Annotated[
+        float,
+        Key("Electrons of a saturated pixel.", least=_MIN_DIVISOR, presence=Presence.IF_KNOWN),
+    ] = 12000.0
+    temporal_dark_noise_e: Annotated[
+        float,
+        Key("Standard deviation of a dark pixel, in electrons.", least=0, presence=Presence.IF_KNOWN),
+    ] = 8.0
+    overall_system_gain_dn_per_e: Annotated[
+        float,
+        Key("Grey values by electrons.", least=_MIN_DIVISOR, presence=Presence.IF_KNOWN),
+    ] = 0.0211
+    black_level_dn: Annotated[float, Key("Grey value of a dark pixel.", least=0, presence=Presence.IF_KNOWN)] = 2.0
+    photo_response_non_uniformity: Annotated[
+        float,
+        Key("Standard deviation of the pixels' sensitivities, as a share.", least=0, presence=Presence.IF_KNOWN),
+    ] = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speckle:
     """Speckle of laser light on a rough surface, before the blur by the lens."""
 
-    contrast: float = 0.3
-    grain_px: float = 1.0
-    """Correlation length; up to 1, pixels are independent."""
+    contrast: Annotated[
+        float, Key("Standard deviation by mean of the irradiance.", least=0, presence=Presence.IF_KNOWN)
+    ] = 0.3
+    grain_px: Annotated[
+        float,
+        Key("Correlation length; up to 1, pixels are independent.", least=0, presence=Presence.IF_KNOWN),
+    ] = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,22 +233,61 @@ class RingView:
     """Time on the path at which the shot begins."""
 
 
+MAX_COUNT = 10_000
+"""Maximum number of random poses of a set."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Approach:
     """Random views of a section of the ring near the optical axis, at each of several distances."""
 
-    count: int = 1
-    """Number of poses at each distance; each is combined with every light."""
-    distances_m: tuple[float, ...] = (0.5,)
-    lights: tuple[str, ...] = ("dim",)
-    tilt_rad: float = 0.15
-    """Maximum tilt of the normal from the optical axis, about x and about y."""
-    clock_rad: float = 0.2
-    """Maximum angle of the middle of the visible arc from the horizontal through the centre."""
-    offset: float = 0.1
-    """Maximum offset of that point from the image centre, as a share of the image's width and height."""
-    name: str = "z"
-    seed: int = 1
+    count: Annotated[
+        int,
+        Key(
+            "Number of poses at each distance; each is combined with every light.",
+            least=1,
+            most=MAX_COUNT,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 1
+    distances_m: Annotated[
+        tuple[float, ...],
+        Key(
+            "Depths of the middle of the visible arc.",
+            plausible=plausible.DISTANCE_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = (0.5,)
+    lights: Annotated[tuple[str, ...], Key("Names of lights.", presence=Presence.IF_KNOWN)] = ("dim",)
+    tilt_rad: Annotated[
+        float,
+        Key(
+            "Maximum tilt of the normal from the optical axis, about x and about y.",
+            plausible=plausible.TILT_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.15
+    clock_rad: Annotated[
+        float,
+        Key(
+            "Maximum angle of the middle of the visible arc from the horizontal through the centre.",
+            plausible=plausible.TILT_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.2
+    offset: Annotated[
+        float,
+        Key(
+            "Maximum offset of that point from the image centre, as a share of the image's width and height.",
+            plausible=plausible.OFFSET_SHARE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.1
+    name: Annotated[
+        str,
+        Key("Beginning of the shots' names.", form=Form.FILE_NAME, presence=Presence.IF_KNOWN),
+    ] = "z"
+    seed: Annotated[int, Key("Seed of the poses.", least=0, presence=Presence.IF_KNOWN)] = 1
     target: TargetKind = "ring"
 
 
@@ -185,16 +304,45 @@ class NamedBoardPose:
 class BoardApproach:
     """Random views of a board."""
 
-    count: int = 8
-    distances_m: tuple[float, float] = (0.4, 0.6)
-    """Nearest and farthest distance of the board's middle."""
-    tilt_rad: float = 0.5
-    """Maximum tilt of the board, about x and about y."""
-    turn_rad: float = 0.3
-    """Maximum rotation in its own plane."""
-    offset: float = 0.2
-    """Maximum offset of its middle from the image centre, as a share of the image's width and height."""
-    seed: int = 1
+    count: Annotated[
+        int,
+        Key("Number of views.", least=1, most=MAX_COUNT, presence=Presence.IF_KNOWN),
+    ] = 8
+    distances_m: Annotated[
+        tuple[float, ...],
+        Key(
+            "Nearest and farthest distance of the board's middle.",
+            plausible=plausible.DISTANCE_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = (0.4, 0.6)
+    tilt_rad: Annotated[
+        float,
+        Key(
+            "Maximum tilt of the board, about x and about y.",
+            plausible=plausible.TILT_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.5
+    turn_rad: Annotated[
+        float,
+        Key("Maximum rotation in its own plane.", plausible=plausible.TILT_RAD, presence=Presence.IF_KNOWN),
+    ] = 0.3
+    offset: Annotated[
+        float,
+        Key(
+            "Maximum offset of its middle from the image centre, as a share of the image's width and height.",
+            plausible=plausible.OFFSET_SHARE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.2
+    seed: Annotated[int, Key("Seed of the poses.", least=0, presence=Presence.IF_KNOWN)] = 1
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of distances that are not two; None if they are."""
+        found = "distances_m", "must be the nearest and the farthest distance"
+        return None if len(self.distances_m) == 2 else found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -325,6 +473,9 @@ class Truth:
     @property
     def contradiction(self) -> tuple[str, str] | None:
         """The key and the finding of values that contradict each other; None if they do not."""
+        for name, value in (("center_m", self.center_m), ("normal", self.normal)):
+            if value is None and self.expect != "no_target":
+                return name, f"is null or missing, must have a value where expect is {self.expect}"
         if all(earlier.stamp_s < later.stamp_s for earlier, later in pairwise(self.frames)):
             return None
         return "frames", "are not in chronological order: stamp_s must increase"

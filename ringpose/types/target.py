@@ -6,39 +6,45 @@ face, towards the camera.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.plausible import ANGLE_RAD, DETAIL_M, PART_M
+from ringpose.types.record import Key, Presence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
     """Lines between rectangular cells, as on solar panels."""
 
-    cell_m: tuple[float, float]
-    """Period of the lines along the first and the second axis of a face."""
-    line_m: float
-    """Width of the lines."""
-    diffuse: float
-    """The lines' own reflectances, as of a material."""
-    specular: float
-    roughness: float
+    cell_m: Annotated[
+        tuple[float, float],
+        Key("Period of the lines along the first and the second axis of a face.", plausible=PART_M, positive=True),
+    ]
+    line_m: Annotated[float, Key("Width of the lines.", plausible=DETAIL_M, positive=True)]
+    diffuse: Annotated[float, Key("Albedo of the lines.", least=0, most=1)]
+    specular: Annotated[float, Key("Reflectance of their lobe.", least=0, most=1)]
+    roughness: Annotated[float, Key("Roughness of the lines.", least=0, most=1)]
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """The key and the finding of values that contradict each other; None if they do not."""
+        wide = self.line_m >= min(self.cell_m)
+        return ("line_m", f"is {self.line_m:g}, must be less than a cell") if wide else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
     """Reflectance of a surface: Lambert's law plus one GGX lobe."""
 
-    diffuse: float
-    """Albedo of the Lambert part."""
-    specular: float
-    """Reflectance of the lobe at normal incidence."""
-    roughness: float
-    """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
-    grid: Grid | None = None
-    """Grid of lines on the faces of boxes and panels."""
+    diffuse: Annotated[float, Key("Albedo of the Lambert part.", least=0, most=1)]
+    specular: Annotated[float, Key("Reflectance of the GGX lobe at normal incidence.", least=0, most=1)]
+    roughness: Annotated[float, Key("GGX alpha: 0.1 for a polished surface, 0.4 for machined metal.", least=0, most=1)]
+    grid: Annotated[
+        Grid | None, Key("Lines between cells on the faces of boxes and panels.", presence=Presence.IF_KNOWN)
+    ] = None
 
 
 MATERIALS: Mapping[str, Material] = {
@@ -57,15 +63,21 @@ MATERIALS: Mapping[str, Material] = {
 }
 """Materials that a scene file may refer to by name; their numbers are assumed, but for the order of magnitude."""
 
+MATERIAL_NAMES: Mapping[Material, str] = {material: name for name, material in MATERIALS.items()}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Foil:
     """Crinkles of foil on the faces of a box: a height field, periodic and fixed by its seed."""
 
-    rms_m: float = 0.0008
-    crinkle_m: float = 0.03
-    """Size of the largest crinkles."""
-    seed: int = 1
+    rms_m: Annotated[
+        float,
+        Key("Root mean square of the heights.", plausible=DETAIL_M, positive=True, presence=Presence.IF_KNOWN),
+    ] = 0.0008
+    crinkle_m: Annotated[
+        float, Key("Size of the largest crinkles.", plausible=DETAIL_M, positive=True, presence=Presence.IF_KNOWN)
+    ] = 0.03
+    seed: Annotated[int, Key("Which crinkles.", least=0, presence=Presence.IF_KNOWN)] = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,11 +99,11 @@ class Revolution:
 class Gap:
     """A slot with parallel walls across a ring: a pusher's seat, or the room for a bracket."""
 
-    angle_rad: float
-    """Angle of the gap's middle, from the target frame's x axis towards y."""
-    width_m: float
-    depth_m: float
-    """Depth of the gap below the ring's face."""
+    angle_rad: Annotated[
+        float, Key("Angle of the gap's middle, from the target frame's x axis towards y.", plausible=ANGLE_RAD)
+    ]
+    width_m: Annotated[float, Key("Distance of its walls.", plausible=PART_M, positive=True)]
+    depth_m: Annotated[float, Key("Depth below the ring's face.", plausible=PART_M, positive=True)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,12 +177,22 @@ class RingShape:
 class Body:
     """The simplest satellite: a box whose front face, at z = 0, carries the ring."""
 
-    size_m: Float64[Array, "3"]
-    """Width and height of the front face, depth of the box."""
-    offset_m: Float64[Array, "2"] = field(default_factory=lambda: np.zeros(2))
-    """Offset of the front face's middle from the ring's axis, along the ring's x and y."""
-    material: Material = MATERIALS["foil"]
-    foil: Foil | None = None
+    size_m: Annotated[
+        Float64[Array, "3"],
+        Key("Width and height of the front face, depth of the box.", plausible=DETAIL_M, positive=True),
+    ]
+    offset_m: Annotated[
+        Float64[Array, "2"],
+        Key(
+            "Offset of the front face's middle from the ring's axis, along the ring's x and y.",
+            plausible=DETAIL_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = field(default_factory=lambda: np.zeros(2))
+    material: Annotated[Material, Key("Material of its faces.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)] = (
+        MATERIALS["foil"]
+    )
+    foil: Annotated[Foil | None, Key("Crinkles of its faces; flat without it.", presence=Presence.IF_KNOWN)] = None
 
     @property
     def inertia_and_center(self) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:

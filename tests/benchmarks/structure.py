@@ -181,7 +181,7 @@ def print_record_keys() -> None:
         seen.add(cls)
         for each in definition_of(cls).attributes:
             defined[each.name] += 1
-            waiting += [] if each.slot.value.parts is None else [each.slot.value.parts.cls]
+            waiting += [part.cls for part in each.slot.value.parts]
     records = [path for path in (PACKAGE / "files" / "records").glob("*.py") if path.name != "ros.py"]
     nodes = [node for path in records for node in ast.walk(ast.parse(path.read_text()))]
     others = Counter(node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str))

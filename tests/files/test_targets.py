@@ -7,8 +7,10 @@ import pytest
 import yaml
 
 from ringpose.errors import DataError
+from ringpose.files.records.codec import OF_FILE, definition_of
 from ringpose.files.scenes.motions import mass_properties
-from ringpose.files.scenes.targets import MODELS, TARGET_KEYS, read_target
+from ringpose.files.scenes.targets import MODELS, TargetEntry
+from ringpose.files.scenes.targets import target_of as entered_target
 from ringpose.files.schema import Fields
 from ringpose.types.target import MATERIALS, Box
 
@@ -27,9 +29,8 @@ BOX = {"name": "box", "shape": "box", "size_m": [1.0, 2.0, 3.0], "material": "fo
 
 
 def target_of(*parts, **values):
-    return read_target(
-        Fields("scene.yaml", {**({"parts": list(parts)} if parts else {}), **values}, TARGET_KEYS, "target")
-    )
+    fields = Fields("scene.yaml", {**({"parts": list(parts)} if parts else {}), **values}, path="target")
+    return entered_target(fields, definition_of(TargetEntry).read(fields, OF_FILE))
 
 
 def test_the_models_are_shipped():

@@ -44,6 +44,7 @@ def test_missing_break_points_are_nan(tmp_path):
         ("normal", [0, 0, 1.5], "normal: has length 1.5, must be 1"),
         ("radius_outer_m", 597, "radius_outer_m: is 597, must be 0.02 to 5; give metres: 0.597 if"),
         ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),
+        ("center_m", None, "center_m: is null or missing, must have a value where expect is partial"),
         ("centre_m", [0, 0, 0], "unknown key 'centre_m'; did you mean 'center_m'?"),
         (
             "center_m",

@@ -43,6 +43,8 @@ def checked_array(
         array = CHECKS[key.form](fields, name, array, key, unchanged)
     elif key.plausible is not None:
         fields.check(name, array, key.plausible)
+    if key.positive and not (array > 0).all():
+        raise fields.problem(name, "must be positive")
     return _whole(fields, name, array, key) if element == "Int64" else array
 
 
@@ -81,6 +83,12 @@ def _quaternion(fields: Fields, name: str, *_: object) -> Numbers:
 def _bounded_length(fields: Fields, name: str, _: Numbers, key: Key, __: str) -> Numbers:
     assert key.plausible is not None
     return fields.sized(name, key.plausible)
+
+
+def _direction(fields: Fields, name: str, vector: Numbers, *_: object) -> Numbers:
+    if not vector.any():
+        raise fields.problem(name, "has length 0")
+    return vector
 
 
 def _directions(fields: Fields, name: str, vectors: Numbers, *_: object) -> Numbers:
@@ -140,6 +148,7 @@ CHECKS: Mapping[Form, Callable[[Fields, str, Numbers, Key, str], Numbers]] = {
     Form.UNIT_VECTOR: _unit_vector,
     Form.QUATERNION: _quaternion,
     Form.BOUNDED_LENGTH: _bounded_length,
+    Form.DIRECTION: _direction,
     Form.DIRECTIONS: _directions,
     Form.ORTHONORMAL: _orthonormal,
     Form.COVARIANCE: _covariance,

@@ -62,6 +62,10 @@ class Value:
         """The value for null, which stands for `null`."""
         return null
 
+    def takes(self, value: Any) -> bool:
+        """Whether a value, as it was read or as it is to be written, is of this type, though perhaps invalid."""
+        return isinstance(value, str)
+
     def write(self, value: Any) -> Any:
         """The value in types of JSON; numbers that are not finite become null when they are encoded."""
         return value
@@ -76,9 +80,9 @@ class Value:
         return type(self).write is Value.write
 
     @property
-    def parts(self) -> "Definition[Any] | None":
-        """The definition of the data class that the value is, or whose objects it lists."""
-        return None
+    def parts(self) -> "tuple[Definition[Any], ...]":
+        """The definitions of the data classes that the value is of, or whose objects it lists."""
+        return ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,10 @@ class Text(Value):
     """A text, not empty unless it may be `blank`."""
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> str:
-        return str(fields.raw(name)) if self.key.blank else fields.text(name)
+        text = str(fields.raw(name)) if self.key.blank else fields.text(name)
+        if self.key.form is Form.FILE_NAME and ("/" in text or text.startswith(".")):
+            raise fields.problem(name, f"is {text!r}, must be a plain file name")
+        return text
 
     def write(self, value: str) -> str | None:
         return None if value == self.key.null else value
@@ -112,16 +119,23 @@ class Number(Value):
             return fields.integer(name, key.least, key.most)
         if key.form is Form.STAMP:
             return fields.stamp_s(name)
-        if key.plausible is not None:
-            return fields.quantity(name, key.plausible)
-        return fields.number(name, key.least, key.most)
+        if key.plausible is None:
+            return fields.number(name, key.least, key.most)
+        number = fields.quantity(name, key.plausible)
+        if key.positive and number <= 0:
+            raise fields.problem(name, "must be positive")
+        return number
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, int | float) and not isinstance(value, bool)
 
     def schema(self, definitions: Schema) -> Schema:
-        return {"type": "integer" if self.whole else "number", **_limits(self.key.least, self.key.most)}
+        return {"type": "integer" if self.whole else "number", **_limits(self.key, self.key.least)}
 
 
-def _limits(least: float | int, most: float | int) -> Schema:
-    return ({"minimum": least} if least > -inf else {}) | ({"maximum": most} if most < inf else {})
+def _limits(key: Key, least: float | int) -> Schema:
+    found: Schema = {"exclusiveMinimum": 0} if key.positive else {"minimum": least} if least > -inf else {}
+    return found | ({"maximum": key.most} if key.most < inf else {})
 
 
 @dataclass(frozen=True)
@@ -130,6 +144,9 @@ class Boolean(Value):
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> bool:
         return fields.boolean(name)
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, bool)
 
     def schema(self, definitions: Schema) -> Schema:
         return {"type": "boolean"}
@@ -171,15 +188,15 @@ class Worded(Value):
         return next(value for value, each in self.key.words.items() if each == word)
 
     def write(self, value: Any) -> Any:
-        return self.key.words[value] if self.rest is None or value is None else self.rest.write(value)
+        return self.key.words[value] if self.rest is None or value in self.key.words else self.rest.write(value)
 
     def schema(self, definitions: Schema) -> Schema:
         words: Schema = {"enum": list(self.key.words.values())}
         return words if self.rest is None else {"anyOf": [words, self.rest.schema(definitions)]}
 
     @property
-    def parts(self) -> "Definition[Any] | None":
-        return None if self.rest is None else self.rest.parts
+    def parts(self) -> "tuple[Definition[Any], ...]":
+        return () if self.rest is None else self.rest.parts
 
 
 @dataclass(frozen=True)
@@ -243,6 +260,14 @@ class Numbers(Value):
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
         return checked_array(self.key, self.element, self.axes, fields, name, axes, context.unchanged)
 
+    def takes(self, value: Any) -> bool:
+        if isinstance(value, np.ndarray):
+            return value.ndim == len(self.axes)
+        depth = 0
+        while isinstance(value, list):
+            depth, value = depth + 1, next((each for each in value if isinstance(each, list)), None)
+        return depth == len(self.axes)
+
     def unknown(self, null: Any) -> Any:
         return null if null is None else np.full([fixed_length(axis) or 0 for axis in self.axes], null)
 
@@ -255,7 +280,7 @@ class Numbers(Value):
     def schema(self, definitions: Schema) -> Schema:
         kind = {"Float64": "number", "Int64": "integer", "Bool": "boolean"}[self.element]
         least = max(self.key.least, 0.0) if self.key.form is Form.SIGMAS else self.key.least
-        found: Schema = {"type": [kind, "null"] if self.key.gaps else kind, **_limits(least, self.key.most)}
+        found: Schema = {"type": [kind, "null"] if self.key.gaps else kind, **_limits(self.key, least)}
         for axis in reversed(self.axes):
             length = fixed_length(axis)
             found = {"type": "array", "items": found}
@@ -279,8 +304,28 @@ def _with_null_points(numbers: Any) -> Any:
 
 
 @dataclass(frozen=True)
+class NumberTuple(Numbers):
+    """A few numbers, as a tuple."""
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> tuple[float, ...]:
+        return tuple(super().read(fields, name, context, {}).tolist())
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, list | tuple)
+
+    def unknown(self, null: Any) -> Any:
+        return null
+
+    def write(self, value: tuple[float, ...]) -> list[float]:
+        return list(value)
+
+
+@dataclass(frozen=True)
 class Texts(Value):
     """A list of texts."""
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, list | tuple)
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> tuple[str, ...]:
         texts = fields.texts(name)
@@ -296,6 +341,62 @@ class Texts(Value):
         if self.key.form is Form.DISTINCT:
             return {"type": "array", "uniqueItems": True, "items": {"type": "string", "minLength": 1}}
         return {"type": "array", "items": {"type": "string"}}
+
+
+@dataclass(frozen=True)
+class Items(Value):
+    """A list of values of one kind."""
+
+    of: Value
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> tuple[Any, ...]:
+        listed = fields.listed(name)
+        return tuple(self.of.read(listed, each, context, {}) for each in listed.values)
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, list | tuple)
+
+    def write(self, value: tuple[Any, ...]) -> list[Any]:
+        return [self.of.write(each) for each in value]
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"type": "array", "items": self.of.schema(definitions)}
+
+    @property
+    def parts(self) -> "tuple[Definition[Any], ...]":
+        return self.of.parts
+
+
+@dataclass(frozen=True)
+class OneOf(Value):
+    """A value of one of several kinds, which its type tells; a mapping may also be of one of several data classes."""
+
+    kinds: tuple[Value, ...]
+
+    def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
+        given = fields.raw(name)
+        kinds = [each for each in self.kinds if each.takes(given)] or [self.kinds[0]]
+        kind = kinds[0] if len(kinds) == 1 else self._tagged(fields.fields(name))
+        return kind.read(fields, name, context, axes)
+
+    def _tagged(self, fields: Fields) -> Value:
+        """The data class of a mapping: that whose tag has its word, or that alone has the tag."""
+        tag = self.key.tag
+        tags = {each: each.of.kind(tag) for each in self.kinds if isinstance(each, Object)}
+        words = {word: each for each, kind in tags.items() if isinstance(kind, Choice) for word in kind.words}
+        if words:
+            return words[fields.choice(tag, words)]
+        return next(each for each, kind in tags.items() if (kind is not None) == fields.has(tag))
+
+    def write(self, value: Any) -> Any:
+        return next(each for each in self.kinds if each.takes(value)).write(value)
+
+    def schema(self, definitions: Schema) -> Schema:
+        return {"anyOf": [each.schema(definitions) for each in self.kinds]}
+
+    @property
+    def parts(self) -> "tuple[Definition[Any], ...]":
+        return tuple(part for each in self.kinds for part in each.parts)
 
 
 @dataclass(frozen=True)
@@ -321,8 +422,8 @@ class Objects(Value):
         return {"type": "array", "items": self.of.reference(definitions)}
 
     @property
-    def parts(self) -> "Definition[Any]":
-        return self.of
+    def parts(self) -> "tuple[Definition[Any], ...]":
+        return (self.of,)
 
 
 @dataclass(frozen=True)
@@ -334,6 +435,9 @@ class Object(Value):
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
         return self.of.read(fields.fields(name), context)
 
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, Mapping | self.of.cls)
+
     def write(self, value: Any) -> dict[str, Any]:
         return self.of.write(value)
 
@@ -341,8 +445,8 @@ class Object(Value):
         return self.of.reference(definitions)
 
     @property
-    def parts(self) -> "Definition[Any]":
-        return self.of
+    def parts(self) -> "tuple[Definition[Any], ...]":
+        return (self.of,)
 
 
 @dataclass(frozen=True)
@@ -358,8 +462,11 @@ class ByName(Value):
         for each in values.values:
             if self.names is None or each in tuple(self.names):
                 with suppress(Unknown):
-                    found[self.names(each) if self.names else each] = self.of.read(values, each, context, {})
+                    found[self.names(each) if self.names else str(each)] = self.of.read(values, each, context, {})
         return found
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, Mapping)
 
     def write(self, value: Mapping[Any, Any]) -> dict[str, Any]:
         return {str(name): self.of.write(each) for name, each in value.items()}
@@ -370,7 +477,7 @@ class ByName(Value):
         return {"type": "object", **required, "additionalProperties": of}
 
     @property
-    def parts(self) -> "Definition[Any] | None":
+    def parts(self) -> "tuple[Definition[Any], ...]":
         return self.of.value.parts
 
 
@@ -411,19 +518,23 @@ def slot_of(annotation: Any, key: Key) -> Slot:
     members = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
     null = None if type(None) in members and key.null is REQUIRED else key.null
     value = value_of([each for each in members if each is not type(None)], key, null is not REQUIRED)
-    return Slot(Worded(key, value if null is None else None), REQUIRED) if key.words else Slot(value, null)
+    if not key.words:
+        return Slot(value, null)
+    return Slot(Worded(key, value if any(part.attributes for part in value.parts) else None), REQUIRED)
 
 
 def value_of(members: list[Any], key: Key, can_be_null: bool) -> Value:
     """The kind of value of a type, or of a union of types."""
-    if len(members) > 1:
+    if len(members) > 1 and all(each in (str, float, int, bool) for each in members):
         return Anything(key)
+    if len(members) > 1:
+        return OneOf(key, tuple(value_of([each], key, can_be_null) for each in members))
     (annotation,) = members
     origin, arguments = get_origin(annotation), get_args(annotation)
     if (array := element_and_axes(annotation)) is not None:
         return Numbers(key, *array, whole_or_null=can_be_null and not key.gaps)
     if origin is tuple:
-        return Texts(key) if arguments[0] is str else Objects(key, definition_of(arguments[0]))
+        return _of_tuple(arguments, key)
     if origin is Literal:
         return Choice(key, arguments)
     if origin is not None and arguments[1] is Any:
@@ -431,6 +542,18 @@ def value_of(members: list[Any], key: Key, can_be_null: bool) -> Value:
     if origin is not None:
         return ByName(key, slot_of(arguments[1], Key()), None if arguments[0] is str else arguments[0])
     return _of_class(annotation, key)
+
+
+def _of_tuple(arguments: tuple[Any, ...], key: Key) -> Value:
+    """The kind of value of a tuple: `(float, float)`, or items of one type and an ellipsis."""
+    item = arguments[0]
+    if item is str:
+        return Texts(key)
+    if item is float:
+        return NumberTuple(key, axes=("n",) if arguments[1] is Ellipsis else (str(len(arguments)),))
+    if isinstance(item, type) and is_dataclass(item):
+        return Objects(key, definition_of(item))
+    return Items(key, slot_of(item, key).value)
 
 
 def _of_class(cls: type, key: Key) -> Value:
@@ -531,6 +654,10 @@ class Definition(Generic[T]):
             key, finding = contradiction
             raise fields.problem(key, finding, context.unchanged)
         return found
+
+    def kind(self, name: str) -> Value | None:
+        """The kind of value of a key; None if there is no such key."""
+        return next((each.slot.value for each in self.attributes if each.name == name), None)
 
     def value(self, name: str, fields: Fields) -> Any:
         """The value of one key, in another mapping that has it."""
@@ -652,6 +779,11 @@ class RecordType(Generic[T]):
         """The key that has the version."""
         return "ringpose" if self.is_file else "schema"
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All keys, among them that of the version."""
+        return (self.head, *definition_of(self.cls).names)
+
     def write(self, found: T, brief: bool = False) -> dict[str, Any]:
         """The mapping of an object; its key `software`, if it has one, names this version unless it was read."""
         return self._with_head(definition_of(self.cls).write(found, brief))
@@ -669,7 +801,7 @@ class RecordType(Generic[T]):
         """The object in a record; `location` is used in messages."""
         definition, fields = definition_of(self.cls), Fields(location, record)
         if self.strict:
-            fields.reject_unknown((self.head, *definition.names))
+            fields.reject_unknown(self.keys)
             fields.values = {key: value for key, value in record.items() if key != self.head}
         if self.version and self.is_file:
             Fields(location, record).choice(self.head, (self.version, *self.earlier))

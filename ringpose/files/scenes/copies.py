@@ -1,16 +1,19 @@
 """A scene file with another rig, light and trajectory, as the console saves its state."""
 
 import math
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.rigs import write_rig
-from ringpose.files.yaml import read_yaml, write_yaml
+from ringpose.files.scenes.motions import MotionEntry
+from ringpose.files.scenes.scene import RECORD, LightEntry, read_scene_file
+from ringpose.files.scenes.views import ViewEntry
+from ringpose.files.schema import FREE_PREFIX
+from ringpose.files.yaml import write_yaml
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.plausible import RATE_RAD_S, SPEED_M_S
 from ringpose.types.rig import Rig
@@ -41,52 +44,51 @@ def write_scene_copy(
     """
     if view.normal[2] >= 0:
         raise DataError(view.name, "the ring faces away from the camera, which a scene file cannot describe")
-    values: dict[str, Any] = dict(read_yaml(original).values)
-    values |= {
-        "rig": "rig.yaml",
-        "sequence": written_sequence(steps_of(sequence, len(rig.lasers.names))),
-        "lights": {
-            light.name: {
-                "ambient_w_m2": light.ambient_w_m2,
-                "sun_w_m2": light.sun_w_m2,
-                "sun_direction": light.sun_direction,
-            }
-            | ({} if light.beacon is None else {"beacon": asdict(light.beacon)})
-        },
-        "trajectory": [
-            {
-                "name": view.name,
-                "center_m": view.center_m,
-                "normal": view.normal,
-                "roll_rad": math.remainder(view.roll_rad, math.tau),
-                "light": light.name,
-            }
-        ],
-    }
-    shots = {key: value for key, value in values.pop("motion", {}).items() if key == "shots"}
-    if (motion := _motion(view)) is not None:
-        values["motion"] = motion | shots
-    values.pop("earth", None)
-    if (earth := light.earth) is not None:
-        values["earth"] = {
-            "direction": earth.direction,
-            "orbit_radius_m": earth.orbit_radius_m,
-            "albedo": earth.albedo,
-        }
-    if pixel_m is not None:
-        values["sensor"] = {**values.get("sensor", {}), "pixel_m": pixel_m}
+    fields, entry = read_scene_file(original)
+    motion = _motion(view)
+    if motion is not None and entry.motion is not None:
+        motion = replace(motion, shots=entry.motion.shots)
+    copy = replace(
+        entry,
+        rig="rig.yaml",
+        sequence=written_sequence(steps_of(sequence, len(rig.lasers.names))),
+        lights={light.name: _light(light)},
+        trajectory=(_view(view, light),),
+        motion=motion,
+        earth=light.earth,
+        sensor=entry.sensor if pixel_m is None else replace(entry.sensor, pixel_m=pixel_m),
+    )
     if exposure_s is not None:
-        values.pop("stripe_dn", None)
-        values["exposure_s"] = exposure_s
+        copy = replace(copy, stripe_dn=None, exposure_s=exposure_s)
+    own = {key: value for key, value in fields.values.items() if key.startswith(FREE_PREFIX)}
     atomic.make_folder(folder)
     write_rig(folder / "rig.yaml", rig, inputs=[original])
     path = folder / "scene.yaml"
     with atomic.replacing(path, force=False) as stream:
-        write_yaml(stream, values)
+        write_yaml(stream, RECORD.write(copy) | own)
     return path
 
 
-def _motion(view: RingView) -> dict[str, Any] | None:
+def _light(light: Light) -> LightEntry:
+    return LightEntry(
+        ambient_w_m2=light.ambient_w_m2,
+        sun_w_m2=light.sun_w_m2,
+        sun_direction=light.sun_direction,
+        beacon=light.beacon,
+    )
+
+
+def _view(view: RingView, light: Light) -> ViewEntry:
+    return ViewEntry(
+        name=view.name,
+        center_m=view.center_m,
+        normal=view.normal,
+        roll_rad=math.remainder(view.roll_rad, math.tau),
+        light=light.name,
+    )
+
+
+def _motion(view: RingView) -> MotionEntry | None:
     """The motion at the beginning of a view; None for a target that stands still.
 
     With equal moments of inertia about the ring's centre, the angular velocity remains constant.
@@ -107,9 +109,9 @@ def _motion(view: RingView) -> dict[str, Any] | None:
             raise DataError(view.name, f"moves at {speed:.3g} {unit}, and a scene file can have {plausible.highest:g}")
     if max(np.abs(velocity_m_s).max(), np.abs(angular_velocity_rad_s).max()) < STILL:
         return None
-    return {
-        "velocity_m_s": velocity_m_s,
-        "angular_velocity_rad_s": angular_velocity_rad_s,
-        "inertia_kg_m2": [1.0, 1.0, 1.0],
-        "center_of_mass_m": center_target_m,
-    }
+    return MotionEntry(
+        velocity_m_s=velocity_m_s,
+        angular_velocity_rad_s=angular_velocity_rad_s,
+        inertia_kg_m2=np.ones(3),
+        center_of_mass_m=center_target_m,
+    )

@@ -1,79 +1,146 @@
 """The motion of a scene's target: the key `motion` of scene.yaml, trajectory files, mass and inertia of the parts."""
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.inputs import file_lines
+from ringpose.files.records.codec import OF_FILE, definition_of
 from ringpose.files.schema import Fields
+from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.plausible import PART_M, PATH_M, RATE_RAD_S, SPEED_M_S
-from ringpose.types.target import MOTION_PRESETS, Box, FreeMotion, Part, Revolution, TimedPoses
-
-MOTION_KEYS = (
-    "preset",
-    "inertia_kg_m2",
-    "center_of_mass_m",
-    "angular_velocity_rad_s",
-    "velocity_m_s",
-    "camera",
-    "file",
-    "shots",
+from ringpose.types.record import Form, Key, Presence
+from ringpose.types.target import (
+    MOTION_PRESETS,
+    Box,
+    FreeMotion,
+    MotionPreset,
+    Part,
+    Revolution,
+    TimedPoses,
 )
-
-POSE_KEYS = ("time_s", "position_m", "orientation_xyzw")
 
 CSV_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
 """Nodes and weights, exact for the moments of a straight piece of a profile."""
 
+MAX_SHOTS = 1_000_000
+"""Maximum number of shots of a view: a day of shots, one every 0.1 s."""
+
 SYMMETRIC = 1e-9
 """Relative tolerance of the symmetry of an inertia tensor and of the triangle inequality."""
 
 
-def read_motion(
-    fields: Fields, inertia_kg_m2: Float64[Array, "3 3"], center_of_mass_m: Float64[Array, "3"], folder: Path
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimedPose:
+    """A pose at one time, of the camera or of the target."""
+
+    time_s: Annotated[float, Key("Time since the start of the first exposure of a run.")]
+    position_m: Annotated[
+        Float64[Array, "xyz=3"], Key("Its place.", form=Form.BOUNDED_LENGTH, plausible=plausible.PATH_M)
+    ]
+    orientation_xyzw: Annotated[
+        Float64[Array, "xyzw=4"],
+        Key("Unit quaternion; without it, that of no rotation.", form=Form.QUATERNION, presence=Presence.IF_KNOWN),
+    ] = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionEntry:
+    """The key `motion` of a scene."""
+
+    preset: Annotated[
+        MotionPreset | None,
+        Key(
+            "Name of a motion.",
+            words={preset: name for name, preset in MOTION_PRESETS.items()},
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    angular_velocity_rad_s: Annotated[
+        Float64[Array, "xyz=3"] | None,
+        Key(
+            "Angular velocity at the start, along the axes of the target frame.",
+            form=Form.BOUNDED_LENGTH,
+            plausible=plausible.RATE_RAD_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    inertia_kg_m2: Annotated[
+        Float64[Array, "xyz=3"] | Float64[Array, "3 3"] | None,
+        Key("Principal moments, or a tensor, about the centre of mass.", presence=Presence.IF_KNOWN),
+    ] = None
+    center_of_mass_m: Annotated[
+        Float64[Array, "xyz=3"] | None,
+        Key("Centre of mass in the target frame.", plausible=plausible.PART_M, presence=Presence.IF_KNOWN),
+    ] = None
+    velocity_m_s: Annotated[
+        Float64[Array, "xyz=3"],
+        Key(
+            "Velocity of the centre of mass, camera frame at the start.",
+            form=Form.BOUNDED_LENGTH,
+            plausible=plausible.SPEED_M_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = field(default_factory=lambda: np.zeros(3))
+    camera: Annotated[
+        tuple[TimedPose, ...] | None,
+        Key("The camera's poses in its own frame at the start.", presence=Presence.IF_KNOWN),
+    ] = None
+    file: Annotated[
+        str | None,
+        Key("Name of a trajectory file, which has the poses of the target instead.", presence=Presence.IF_KNOWN),
+    ] = None
+    shots: Annotated[
+        int,
+        Key("Shots of each view, one every `period_s`.", least=1, most=MAX_SHOTS, presence=Presence.IF_KNOWN),
+    ] = 1
+
+
+def motion_of(
+    fields: Fields,
+    entry: MotionEntry,
+    inertia_kg_m2: Float64[Array, "3 3"],
+    center_of_mass_m: Float64[Array, "3"],
+    folder: Path,
 ) -> FreeMotion | TimedPoses:
-    """The motion in a mapping, with the target's own inertia and centre of mass where it gives none."""
-    if fields.has("file"):
-        others = [key for key in MOTION_KEYS if fields.has(key) and key not in ("file", "shots")]
-        if others:
-            raise fields.problem(others[0], "cannot be combined with file", "a file has all poses; remove one of them")
-        return read_poses(folder / fields.text("file"))
-    preset = MOTION_PRESETS[fields.choice("preset", MOTION_PRESETS)] if fields.has("preset") else None
-    if preset is None and not any(fields.has(key) for key in ("angular_velocity_rad_s", "velocity_m_s", "camera")):
+    """The motion of an entry, with the target's own inertia and centre of mass where it gives none."""
+    if entry.file is not None:
+        for key in (key for key in fields.values if key not in ("file", "shots") and fields.has(key)):
+            raise fields.problem(key, "cannot be combined with file", "a file has all poses; remove one of them")
+        return read_poses(folder / entry.file)
+    if entry.preset is None and not any(map(fields.has, ("angular_velocity_rad_s", "velocity_m_s", "camera"))):
         raise fields.problem("", "has no motion", "give preset, angular_velocity_rad_s, velocity_m_s, camera or file")
-    rate_rad_s = np.zeros(3) if preset is None else np.array(preset.angular_velocity_rad_s)
-    if preset is not None and preset.inertia_kg_m2 is not None:
-        inertia_kg_m2 = np.diag(preset.inertia_kg_m2)
-    values: dict[str, Any] = fields.given(("velocity_m_s",), lambda key: fields.sized(key, SPEED_M_S))
-    values |= fields.given(("camera",), lambda key: _poses(fields.each(key, POSE_KEYS), fields.location(key)))
-    if "camera" in values and values["camera"].time_s[0] != 0:
-        raise fields.problem("camera", f"begins at {values['camera'].time_s[0]:g} s, must begin at 0")
+    rate_rad_s = np.zeros(3)
+    if (preset := entry.preset) is not None:
+        rate_rad_s = np.array(preset.angular_velocity_rad_s)
+        inertia_kg_m2 = inertia_kg_m2 if preset.inertia_kg_m2 is None else np.diag(preset.inertia_kg_m2)
+    camera = None
+    if entry.camera is not None:
+        camera = _timed_poses(zip(fields.each("camera"), entry.camera, strict=True), fields.location("camera"))
+        if camera.time_s[0] != 0:
+            raise fields.problem("camera", f"begins at {camera.time_s[0]:g} s, must begin at 0")
+    own_kg_m2, own_center_m, own_rate_rad_s = entry.inertia_kg_m2, entry.center_of_mass_m, entry.angular_velocity_rad_s
     return FreeMotion(
-        inertia_kg_m2=_inertia(fields) if fields.has("inertia_kg_m2") else inertia_kg_m2,
-        center_of_mass_m=fields.quantities("center_of_mass_m", 3, PART_M)
-        if fields.has("center_of_mass_m")
-        else center_of_mass_m,
-        angular_velocity_rad_s=fields.sized("angular_velocity_rad_s", RATE_RAD_S)
-        if fields.has("angular_velocity_rad_s")
-        else rate_rad_s,
-        **values,
+        inertia_kg_m2=inertia_kg_m2 if own_kg_m2 is None else _inertia(fields, own_kg_m2),
+        center_of_mass_m=center_of_mass_m if own_center_m is None else own_center_m,
+        angular_velocity_rad_s=rate_rad_s if own_rate_rad_s is None else own_rate_rad_s,
+        velocity_m_s=entry.velocity_m_s,
+        camera=camera,
     )
 
 
-def _inertia(fields: Fields) -> Float64[Array, "3 3"]:
+def _inertia(fields: Fields, given: Float64[Array, "..."]) -> Float64[Array, "3 3"]:
     """Principal moments, or a tensor, of a possible body: symmetric, positive, each moment at most the other two."""
     key = "inertia_kg_m2"
-    rows = fields.raw(key)
-    nested = isinstance(rows, list) and any(isinstance(row, list) for row in rows)
-    inertia = fields.array(key, (3, 3)) if nested else np.diag(fields.vector(key, 3))
+    inertia = np.diag(given) if given.ndim == 1 else given
     if np.abs(inertia - inertia.T).max() > SYMMETRIC * np.abs(inertia).max():
         raise fields.problem(key, "is not symmetric")
     moments = np.linalg.eigvalsh(inertia)
@@ -86,12 +153,14 @@ def _inertia(fields: Fields) -> Float64[Array, "3 3"]:
 
 
 def read_poses(path: Path) -> TimedPoses:
-    """The poses in a trajectory file: CSV with the columns `CSV_COLUMNS`, or JSON lines with the keys `POSE_KEYS`."""
+    """The poses in a trajectory file: CSV with the columns `CSV_COLUMNS`, or JSON lines, each a `TimedPose`."""
     lines = file_lines(path)
     if path.suffix.lower() == ".csv":
-        return _poses(_csv_entries((line.decode(errors="replace") for line in lines), str(path)), str(path))
-    entries = (Fields(location, record, POSE_KEYS) for location, record in records.read(lines, str(path)))
-    return _poses(entries, str(path))
+        entries = _csv_entries((line.decode(errors="replace") for line in lines), str(path))
+    else:
+        entries = (Fields(location, record) for location, record in records.read(lines, str(path)))
+    pose = definition_of(TimedPose)
+    return _timed_poses(((entry, pose.read(entry, OF_FILE)) for entry in entries), str(path))
 
 
 def _csv_entries(lines: Iterator[str], file: str) -> Iterator[Fields]:
@@ -111,20 +180,19 @@ def _csv_entries(lines: Iterator[str], file: str) -> Iterator[Fields]:
         yield Fields(location, values)
 
 
-def _poses(entries: Iterator[Fields], where: str) -> TimedPoses:
-    times_s: list[float] = []
-    positions_m, orientations = [], []
-    for entry in entries:
-        times_s.append(entry.number("time_s"))
-        if len(times_s) > 1 and times_s[-1] <= times_s[-2]:
-            raise entry.problem("time_s", f"is {times_s[-1]:g}, not later than the time before")
-        positions_m.append(entry.sized("position_m", PATH_M))
-        orientation = entry.optional("orientation_xyzw", entry.quaternion)
-        orientations.append(np.array([0.0, 0.0, 0.0, 1.0]) if orientation is None else orientation)
-    if len(times_s) < 2:
-        raise DataError(where, f"has {len(times_s)} poses, must have at least 2")
+def _timed_poses(poses: Iterable[tuple[Fields, TimedPose]], where: str) -> TimedPoses:
+    """Poses at ascending times, each with its place for messages."""
+    listed: list[TimedPose] = []
+    for fields, pose in poses:
+        if listed and pose.time_s <= listed[-1].time_s:
+            raise fields.problem("time_s", f"is {pose.time_s:g}, not later than the time before")
+        listed.append(pose)
+    if len(listed) < 2:
+        raise DataError(where, f"has {len(listed)} poses, must have at least 2")
     return TimedPoses(
-        time_s=np.array(times_s), position_m=np.stack(positions_m), orientation_xyzw=np.stack(orientations)
+        time_s=np.array([pose.time_s for pose in listed]),
+        position_m=np.stack([pose.position_m for pose in listed]),
+        orientation_xyzw=np.stack([pose.orientation_xyzw for pose in listed]),
     )
 
 

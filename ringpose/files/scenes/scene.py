@@ -1,57 +1,37 @@
 """scene.yaml, the input of `ringpose simulate`; man/ringpose-simulate.1 documents its keys."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Annotated, Any
 
-import cv2
 import numpy as np
 
-from ringpose.errors import DataError, UsageError
-from ringpose.files.boards import board_of
+from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
 from ringpose.files.rigs import read_rig
-from ringpose.files.scenes.motions import MOTION_KEYS, mass_properties, read_motion
-from ringpose.files.scenes.targets import (
-    RING_KEYS,
-    TARGET_KEYS,
-    Target,
-    numbers_of,
-    read_material,
-    read_profile,
-    read_target,
-    with_details,
+from ringpose.files.scenes.motions import MotionEntry, mass_properties, motion_of
+from ringpose.files.scenes.targets import RingEntry, Target, TargetEntry, ring_of, target_of
+from ringpose.files.scenes.views import (
+    BoardsEntry,
+    GeneratedViews,
+    ViewEntry,
+    board_set_of,
+    sequence_of,
+    view_of,
+    views_of,
 )
-from ringpose.files.schema import Fields
+from ringpose.files.schema import SCENE, Fields
 from ringpose.files.yaml import read_yaml
-from ringpose.geometry.rotations import facing_normal
+from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.plausible import (
-    ANGLE_RAD,
-    DETAIL_M,
-    DISTANCE_M,
-    EXPOSURE_S,
-    FACE_WIDTH_M,
-    FACING_RAD,
-    IRRADIANCE_W_M2,
-    OFFSET_SHARE,
-    RING_HEIGHT_M,
-    RING_RADIUS_M,
-    SUN_RAD,
-    TARGET_DISTANCE_M,
-    TILT_RAD,
-)
+from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import Rig
 from ringpose.types.scene import (
-    EARTH_RADIUS_M,
     Approach,
     Beacon,
-    BoardApproach,
-    BoardSet,
     Earth,
     LaserLight,
     Light,
-    NamedBoardPose,
     Optics,
     RingView,
     Scene,
@@ -59,71 +39,177 @@ from ringpose.types.scene import (
     Speckle,
     TargetKind,
 )
-from ringpose.types.session import parsed_sequence
-from ringpose.types.target import Body, Foil, Part, Revolution, RingShape
+from ringpose.types.target import Body, Part, Revolution, RingShape
 
 SCHEMA = "scene/1"
 
-_NUMBERS = ("stripe_dn", "period_s", "start_s")
-
-_RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Optics, "sensor": Sensor, "speckle": Speckle}
-
-_PARTS = (
-    "target", "ring", "body", "sun", "earth", "lasers", "lights", "lens", "sensor", "speckle", "sequence",
-    "trajectory", "motion", "boards",
-)  # fmt: skip
-
-_KEYS = ("ringpose", "rig", "seed", "exposure_s", *_NUMBERS, *_PARTS)
-
-MAX_SHOTS = 1_000_000
-"""Maximum number of shots of a view: a day of shots, one every 0.1 s."""
-
 MAX_SCENE_SHOTS = 10_000_000
 """Maximum number of shots of all views together."""
-
-MAX_COUNT = 10_000
-"""Maximum number of random poses of a set."""
 
 NO_RING = RingShape(profile_m=np.array([[0.575, 0.0], [0.597, 0.0]]))
 """Where the ring of a target without a ring would be: poses of views refer to it."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SunEntry:
+    """The key `sun` of a scene."""
+
+    irradiance_w_m2: Annotated[
+        float, Key("Irradiance on a plane perpendicular to the rays.", plausible=plausible.IRRADIANCE_W_M2)
+    ]
+    direction: Annotated[Float64[Array, "xyz=3"], Key("Direction towards the sun, camera frame.", form=Form.DIRECTION)]
+    diameter_rad: Annotated[
+        float | None, Key("Angular diameter.", plausible=plausible.SUN_RAD, presence=Presence.IF_KNOWN)
+    ] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LightEntry:
+    """A light of a scene; what it does not state is that of the sun of all lights, and dark."""
+
+    ambient_w_m2: Annotated[
+        float | None,
+        Key(
+            "Irradiance by the lamps and walls of a laboratory.",
+            plausible=plausible.IRRADIANCE_W_M2,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    sun_w_m2: Annotated[
+        float | None,
+        Key(
+            "Irradiance of its own sun on a plane perpendicular to the rays.",
+            plausible=plausible.IRRADIANCE_W_M2,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    sun_direction: Annotated[
+        Float64[Array, "xyz=3"] | None,
+        Key("Direction towards its own sun, camera frame.", form=Form.DIRECTION, presence=Presence.IF_KNOWN),
+    ] = None
+    beacon: Annotated[Beacon | None, Key("A flashing lamp.", presence=Presence.IF_KNOWN)] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SceneFile:
+    """scene.yaml."""
+
+    rig: Annotated[str, Key("The rig file, relative to the scene's folder; its lasers need `projector_m`.")]
+    seed: Annotated[int, Key("Seed of random poses, speckle and noise.", least=0, presence=Presence.IF_KNOWN)] = 1
+    sequence: Annotated[str, Key("Frames of a shot, as for `ringpose capture`.", presence=Presence.IF_KNOWN)] = (
+        "off,all"
+    )
+    exposure_s: Annotated[
+        float | None, Key("Exposure of each frame.", plausible=plausible.EXPOSURE_S, presence=Presence.IF_KNOWN)
+    ] = None
+    stripe_dn: Annotated[
+        float | None,
+        Key(
+            "Instead of the exposure: grey value of the stripes on the ring's face.",
+            least=0,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    period_s: Annotated[float | None, Key("Time between shots.", least=0, presence=Presence.IF_KNOWN)] = None
+    start_s: Annotated[float | None, Key("Stamp of the first shot.", least=0, presence=Presence.IF_KNOWN)] = None
+    ring: Annotated[RingEntry | None, Key("The ring; needed without a target.", presence=Presence.IF_KNOWN)] = None
+    body: Annotated[
+        Body | None,
+        Key("The box whose front face carries the ring; needed without a target.", presence=Presence.IF_KNOWN),
+    ] = None
+    target: Annotated[
+        TargetEntry | None, Key("Instead of ring and body: a model, or parts.", presence=Presence.IF_KNOWN)
+    ] = None
+    sun: Annotated[
+        SunEntry | None,
+        Key("The sun in all lights that have no `sun_w_m2` of their own.", presence=Presence.IF_KNOWN),
+    ] = None
+    earth: Annotated[Earth | None, Key("The Earth, lit by the sun.", presence=Presence.IF_KNOWN)] = None
+    motion: Annotated[
+        MotionEntry | None, Key("Motion of the target; it is still without it.", presence=Presence.IF_KNOWN)
+    ] = None
+    lasers: Annotated[LaserLight, Key("The line lasers.", presence=Presence.IF_KNOWN)] = LaserLight()
+    lights: Annotated[
+        Mapping[str, LightEntry | None] | None,
+        Key("Lights by their names; a dark one, `dim`, without it.", presence=Presence.IF_KNOWN),
+    ] = None
+    lens: Annotated[Optics, Key("The lens; its distortion is part of the rig.", presence=Presence.IF_KNOWN)] = Optics()
+    sensor: Annotated[Sensor, Key("The linear camera model of EMVA 1288.", presence=Presence.IF_KNOWN)] = Sensor()
+    speckle: Annotated[
+        Speckle, Key("Speckle of laser light, before the blur of the lens.", presence=Presence.IF_KNOWN)
+    ] = Speckle()
+    trajectory: Annotated[
+        tuple[ViewEntry | GeneratedViews, ...] | None,
+        Key("Single views, and sets of random ones.", tag="generate", presence=Presence.IF_KNOWN),
+    ] = None
+    boards: Annotated[BoardsEntry | None, Key("Views of calibration boards.", presence=Presence.IF_KNOWN)] = None
+
+
+RECORD = RecordType(
+    cls=SceneFile,
+    kind=SCENE,
+    version=SCHEMA,
+    description="scene.yaml: what `ringpose simulate` renders. Metres, radians, pixels, seconds, watts. Your own keys "
+    "begin with x_.",
+    is_file=True,
+    strict=True,
+)
+
+
 def read_scene(path: Path) -> Scene:
     """The scene in a scene.yaml; the path of its rig file is relative to the scene's folder."""
-    fields = read_yaml(path, _KEYS)
-    fields.choice("ringpose", (SCHEMA,))
-    rig = _rig(fields, path.parent)
-    space = _space(fields)
+    fields, entry = read_scene_file(path)
+    rig = _rig(fields, entry, path.parent)
+    space = _space(entry)
     lights = {"dim": replace(space, name="dim")}
-    if fields.has("lights"):
-        named = fields.fields("lights")
-        lights = {str(name): _light(named, str(name), space) for name in named.values}
+    if entry.lights is not None:
+        lights = {name: _light(name, light or LightEntry(), space) for name, light in entry.lights.items()}
     lasers = len(rig.lasers.names)
-    values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
-    values |= fields.given(("exposure_s",), lambda key: fields.quantity(key, EXPOSURE_S))
-    values |= fields.given(_RECORDS, lambda key: numbers_of(fields, key, _RECORDS[key]))
-    values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
-    values["views"], values["approaches"] = _views(fields, tuple(lights))
-    if fields.has("boards"):
-        boards = fields.fields("boards", ("camera", "planes"))
-        for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
-            values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
-    values |= _target_and_motion(fields, path.parent)
+    values: dict[str, Any] = {}
+    values["views"], values["approaches"] = _views(fields, entry, tuple(lights))
+    boards = entry.boards or BoardsEntry()
+    for key, board_set in (("camera", boards.camera), ("planes", boards.planes)):
+        if board_set is not None:
+            own = fields.fields("boards").fields(key)
+            values["camera_boards" if key == "camera" else "plane_boards"] = board_set_of(own, board_set, lasers)
+    values |= _target_and_motion(fields, entry, path.parent)
     _check_number_of_shots(fields, values)
     if values["ring"] is NO_RING:
         for key in ("views", "approaches"):  # they show the rest
             values[key] = tuple(replace(each, target=_WITHOUT_RING[each.target]) for each in values[key])
-    return Scene(rig=rig, lights=lights, seed=fields.integer("seed", least=0) if fields.has("seed") else 1, **values)
+    numbers = {key: getattr(entry, key) for key in ("exposure_s", "stripe_dn", "period_s", "start_s")}
+    return Scene(
+        rig=rig,
+        lights=lights,
+        seed=entry.seed,
+        sequence=sequence_of(fields, "sequence", entry.sequence, lasers),
+        lasers=entry.lasers,
+        lens=entry.lens,
+        sensor=entry.sensor,
+        speckle=entry.speckle,
+        **{key: number for key, number in numbers.items() if number is not None},
+        **values,
+    )
 
 
-def _views(fields: Fields, lights: tuple[str, ...]) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
+def read_scene_file(path: Path) -> tuple[Fields, SceneFile]:
+    """The keys of a scene.yaml, and the same with their places for messages."""
+    fields = read_yaml(path, RECORD.keys)
+    fields.choice("ringpose", (SCHEMA,))
+    return fields, definition_of(SceneFile).read(fields, OF_FILE)
+
+
+def _views(
+    fields: Fields, entry: SceneFile, lights: tuple[str, ...]
+) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
     """The views of the trajectory; a target that moves along a file needs none."""
-    along_file = fields.has("motion") and fields.fields("motion").has("file")
-    if fields.has("trajectory"):
-        return read_trajectory(fields, "trajectory", lights, along_file)
+    along_file = entry.motion is not None and entry.motion.file is not None
+    if entry.trajectory is not None:
+        return views_of(fields, "trajectory", entry.trajectory, lights, along_file)
     if not along_file:
         return (), ()
-    return (_view(Fields(fields.file, {"name": "moving"}, _VIEW_KEYS, "trajectory"), lights, along_file),), ()
+    moving = ViewEntry(name="moving")
+    return (view_of(Fields(fields.file, {}, path="trajectory"), moving, lights, along_file),), ()
 
 
 def _check_number_of_shots(fields: Fields, values: dict[str, Any]) -> None:
@@ -135,29 +221,32 @@ def _check_number_of_shots(fields: Fields, values: dict[str, Any]) -> None:
         raise fields.problem("trajectory", found, "give fewer poses, distances, lights or shots of the motion")
 
 
-def _target_and_motion(fields: Fields, folder: Path) -> dict[str, Any]:
-    target = _target(fields)
-    body = _body(fields.fields("body", _BODY_KEYS)) if fields.has("body") or not fields.has("target") else None
-    values: dict[str, Any] = {"ring": target.ring or NO_RING, "body": body, "parts": target.parts}
-    if fields.has("motion"):
-        motion = fields.fields("motion", MOTION_KEYS)
-        values["motion"] = read_motion(motion, *_inertia_and_center(fields, target, body), folder)
-        values["shots"] = motion.integer("shots", least=1, most=MAX_SHOTS) if motion.has("shots") else 1
+def _target_and_motion(fields: Fields, entry: SceneFile, folder: Path) -> dict[str, Any]:
+    target = _target(fields, entry)
+    if entry.body is None and entry.target is None:
+        raise fields.missing("body")
+    values: dict[str, Any] = {"ring": target.ring or NO_RING, "body": entry.body, "parts": target.parts}
+    if entry.motion is not None:
+        inertia_and_center = _inertia_and_center(fields, target, entry.body)
+        values["motion"] = motion_of(fields.fields("motion"), entry.motion, *inertia_and_center, folder)
+        values["shots"] = entry.motion.shots
     return values
 
 
 _WITHOUT_RING: Mapping[TargetKind, TargetKind] = {"ring": "body", "body": "body", "none": "none"}
 
 
-def _target(fields: Fields) -> Target:
+def _target(fields: Fields, entry: SceneFile) -> Target:
     """The parts and the ring of the scene."""
-    if not fields.has("target"):
-        return Target(parts=(), ring=_ring(fields.fields("ring", RING_KEYS)))
-    target = read_target(fields.fields("target", TARGET_KEYS))
-    if fields.has("ring"):
+    target = Target(parts=(), ring=None)
+    if entry.target is not None:
+        target = target_of(fields.fields("target"), entry.target)
+    elif entry.ring is None:
+        raise fields.missing("ring")
+    if entry.ring is not None:
         if target.ring is not None:
             raise fields.problem("ring", "is given, but the target has a ring", "remove one of them")
-        target = Target(parts=target.parts, ring=_ring(fields.fields("ring", RING_KEYS)))
+        target = Target(parts=target.parts, ring=ring_of(fields.fields("ring"), entry.ring))
     return target
 
 
@@ -183,8 +272,8 @@ def _inertia_and_center(
     return inertia, center_m
 
 
-def _rig(fields: Fields, folder: Path) -> Rig:
-    rig = read_rig(folder / fields.text("rig"))
+def _rig(fields: Fields, entry: SceneFile, folder: Path) -> Rig:
+    rig = read_rig(folder / entry.rig)
     for name, projector_m in zip(rig.lasers.names, rig.lasers.projector_m, strict=True):
         if np.isnan(projector_m).any():
             remedy = "add the point from which its light emerges"
@@ -192,235 +281,16 @@ def _rig(fields: Fields, folder: Path) -> Rig:
     return rig
 
 
-def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
-    if not fields.has("profile_m"):
-        inner, outer = (fields.quantity(key, RING_RADIUS_M) for key in ("radius_inner_m", "radius_outer_m"))
-        height = fields.quantity("height_m", RING_HEIGHT_M)
-        if inner >= outer:
-            raise fields.problem("radius_inner_m", f"is {inner:g}, must be smaller than radius_outer_m")
-        return np.array([[inner, 0.0], [inner, height], [outer, height], [outer, 0.0]])
-    profile_m = read_profile(fields)
-    fields.check("profile_m", profile_m[:, 0], RING_RADIUS_M)
-    fields.check("profile_m", profile_m[:, 1].max(keepdims=True), RING_HEIGHT_M)
-    if (profile_m[:, 1] < 0).any():
-        raise fields.problem("profile_m", "has a negative height")
-    if not (np.diff(profile_m[:, 1]) == 0).any():
-        raise fields.problem("profile_m", "has no flat piece", "the ring's face needs two points at one height")
-    return profile_m
-
-
-def _ring(fields: Fields) -> RingShape:
-    values: dict[str, Any] = fields.given(("face", "wall"), lambda key: read_material(fields, key))
-    ring = RingShape(profile_m=_profile_m(fields), **values)
-    width_m = ring.radius_outer_m - ring.radius_inner_m
-    if not FACE_WIDTH_M.holds(width_m):
-        found, remedy = FACE_WIDTH_M.finding(width_m)
-        raise fields.problem("", f"has a face whose width {found}", remedy)
-    return with_details(fields, ring)
-
-
-_BODY_KEYS = ("size_m", "offset_m", "material", "foil")
-
-
-def _body(fields: Fields) -> Body:
-    values: dict[str, Any] = fields.given(("offset_m",), lambda key: fields.quantities(key, 2, DETAIL_M))
-    values |= fields.given(("material",), lambda key: read_material(fields, key))
-    values |= fields.given(("foil",), lambda key: numbers_of(fields, key, Foil))
-    size_m = fields.quantities("size_m", 3, DETAIL_M)
-    if (size_m <= 0).any():
-        raise fields.problem("size_m", "must be positive")
-    return Body(size_m=size_m, **values)
-
-
-_SUN_KEYS = ("irradiance_w_m2", "direction", "diameter_rad")
-
-_EARTH_KEYS = ("direction", "orbit_radius_m", "albedo")
-
-
-def _space(fields: Fields) -> Light:
+def _space(entry: SceneFile) -> Light:
     """Sun and Earth, which all lights of the scene have in common unless they have their own sun."""
-    values: dict[str, Any] = {}
-    if fields.has("sun"):
-        sun = fields.fields("sun", _SUN_KEYS)
-        values["sun_w_m2"] = sun.quantity("irradiance_w_m2", IRRADIANCE_W_M2)
-        values["sun_direction"] = _direction(sun, "direction")
-        values |= {f"sun_{key}": sun.quantity(key, SUN_RAD) for key in ("diameter_rad",) if sun.has(key)}
-    if fields.has("earth"):
-        earth = fields.fields("earth", _EARTH_KEYS)
-        given: dict[str, Any] = {"direction": _direction(earth, "direction")}
-        if earth.has("orbit_radius_m"):
-            given["orbit_radius_m"] = earth.number("orbit_radius_m", least=1.02 * EARTH_RADIUS_M)
-        if earth.has("albedo"):
-            given["albedo"] = earth.number("albedo", least=0, most=1)
-        values["earth"] = Earth(**given)
-    return Light(name="space", **values)
+    space, sun = Light(name="space", earth=entry.earth), entry.sun
+    if sun is not None:
+        space = replace(space, sun_w_m2=sun.irradiance_w_m2, sun_direction=sun.direction)
+        if sun.diameter_rad is not None:
+            space = replace(space, sun_diameter_rad=sun.diameter_rad)
+    return space
 
 
-def _direction(fields: Fields, key: str) -> Float64[Array, "3"]:
-    direction = fields.vector(key, 3)
-    if not direction.any():
-        raise fields.problem(key, "has length 0")
-    return direction
-
-
-def _light(named: Fields, name: str, space: Light) -> Light:
-    keys = ("ambient_w_m2", "sun_w_m2", "sun_direction", "beacon")
-    light = Fields(named.file, named.values[name] or {}, keys, named.path + "." + name)
-    values: dict[str, Any] = light.given(keys[:2], lambda key: light.quantity(key, IRRADIANCE_W_M2))
-    if light.has("sun_direction"):
-        values["sun_direction"] = _direction(light, "sun_direction")
-    values |= light.given(("beacon",), lambda key: numbers_of(light, key, Beacon))
-    return replace(space, name=name, **values)
-
-
-_VIEW_KEYS = ("name", "center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad", "light", "target", "groups")
-
-_APPROACH_KEYS = ("count", "distances_m", "lights", "tilt_rad", "clock_rad", "offset", "name", "seed")
-
-_POSE_KEYS = ("name", "camera_from_board_rvec", "camera_from_board_tvec_m")
-
-_SET_KEYS = ("board", "views", "generate", "ambient_w_m2", "exposure_s", "sequence")
-
-_BOARD_APPROACH_KEYS = ("count", "distances_m", "tilt_rad", "turn_rad", "offset", "seed")
-
-_ANGLES = ("tilt_rad", "clock_rad", "turn_rad")
-
-
-def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
-    """Laser masks of the frames of a shot, from steps such as `off,1,2,3,all`."""
-    try:
-        steps = parsed_sequence(fields.text(key))
-        masks = tuple(step.mask(lasers) for step in steps)
-    except UsageError as error:
-        raise fields.problem(key, error.found, error.remedy) from error
-    if any(step.exposure for step in steps):
-        raise fields.problem(key, "has steps with an exposure of their own", "leave out what begins with @")
-    return masks
-
-
-def read_trajectory(
-    fields: Fields, key: str, lights: tuple[str, ...], along_file: bool = False
-) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
-    """The entries of a trajectory: single views, and approaches, which are sets of random views (`generate`).
-
-    `lights` are the names of the scene's lights, one of which a view names. The poses of views `along_file` are in the
-    trajectory file.
-    """
-    views: list[RingView] = []
-    approaches: list[Approach] = []
-    for entry in fields.each(key):
-        if entry.has("generate"):
-            if along_file:
-                raise entry.problem("generate", "draws poses, but those of motion.file are given")
-            alone = Fields(entry.file, entry.values, ("generate",), entry.path)
-            approaches.append(_approach(alone.fields("generate", _APPROACH_KEYS), lights))
-        else:
-            views.append(_view(Fields(entry.file, entry.values, _VIEW_KEYS, entry.path), lights, along_file))
-    names = [view.name for view in views]
-    for name in names:
-        if names.count(name) > 1:
-            raise fields.problem(key, f"the name {name!r} occurs twice")
-    return tuple(views), tuple(approaches)
-
-
-def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
-    """A board and its views."""
-    entry = fields.fields(key, _SET_KEYS)
-    values: dict[str, Any] = {"board": board_of(entry.fields("board"))}
-    if values["board"].kind == "asymmetric_circles":
-        raise entry.problem("board.kind", "is 'asymmetric_circles', which is not simulated")
-    if entry.has("views"):
-        values["poses"] = tuple(
-            NamedBoardPose(
-                name=_name(pose),
-                rotation=np.asarray(cv2.Rodrigues(pose.vector("camera_from_board_rvec", 3))[0], dtype=np.float64),
-                translation_m=pose.sized("camera_from_board_tvec_m", DISTANCE_M),
-            )
-            for pose in entry.each("views", _POSE_KEYS)
-        )
-    if entry.has("generate"):
-        approach = entry.fields("generate", _BOARD_APPROACH_KEYS)
-        random_set = _random_set(approach)
-        if len(random_set.get("distances_m", (0.0, 0.0))) != 2:
-            raise approach.problem("distances_m", "must be the nearest and the farthest distance")
-        values["approach"] = BoardApproach(**random_set)
-    values |= entry.given(("ambient_w_m2",), lambda key: entry.quantity(key, IRRADIANCE_W_M2))
-    values |= entry.given(("exposure_s",), lambda key: entry.quantity(key, EXPOSURE_S))
-    values |= entry.given(("sequence",), lambda key: read_sequence(entry, key, lasers))
-    return BoardSet(**values)
-
-
-_POSE_OF_VIEW = ("center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad")
-
-
-def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
-    values: dict[str, Any] = {"name": _name(entry)}
-    if along_file:
-        for key in filter(entry.has, _POSE_OF_VIEW):
-            raise entry.problem(key, "is given, but the poses are those of motion.file", "remove it")
-        values |= {"center_m": np.zeros(3), "normal": np.array([0.0, 0.0, -1.0])}  # not used
-    else:
-        values |= {"center_m": _center_m(entry), "normal": _normal(entry)}
-    if entry.has("light"):
-        values["light"] = entry.choice("light", lights)
-    elif "dim" not in lights:
-        raise entry.problem("light", "is missing, and there is no light 'dim'")
-    if entry.has("target"):
-        values["target"] = cast(TargetKind, entry.choice("target", get_args(TargetKind)))
-    values |= entry.given(("roll_rad",), lambda key: entry.quantity(key, ANGLE_RAD))
-    if entry.has("groups"):
-        values["groups"] = entry.fields("groups").values
-        if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
-            raise entry.problem("groups", "must contain texts, numbers, true or false")
-    return RingView(**values)
-
-
-def _center_m(entry: Fields) -> Float64[Array, "3"]:
-    center_m = entry.sized("center_m", TARGET_DISTANCE_M)
-    if center_m[2] <= 0:
-        raise entry.problem("center_m", f"lies behind the camera, at z = {center_m[2]:g}", "z is forward")
-    return center_m
-
-
-def _normal(entry: Fields) -> Float64[Array, "3"]:
-    """The normal, given as a vector or by the paper's pitch and yaw; it must point towards the camera."""
-    if not entry.has("normal"):
-        pitch, yaw = (entry.quantity(key, FACING_RAD) for key in ("pitch_rad", "yaw_rad"))
-        return facing_normal(pitch, yaw)
-    if entry.has("pitch_rad") or entry.has("yaw_rad"):
-        raise entry.problem("normal", "cannot be combined with pitch_rad or yaw_rad", "give one of the two")
-    normal = entry.unit_vector("normal")
-    if normal[2] >= 0:
-        raise entry.problem("normal", "points away from the camera", "change its sign: z is forward")
-    return normal
-
-
-def _approach(entry: Fields, lights: tuple[str, ...]) -> Approach:
-    values = _random_set(entry)
-    values |= {"name": _name(entry)} if entry.has("name") else {}
-    values |= entry.given(("lights",), entry.texts)
-    for light in values.get("lights", ("dim",)):
-        if light not in lights:
-            raise entry.problem("lights", f"has {light!r}, must be one of {', '.join(lights)}")
-    return Approach(**values)
-
-
-def _random_set(entry: Fields) -> dict[str, Any]:
-    """The values that random sets of ring views and of board views have in common."""
-    values: dict[str, Any] = entry.given(("count",), lambda key: entry.integer(key, least=1, most=MAX_COUNT))
-    values |= entry.given(("seed",), lambda key: entry.integer(key, least=0))
-    values |= entry.given(_ANGLES, lambda key: entry.quantity(key, TILT_RAD))
-    values |= entry.given(("offset",), lambda key: entry.quantity(key, OFFSET_SHARE))
-    if entry.has("distances_m"):
-        distances_m = entry.array("distances_m", (None,))
-        entry.check("distances_m", distances_m, DISTANCE_M)
-        values["distances_m"] = tuple(distances_m.tolist())
-    return values
-
-
-def _name(entry: Fields) -> str:
-    """A name that is a valid file name."""
-    name = entry.text("name")
-    if "/" in name or name.startswith("."):
-        raise DataError(entry.location("name"), f"is {name!r}, must be a plain file name")
-    return name
+def _light(name: str, entry: LightEntry, space: Light) -> Light:
+    own = {key: getattr(entry, key) for key in definition_of(LightEntry).names}
+    return replace(space, name=name, **{key: value for key, value in own.items() if value is not None})
