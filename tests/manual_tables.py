@@ -6,23 +6,31 @@ A table stands between two comment lines of the page that have its name.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ringpose.capture.device_discovery import FoundCamera, SerialPort
 from ringpose.capture.self_test import DeviceCheck
 from ringpose.files.cameras.ros import CameraFile, CameraInfo
-from ringpose.files.records.codec import Choice, Numbers, definition_of
+from ringpose.files.records.codec import Attribute, Choice, Definition, Numbers, definition_of
 from ringpose.files.rigs import RigFile
+from ringpose.files.scenes.motions import MotionEntry
+from ringpose.files.scenes.scene import SceneFile
+from ringpose.files.scenes.targets import FormEntry, RingEntry, TargetEntry
+from ringpose.files.scenes.views import BoardSetEntry, ViewEntry
 from ringpose.files.schemas import RECORDS
+from ringpose.files.studies.specification import StudyFile
 from ringpose.measure.status import RULES, FlagRule
 from ringpose.types.board import Board
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
 from ringpose.types.rig import RobotPose
-from ringpose.types.scene import Truth
+from ringpose.types.scene import Approach, Truth
 from ringpose.types.session import Session
+from ringpose.types.study import Drawn, Factors, Limits
+from ringpose.types.target import Foil, Gap, Material
 from ringpose.types.track import TrackLine
 
 MAN = Path(__file__).parents[1] / "man"
@@ -66,10 +74,28 @@ def _usable(rule: FlagRule, quantity: str) -> str:
 PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine, Detection, BreakPoints)
 """Classes whose keys have a table of their own in records(5)."""
 
+OF_SCENE = (
+    SceneFile, RingEntry, Gap, FormEntry, Material, Foil, TargetEntry, MotionEntry, ViewEntry, Approach, BoardSetEntry
+)  # fmt: skip
+"""Classes whose keys have a table of their own in simulate(1)."""
 
-def keys(cls: type) -> Iterator[str]:
-    """The keys of a record, or of a part of one; those of a part without a table of its own stand below its key."""
-    attributes = definition_of(cls).attributes
+OF_STUDY = (StudyFile, Factors, Drawn, Limits)
+"""Classes whose keys have a table of their own in study(5)."""
+
+
+def keys(cls: type, record: type | None = None) -> Iterator[str]:
+    """The keys of a record, or of a part of one; those of a part without a table of its own stand below its key.
+
+    `record` has the names that are keys on this page; those of all records without it.
+    """
+    names = KEYS if record is None else set(_names(record))
+    yield from _list_of(
+        cls, definition_of(cls).attributes, names, {cls, *PARTS, *OF_SCENE, *OF_STUDY, CameraInfo, Board}
+    )
+
+
+def _list_of(cls: type, attributes: Sequence[Attribute], names: Collection[str], listed: set[type]) -> Iterator[str]:
+    """A list of keys; parts that are `listed` elsewhere are left out."""
     if not any(each.key.description for each in attributes):
         yield f".Va {' , '.join(each.name for each in attributes)} ."
         return
@@ -80,12 +106,36 @@ def keys(cls: type) -> Iterator[str]:
     for each in attributes:
         value = each.slot.value
         yield f".It Va {each.name}{_axes(value.axes) if isinstance(value, Numbers) else ''}"
-        yield from mdoc(each.key.description)
+        yield from mdoc(each.key.description, names)
         if isinstance(value, Choice) and not all(f"`{word}`" in each.key.description for word in value.words):
-            yield f".Cm {' , '.join(value.words)} ."
-        for part in value.parts:
-            if part.cls not in (*PARTS, CameraInfo):
-                yield from keys(part.cls)
+            yield f".Cm {' , '.join(map(str, value.words))} ."
+        parts = [part for part in value.parts if part.cls not in listed]
+        listed = listed | {part.cls for part in parts}
+        if each.key.tag and value.parts == tuple(parts):
+            yield from _tagged(each.key.tag, parts, names, listed)
+        else:
+            for part in parts:
+                yield from _list_of(part.cls, part.attributes, names, listed)
+    yield ".El"
+
+
+def _tagged(tag: str, parts: Sequence[Definition[Any]], names: Collection[str], listed: set[type]) -> Iterator[str]:
+    """What parts of several kinds have in common, and the keys of each kind by the word of its tag."""
+    first = parts[0].attributes
+    common = [each for each in first if all(each.name in part.names and each.name != tag for part in parts)]
+    if not common:
+        for part in parts:
+            yield from _list_of(part.cls, part.attributes, names, listed)
+        return
+    yield from _list_of(parts[0].cls, common, names, listed)
+    yield f"Its {tag} has further keys:"
+    yield ".Bl -tag -width revolution"
+    shared = [each.name for each in common]
+    for part in parts:
+        yield f".It Cm {part.kind(tag).words[0]}"
+        yield from _list_of(
+            part.cls, [each for each in part.attributes if each.name not in (tag, *shared)], names, listed
+        )
     yield ".El"
 
 
@@ -96,7 +146,8 @@ def _axes(axes: Sequence[str]) -> str:
         return ""
     if all(name.isdigit() for name in names):
         return f" No ({' x '.join(names)})"
-    return " No " + "".join(f"[{', '.join(name) if name in ('xy', 'xyz', 'xyzw') else name}]" for name in names)
+    parts = [list(name) if name in ("xy", "xyz", "xyzw") else name.split("_") for name in names]
+    return " No " + "".join(f"[{', '.join(part)}]" for part in parts)
 
 
 def _names(cls: type) -> Iterator[str]:
@@ -106,28 +157,28 @@ def _names(cls: type) -> Iterator[str]:
             yield from _names(part.cls)
 
 
-KEYS = {name for record in RECORDS.values() for name in _names(record.cls)}
+KEYS = {name for record in RECORDS.values() if record.cls not in (SceneFile, StudyFile) for name in _names(record.cls)}
 
 
-def mdoc(text: str) -> Iterator[str]:
+def mdoc(text: str, names: Collection[str] = ()) -> Iterator[str]:
     """Lines of mdoc: a sentence begins on a line of its own; what is in backticks is a flag, an option or a key."""
     for sentence in re.split(r"(?<=[.:]) (?=[A-Z])", text):
         for plain, name, after in re.findall(r"([^`]*)(?:`([^`]+)`([.,:;)]*))?", sentence):
             if plain.strip():
                 yield plain.strip()
             if name:
-                yield f"{_macro(name)}{' ' * bool(after)}{after}"
+                yield f"{_macro(name, names or KEYS)}{' ' * bool(after)}{after}"
 
 
 FLAGS = {rule.name for rule in RULES}
 
 
-def _macro(name: str) -> str:
+def _macro(name: str, names: Collection[str]) -> str:
     if name.startswith("--"):
         return f".Fl Fl {name[2:]}"
     if name.startswith("ringpose "):
         return f".Nm {name}"
-    return f".Va {name}" if name in KEYS else f".Cm {name}"
+    return f".Va {name}" if name in names else f".Cm {name}"
 
 
 TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
@@ -138,6 +189,8 @@ TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
         ("ringpose-conventions.7", f"keys of {cls.__name__}"): partial(keys, cls)
         for cls in (RigFile, CameraFile, Board, Truth, RobotPose)
     },
+    **{("ringpose-simulate.1", f"keys of {cls.__name__}"): partial(keys, cls, SceneFile) for cls in OF_SCENE},
+    **{("ringpose-study.5", f"keys of {cls.__name__}"): partial(keys, cls, StudyFile) for cls in OF_STUDY},
     **{
         ("ringpose-capture.1", f"keys of {cls.__name__}"): partial(keys, cls)
         for cls in (Session, FoundCamera, SerialPort, DeviceCheck)

@@ -9,6 +9,7 @@ from ringpose.files.images import sessions
 from ringpose.files.records import detections, poses, robot_poses, tracks, truths
 from ringpose.files.records.codec import RecordType
 from ringpose.files.scenes import scene
+from ringpose.files.studies import specification
 
 RECORDS: Mapping[str, RecordType[Any]] = {
     "pose": poses.RECORD,
@@ -21,4 +22,5 @@ RECORDS: Mapping[str, RecordType[Any]] = {
     "camera": ros.RECORD,
     "board": boards.RECORD,
     "scene": scene.RECORD,
+    "study": specification.RECORD,
 }

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum, auto
 from math import inf
-from typing import Any
+from typing import Annotated, Any, get_args, get_origin
 
 from ringpose.types.plausible import Range
 
@@ -108,3 +108,9 @@ class Key:
 
     def __hash__(self) -> int:
         return id(self)
+
+
+def key_of(hint: Any) -> Key | None:
+    """The key in an annotation; None if it has none."""
+    arguments = get_args(hint) if get_origin(hint) is Annotated else ()
+    return next((each for each in arguments if isinstance(each, Key)), None)

@@ -8,25 +8,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from math import prod
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, get_type_hints
 
+from ringpose.types import plausible
 from ringpose.types.assumptions import AssumptionOptions
-from ringpose.types.plausible import (
-    BLUR_PX,
-    DARK_NOISE_E,
-    DISTANCE_M,
-    LASER_ANGLE_RAD,
-    OFFSET_SHARE,
-    RATE_SD_RAD_S,
-    RING_RADIUS_M,
-    RING_TOLERANCE_M,
-    SHARE,
-    SPEED_M_S,
-    STABILITY_TILT_RAD,
-    STRIPE_DN,
-    TILT_RAD,
-    Range,
-)
+from ringpose.types.plausible import Range
+from ringpose.types.record import Key, Presence, key_of
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
 
@@ -37,24 +24,166 @@ Row = dict[str, str | float | int | bool | None]
 """One shot by one method: values by the names of `columns`; None where there is none."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """What each shot draws a value from; one of them is given."""
+
+    uniform: Annotated[tuple[float, float] | None, Key("The ends of an interval.", presence=Presence.IF_KNOWN)] = None
+    choice: Annotated[
+        tuple[Value, ...] | None, Key("The values of which each shot has one.", presence=Presence.IF_KNOWN)
+    ] = None
+
+
+_Number = float | tuple[float, ...] | Drawn | None
+_Text = str | tuple[str, ...] | Drawn | None
+_Switch = bool | tuple[bool, ...] | Drawn | None
+_Shown = Literal["ring", "body"] | tuple[Literal["ring", "body"], ...] | Drawn | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Factors:
+    """The factors of a study: each a value, several values of the grid, or what each shot draws from."""
+
+    distance_m: Annotated[
+        _Number,
+        Key(
+            "Depth of the middle of the visible section of the ring.",
+            plausible=plausible.DISTANCE_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    tilt_rad: Annotated[
+        _Number,
+        Key(
+            "Largest tilt, as in the random views of a scene.", plausible=plausible.TILT_RAD, presence=Presence.IF_KNOWN
+        ),
+    ] = None
+    clock_rad: Annotated[
+        _Number,
+        Key(
+            "Largest angle of the visible section, likewise.", plausible=plausible.TILT_RAD, presence=Presence.IF_KNOWN
+        ),
+    ] = None
+    offset: Annotated[
+        _Number,
+        Key(
+            "Largest offset from the image centre, likewise.",
+            plausible=plausible.OFFSET_SHARE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    light: Annotated[
+        _Text,
+        Key("A light of the scene.", presence=Presence.IF_KNOWN),
+    ] = None
+    sequence: Annotated[
+        _Text,
+        Key("Laser steps of a shot, such as `off,1,2,3,all`.", presence=Presence.IF_KNOWN),
+    ] = None
+    target: Annotated[
+        _Shown,
+        Key("`ring`, or `body` for the satellite without it.", presence=Presence.IF_KNOWN),
+    ] = None
+    radius_outer_m: Annotated[
+        _Number,
+        Key(
+            "Outer radius of the ring; its cross-section stays the same.",
+            plausible=plausible.RING_RADIUS_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    laser_angle_rad: Annotated[
+        _Number,
+        Key("Angle of the outer light planes.", plausible=plausible.LASER_ANGLE_RAD, presence=Presence.IF_KNOWN),
+    ] = None
+    stripe_dn: Annotated[
+        _Number,
+        Key(
+            "Grey value of the stripes, by the exposure; beyond the largest one of the sensor they saturate, in images "
+            "only.",
+            plausible=plausible.STRIPE_DN,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    blur_px: Annotated[
+        _Number,
+        Key("Blur of the lens.", plausible=plausible.BLUR_PX, presence=Presence.IF_KNOWN),
+    ] = None
+    speckle_contrast: Annotated[
+        _Number,
+        Key("Contrast of the speckle.", plausible=plausible.SHARE, presence=Presence.IF_KNOWN),
+    ] = None
+    dark_noise_e: Annotated[
+        _Number,
+        Key("Temporal dark noise.", plausible=plausible.DARK_NOISE_E, presence=Presence.IF_KNOWN),
+    ] = None
+    rig_errors: Annotated[
+        _Switch,
+        Key("Whether the true rig is drawn from the covariance of the rig file.", presence=Presence.IF_KNOWN),
+    ] = None
+    ring_tolerance_m: Annotated[
+        _Number,
+        Key(
+            "Deviation of each edge from a circle, and of the face from a plane (standard deviation).",
+            plausible=plausible.RING_TOLERANCE_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    plane_tilt_rad: Annotated[
+        _Number,
+        Key(
+            "Angle by which one light plane, drawn by each shot, is turned about its projector, and the rig file is "
+            "wrong.",
+            plausible=plausible.STABILITY_TILT_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    speed_sd_m_s: Annotated[
+        _Number,
+        Key(
+            "Standard deviation per axis of the velocity of the ring's centre, drawn for each shot or run.",
+            plausible=plausible.SPEED_M_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    rate_sd_rad_s: Annotated[
+        _Number,
+        Key(
+            "The same of the rates across the ring's normal.",
+            plausible=plausible.RATE_SD_RAD_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    displaced_share: Annotated[
+        _Number,
+        Key(
+            "Probability that a break point is an outlier; needs `level: features`.",
+            plausible=plausible.SHARE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    background_share: Annotated[
+        _Number,
+        Key(
+            "Probability that a stripe lies on a surface behind the ring; needs `level: features`.",
+            plausible=plausible.SHARE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    missing_share: Annotated[
+        _Number,
+        Key(
+            "Probability that a stripe is missing; needs `level: features`.",
+            plausible=plausible.SHARE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+
+
 NUMBERS: Mapping[str, Range] = {
-    "distance_m": DISTANCE_M,
-    "tilt_rad": TILT_RAD,
-    "clock_rad": TILT_RAD,
-    "offset": OFFSET_SHARE,
-    "radius_outer_m": RING_RADIUS_M,
-    "laser_angle_rad": LASER_ANGLE_RAD,
-    "stripe_dn": STRIPE_DN,
-    "blur_px": BLUR_PX,
-    "speckle_contrast": SHARE,
-    "dark_noise_e": DARK_NOISE_E,
-    "ring_tolerance_m": RING_TOLERANCE_M,
-    "plane_tilt_rad": STABILITY_TILT_RAD,
-    "speed_sd_m_s": SPEED_M_S,
-    "rate_sd_rad_s": RATE_SD_RAD_S,
-    "displaced_share": SHARE,
-    "background_share": SHARE,
-    "missing_share": SHARE,
+    name: key.plausible
+    for name, hint in get_type_hints(Factors, include_extras=True).items()
+    if (key := key_of(hint)) is not None and key.plausible is not None
 }
 """The factors that are numbers, each with its plausible range."""
 
@@ -171,6 +300,38 @@ LIMITS: Mapping[str, str] = {
 }
 """Limits of a study, each with what it applies to: root mean square errors, shares of the shots with a ring, the number
 of wrong quantities, and the share of all shots that have the status `ok` and a wrong quantity."""
+
+_Limit = float | Mapping[str, Annotated[float, Key(least=0)]] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """The limits of `LIMITS`; a mapping has them for some of the cases."""
+
+    max_center_m: Annotated[
+        _Limit, Key("Root mean square error of the centre.", least=0, presence=Presence.IF_KNOWN)
+    ] = None
+    max_normal_rad: Annotated[
+        _Limit, Key("Root mean square error of the normal.", least=0, presence=Presence.IF_KNOWN)
+    ] = None
+    max_grasp_m: Annotated[
+        _Limit, Key("Root mean square error of the grasp point.", least=0, presence=Presence.IF_KNOWN)
+    ] = None
+    max_radius_outer_m: Annotated[
+        _Limit, Key("Root mean square error of the outer radius.", least=0, presence=Presence.IF_KNOWN)
+    ] = None
+    min_available_share: Annotated[
+        _Limit, Key("Share of the shots with a ring that have the status `ok`.", least=0, presence=Presence.IF_KNOWN)
+    ] = None
+    max_no_pose_share: Annotated[
+        _Limit, Key("Share of the shots with a ring that have no pose.", least=0, presence=Presence.IF_KNOWN)
+    ] = None
+    max_wrong: Annotated[_Limit, Key("Number of wrong quantities.", least=0, presence=Presence.IF_KNOWN)] = None
+    max_ok_wrong_share: Annotated[
+        _Limit,
+        Key("Share of all shots that have the status `ok` and a wrong quantity.", least=0, presence=Presence.IF_KNOWN),
+    ] = None
+
 
 ERRORS = (
     "center_x_m", "center_y_m", "center_z_m", "center_m", "normal_rad", "pitch_rad", "yaw_rad",

@@ -34,6 +34,7 @@ from ringpose.files.scenes.targets import (
 )
 from ringpose.files.scenes.views import BoardsEntry, BoardSetEntry, BoardViewEntry, GeneratedViews, ViewEntry
 from ringpose.files.schemas import RECORDS
+from ringpose.files.studies.specification import AssumeEntry, StudyFile, TrackEntry
 from ringpose.types.assumptions import RigStability
 from ringpose.types.board import Board
 from ringpose.types.rig import ParameterCovariance, RobotPose, ToolPose
@@ -48,6 +49,7 @@ from ringpose.types.scene import (
     Speckle,
 )
 from ringpose.types.session import Capture, Session
+from ringpose.types.study import Drawn, Factors, Limits, StudyMethod
 from ringpose.types.target import MATERIALS, MOTION_PRESETS, Body, Foil, Gap, Grid, Material
 
 Values = dict[str, Any]
@@ -153,7 +155,21 @@ SCENE = SceneFile(
         ),
     ),
 )  # fmt: skip
+STUDY = StudyFile(
+    title="small", scene="scene.yaml", level="features", count=2, seed=3,
+    vary=Factors(
+        distance_m=(0.3, 0.5), light="dim", sequence=("off,all", "off,1"), tilt_rad=Drawn(uniform=(0.1, 0.2)),
+        target=Drawn(choice=("ring", "body")), rig_errors=(True, False), offset=Drawn(choice=(0.1, 0.2)), blur_px=1.0,
+    ),
+    cases={"none": Factors(), "blurred": Factors(blur_px=2.0)},
+    assume=AssumeEntry(
+        still=True, max_speed_m_s=0.1, max_rate_rad_s=0.2, ring_tolerance_m=1e-3, rig_stability=2.0
+    ),
+    methods=(StudyMethod.TRACK, StudyMethod.ELLIPSE_REFINED), table="case", calibrate=True,
+    track=TrackEntry(shots=3, period_s=0.5), limits=Limits(max_center_m=0.1, max_ok_wrong_share={"none": 0.5}),
+)  # fmt: skip
 KNOWN: Mapping[str, Any] = {
+    "study": STUDY,
     "scene": SCENE,
     "pose": complete_line(RNG),
     "track": complete_track(RNG),

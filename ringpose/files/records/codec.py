@@ -22,7 +22,7 @@ from ringpose.files.io import software
 from ringpose.files.records.arrays import Axes, checked_array, fixed_length
 from ringpose.files.schema import Fields, Kind
 from ringpose.types.arrays import element_and_axes
-from ringpose.types.record import REQUIRED, Form, Key, Presence
+from ringpose.types.record import REQUIRED, Form, Key, Presence, key_of
 
 T = TypeVar("T")
 
@@ -459,10 +459,12 @@ class ByName(Value):
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> dict[str, Any]:
         values, found = fields.fields(name), {}
+        if not all(isinstance(each, str) for each in values.values):  # in YAML, `1` is a number
+            values = Fields(values.file, {str(each): value for each, value in values.values.items()}, path=values.path)
         for each in values.values:
             if self.names is None or each in tuple(self.names):
                 with suppress(Unknown):
-                    found[self.names(each) if self.names else str(each)] = self.of.read(values, each, context, {})
+                    found[self.names(each) if self.names else each] = self.of.read(values, each, context, {})
         return found
 
     def takes(self, value: Any) -> bool:
@@ -729,7 +731,7 @@ def _attributes_of(cls: type) -> tuple[Attribute, ...]:
     for name, member in vars(cls).items():
         if isinstance(member, property):
             hint = get_type_hints(member.fget, include_extras=True).get("return")
-            key = _key_in(hint)
+            key = key_of(hint)
             if key is not None:
                 place = 0 if not key.after else 1 + [each.name for each in found].index(key.after)
                 is_read = key.is_read or key.constant is not None
@@ -741,18 +743,13 @@ def _attributes_of(cls: type) -> tuple[Attribute, ...]:
 def _fields_of(cls: type) -> Iterator[Attribute]:
     hints = get_type_hints(cls, include_extras=True)
     for each in fields(cls):
-        key = _key_in(hints[each.name])
+        key = key_of(hints[each.name])
         if key is not None:
             default = None if each.default_factory is MISSING else each.default_factory
             if each.default is not MISSING:
                 default = lambda value=each.default: value  # noqa: E731
             slot = slot_of(hints[each.name], key)
             yield Attribute(each.name, key.name or each.name, slot, None if key.needed else default, True, True)
-
-
-def _key_in(hint: Any) -> Key | None:
-    arguments = get_args(hint) if get_origin(hint) is Annotated else ()
-    return next((each for each in arguments if isinstance(each, Key)), None)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -3,18 +3,22 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import degrees
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Literal, cast
 
-from ringpose.errors import UsageError
+import numpy as np
+
+from ringpose.errors import DataError, UsageError
 from ringpose.files.io import read_bytes
+from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
 from ringpose.files.scenes.scene import read_scene
-from ringpose.files.schema import FREE_PREFIX, Fields, hint
+from ringpose.files.schema import FREE_PREFIX, STUDY, Fields, hint
 from ringpose.files.yaml import read_yaml
+from ringpose.types import plausible
 from ringpose.types.assumptions import AssumptionOptions
-from ringpose.types.plausible import MAX_RATE_RAD_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR
+from ringpose.types.record import Key, Presence
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
 from ringpose.types.study import (
@@ -22,9 +26,10 @@ from ringpose.types.study import (
     LIMITS,
     NUMBERS,
     ONLY_FEATURES,
-    SWITCHES,
-    TEXTS,
+    Drawn,
     Factor,
+    Factors,
+    Limits,
     ShotRun,
     Study,
     StudyMethod,
@@ -37,12 +42,152 @@ PRESETS = Path(__file__).parent / "presets"
 
 MAX_SHOTS = 100_000_000
 
-_KEYS = (
-    "ringpose", "title", "scene", "level", "count", "seed", "vary", "cases", "assume", "methods", "table", "calibrate",
-    "track", "limits",
-)  # fmt: skip
 
-_FACTORS = (*TEXTS, *NUMBERS, *SWITCHES)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssumeEntry:
+    """The key `assume` of a study; what is missing has the default of `ringpose pose`."""
+
+    still: Annotated[bool, Key("Whether the target is known to be still.", presence=Presence.IF_KNOWN)] = False
+    max_speed_m_s: Annotated[
+        float | None,
+        Key(
+            "Two standard deviations per axis of the velocity of the ring's centre.",
+            plausible=plausible.SPEED_M_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    max_rate_rad_s: Annotated[
+        float | None,
+        Key(
+            "Two standard deviations per axis of the rates across the normal.",
+            plausible=plausible.MAX_RATE_RAD_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    ring_tolerance_m: Annotated[
+        float | None,
+        Key(
+            "Standard deviation of the ring's form.",
+            plausible=plausible.RING_TOLERANCE_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    rig_stability: Annotated[
+        float,
+        Key("Factor on the rig's stability.", plausible=plausible.STABILITY_FACTOR, presence=Presence.IF_KNOWN),
+    ] = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackEntry:
+    """The key `track` of a study."""
+
+    shots: Annotated[int, Key("Number of shots of a run.", least=2, most=1000)]
+    period_s: Annotated[float, Key("Time between them.", least=0.01, most=60.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyFile:
+    """study.yaml."""
+
+    title: Annotated[str, Key("A text for the head of the tables.")]
+    scene: Annotated[str, Key("A scene file, relative to the study; its trajectory is not used.")]
+    level: Annotated[
+        Literal["images", "features"],
+        Key(
+            "`images` renders every shot and detects its features; `features` draws the features from the ring's model "
+            "with the errors that images have, a hundred times faster."
+        ),
+    ]
+    count: Annotated[
+        int | None,
+        Key(
+            "Shots of each cell of the grid, unless `--count` is given.",
+            least=1,
+            most=MAX_SHOTS,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    seed: Annotated[
+        int | None,
+        Key(
+            "Seed of the shots, unless `--seed` is given; two seeds give independent shots.",
+            least=0,
+            most=2**32 - 1,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    vary: Annotated[
+        Factors,
+        Key(
+            "The factors, of which `distance_m` is required. A list of values is a dimension of the grid, a single "
+            "value holds for all shots; what is drawn differs between shots."
+        ),
+    ]
+    cases: Annotated[
+        Mapping[str, Factors],
+        Key(
+            "Names, each with the factors that it changes: a dimension of the grid, which is named `case`. A factor "
+            "that a case changes has one value in `vary`, or is drawn. The shots of all cases have the same views and "
+            "drawn values, except for what the case changes.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = field(default_factory=dict)
+    assume: Annotated[
+        AssumeEntry | None,
+        Key(
+            "What the estimator assumes instead of the distributions from which the shots are drawn, as in the options "
+            "of `ringpose pose`, but the rate in rad/s. A target that does not move is known to be still.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    methods: Annotated[
+        tuple[StudyMethod, ...], Key("The methods, see below; `ml` and `paper` without it.", presence=Presence.IF_KNOWN)
+    ] = (
+        StudyMethod.ML,
+        StudyMethod.PAPER,
+    )
+    table: Annotated[
+        str | None,
+        Key(
+            "The factor in the columns of the first table; the first of the grid without it.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    calibrate: Annotated[
+        bool,
+        Key(
+            "Whether the rig that measures is calibrated from the scene's board views first.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = False
+    track: Annotated[
+        TrackEntry | None,
+        Key(
+            "Every shot of the study is the last of a run of shots. The method `track` needs it, the other methods "
+            "measure the last shot.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    limits: Annotated[
+        Limits,
+        Key(
+            "Limits on the first method in every cell of the grid; one to which no shot applies is missed. In a study "
+            "with cases a limit may be stated for some of them.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = Limits()
+
+
+RECORD = RecordType(
+    cls=StudyFile,
+    kind=STUDY,
+    version=SCHEMA,
+    description="study.yaml: which shots are simulated, how they are measured, and the limits of the errors. Metres, "
+    "radians, seconds. Your own keys begin with x_.",
+    is_file=True,
+    strict=True,
+)
 
 
 def preset_names() -> list[str]:
@@ -62,35 +207,34 @@ def study_path(name: str) -> Path:
 
 def read_study(path: Path, count: int | None = None, seed: int | None = None) -> Study:
     """The study in a study.yaml; `count` and `seed` replace those of the file."""
-    fields = read_yaml(path, _KEYS)
+    fields = read_yaml(path, RECORD.keys)
     fields.choice("ringpose", (SCHEMA,))
-    scene_file = path.parent / fields.text("scene")
+    entry = definition_of(StudyFile).read(fields, OF_FILE)
+    scene_file = path.parent / entry.scene
     scene = read_scene(scene_file)
-    factors = _factors(fields.fields("vary", _FACTORS), scene)
+    factors = _factors(fields.fields("vary"), entry.vary, scene)
     if "distance_m" not in [factor.name for factor in factors]:
         raise fields.problem("vary", "has no distance_m", "give the distances of the ring")
-    cases = _cases(fields, factors, scene) if "cases" in fields.values else {}
+    cases = _cases(fields, entry, factors, scene) if "cases" in fields.values else {}
     if cases:
         factors = (Factor(name=CASE, values=tuple(cases)), *factors)
     grid = [factor.name for factor in factors if not factor.drawn]
-    names = fields.texts("methods") if fields.has("methods") else ("ml", "paper")
-    methods = tuple(StudyMethod(_alone(fields, "methods", each).choice("methods", StudyMethod)) for each in names)
-    if not methods or len(set(methods)) < len(methods):
+    if not entry.methods or len(set(entry.methods)) < len(entry.methods):
         raise fields.problem("methods", "must name each method once, and at least one")
     study = Study(
-        title=fields.text("title"),
+        title=entry.title,
         scene=scene,
-        level=cast(Literal["images", "features"], fields.choice("level", ("images", "features"))),
-        count=count if count is not None else fields.integer("count", least=1, most=MAX_SHOTS),
-        seed=seed if seed is not None else fields.integer("seed", least=0, most=2**32 - 1),
+        level=entry.level,
+        count=_given(fields, "count", count, entry.count),
+        seed=_given(fields, "seed", seed, entry.seed),
         factors=factors,
-        methods=methods,
-        table=fields.choice("table", grid) if fields.has("table") else next(iter(grid), ""),
+        methods=entry.methods,
+        table=fields.choice("table", grid) if entry.table is not None else next(iter(grid), ""),
         cases=cases,
-        assumed=_assumed(fields) if "assume" in fields.values else None,
-        calibrate=bool(fields.optional("calibrate", fields.boolean)),
-        run=_run(fields, methods),
-        limits=_limits(fields, cases),
+        assumed=_assumed(fields, entry.assume) if "assume" in fields.values else None,
+        calibrate=entry.calibrate,
+        run=_run(fields, entry),
+        limits=_limits(fields, entry.limits, cases),
     )
     _check(fields, study)
     files = (path, scene_file, scene_file.parent / read_yaml(scene_file).text("rig"))
@@ -99,68 +243,63 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     return replace(study, files=files, sha256=hashlib.sha256(identity.encode()).hexdigest())
 
 
-def _alone(fields: Fields, key: str, value: Any) -> Fields:
-    """A mapping in which the key has this single value, so that the methods of `Fields` can read it."""
-    return Fields(fields.file, {key: value}, path=fields.path)
+def _given(fields: Fields, key: str, option: int | None, own: int | None) -> int:
+    """The value of an option, else that of the file."""
+    number = own if option is None else option
+    if number is None:
+        raise fields.missing(key)
+    return number
 
 
-def _run(fields: Fields, methods: tuple[StudyMethod, ...]) -> ShotRun:
-    if (StudyMethod.TRACK in methods) != fields.has("track"):
+def _run(fields: Fields, entry: StudyFile) -> ShotRun:
+    if (StudyMethod.TRACK in entry.methods) != (entry.track is not None):
         remedy = "give track: {shots: N, period_s: S} and the method track"
         raise fields.problem("track", "and the method track need each other", remedy)
-    if not fields.has("track"):
-        return ShotRun()
-    track = fields.fields("track", ("shots", "period_s"))
-    return ShotRun(
-        shots=track.integer("shots", least=2, most=1000), period_s=track.number("period_s", least=0.01, most=60.0)
+    return ShotRun() if entry.track is None else ShotRun(shots=entry.track.shots, period_s=entry.track.period_s)
+
+
+def _assumed(fields: Fields, entry: AssumeEntry | None) -> AssumptionOptions:
+    """The assumptions of the estimator; keys that are not given have the defaults of `ringpose pose`."""
+    if entry is None:
+        raise fields.problem("assume", "is null, must have a value")
+    if entry.still and not (entry.max_speed_m_s is None and entry.max_rate_rad_s is None):
+        found = "excludes max_speed_m_s and max_rate_rad_s"
+        raise fields.fields("assume").problem("still", found, "give one of them")
+    return AssumptionOptions(
+        still=entry.still,
+        max_speed_m_s=entry.max_speed_m_s,
+        max_rate_deg_s=None if entry.max_rate_rad_s is None else degrees(entry.max_rate_rad_s),
+        ring_tolerance_m=entry.ring_tolerance_m,
+        rig_stability=entry.rig_stability,
     )
 
 
-def _assumed(fields: Fields) -> AssumptionOptions:
-    """The assumptions of the estimator; keys that are not given have the defaults of `ringpose pose`."""
-    plausible = {
-        "max_speed_m_s": SPEED_M_S,
-        "max_rate_rad_s": MAX_RATE_RAD_S,
-        "ring_tolerance_m": RING_TOLERANCE_M,
-        "rig_stability": STABILITY_FACTOR,
-    }
-    entry = fields.fields("assume", ("still", *plausible))
-    still = bool(entry.optional("still", entry.boolean))
-    if still and (entry.has("max_speed_m_s") or entry.has("max_rate_rad_s")):
-        raise entry.problem("still", "excludes max_speed_m_s and max_rate_rad_s", "give one of them")
-    given = entry.given(plausible, lambda key: entry.quantity(key, plausible[key]))
-    if "max_rate_rad_s" in given:
-        given["max_rate_deg_s"] = degrees(given.pop("max_rate_rad_s"))
-    return AssumptionOptions(still=still, **given)
+def _limits(fields: Fields, entry: Limits, cases: Iterable[str]) -> dict[str, float | Mapping[str, float]]:
+    """The limits that are given; one that is a mapping has a value for each of the cases that it names."""
+    given = {name: getattr(entry, name) for name in LIMITS}
+    for name, limit in given.items():
+        if isinstance(limit, Mapping):
+            fields.fields("limits").fields(name, tuple(cases))
+    return {name: limit for name, limit in given.items() if limit is not None}
 
 
-def _limits(fields: Fields, cases: Iterable[str]) -> dict[str, float | Mapping[str, float]]:
-    """The limits; one that is a mapping has a value for each of the cases that it names."""
-    if not fields.has("limits"):
-        return {}
-    limits, found = fields.fields("limits", tuple(LIMITS)), dict[str, float | Mapping[str, float]]()
-    for name in map(str, limits.values):
-        if isinstance(limits.raw(name), dict):
-            by_case = limits.fields(name, tuple(cases))
-            found[name] = {str(case): by_case.number(str(case), least=0) for case in by_case.values}
-        else:
-            found[name] = limits.number(name, least=0)
-    return found
+def _factors(vary: Fields, entry: Factors, scene: Scene) -> tuple[Factor, ...]:
+    """The factors in the order of the file, in which they are combined."""
+    names = [name for name in vary.values if not name.startswith(FREE_PREFIX)]
+    return tuple(_factor(vary, name, getattr(entry, name), scene) for name in names)
 
 
-def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
-    return tuple(_factor(vary, name, scene) for name in vary.values if not name.startswith(FREE_PREFIX))
-
-
-def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[str, tuple[Factor, ...]]:
+def _cases(
+    fields: Fields, study: StudyFile, factors: tuple[Factor, ...], scene: Scene
+) -> dict[str, tuple[Factor, ...]]:
     """The factors that each case replaces, by the name of the case; each has one value or is drawn."""
     single = [factor.name for factor in factors if factor.drawn or len(factor.values) == 1]
     entries, cases = fields.fields("cases"), {}
     for name in entries.values:
         if not isinstance(name, str) or not name.isprintable() or not name.strip():
             raise fields.problem("cases", f"has the name {name!r}", "give a text of one line")
-        entry = entries.fields(name, _FACTORS)
-        cases[name] = _factors(entry, scene)
+        entry = entries.fields(name)
+        cases[name] = _factors(entry, study.cases[name], scene)
         for factor in cases[name]:
             if factor.name not in single:
                 raise entry.problem(factor.name, "has not one value in vary", "give it one, that of the other cases")
@@ -171,52 +310,58 @@ def _cases(fields: Fields, factors: tuple[Factor, ...], scene: Scene) -> dict[st
     return cases
 
 
-def _factor(vary: Fields, name: str, scene: Scene) -> Factor:
+def _factor(vary: Fields, name: str, given: Value | tuple[Value, ...] | Drawn | None, scene: Scene) -> Factor:
     """A value, a list of values to combine, or `{uniform: [a, b]}` or `{choice: [...]}`, of which each shot draws."""
-    given = vary.raw(name)
-    if not isinstance(given, dict):
-        return Factor(name=name, values=_values(vary, name, name, scene))
-    entry = vary.fields(name, ("uniform", "choice"))
-    if entry.has("uniform") == entry.has("choice"):
+    if given is None:
+        raise vary.problem(name, "is null, must have a value")
+    if not isinstance(given, Drawn):
+        values = given if isinstance(given, tuple) else (given,)
+        return Factor(name=name, values=_checked(vary, name, name, values, scene))
+    entry = vary.fields(name)
+    if given.choice is not None and given.uniform is None:
+        values = tuple(_drawn(entry, "choice", name, value) for value in given.choice)
+        return Factor(name=name, values=_checked(entry, "choice", name, values, scene), drawn=True)
+    if given.uniform is None or given.choice is not None:
         raise vary.problem(name, "must have either uniform or choice")
-    if entry.has("choice"):
-        return Factor(name=name, values=_values(entry, "choice", name, scene), drawn=True)
     if name not in NUMBERS:
         raise vary.problem(name, "is not a number, and cannot be uniform", "give choice: [...]")
-    least, most = entry.vector("uniform", 2).tolist()
+    least, most = given.uniform
     if not least < most:
         raise entry.problem("uniform", f"is [{least:g}, {most:g}], must ascend")
-    for end in (least, most):
-        _value(_alone(entry, "uniform", end), "uniform", name, scene)
-    return Factor(name=name, uniform=(least, most), drawn=True)
+    entry.check("uniform", np.array(given.uniform), NUMBERS[name])
+    return Factor(name=name, uniform=given.uniform, drawn=True)
 
 
-def _values(fields: Fields, key: str, name: str, scene: Scene) -> tuple[Value, ...]:
-    """The values of the factor `name` at a key: one, or a list of different ones."""
-    given = fields.raw(key)
-    listed = given if isinstance(given, list) else [given]
-    values = tuple(_value(_alone(fields, key, each), key, name, scene) for each in listed)
+def _drawn(fields: Fields, key: str, name: str, value: Value) -> Value:
+    """A value among those of which each shot draws one, checked as the single value of a factor."""
+    alone = Fields(fields.file, {name: value})
+    try:
+        read: Value = definition_of(Factors).value(name, alone)
+    except DataError as error:
+        raise fields.problem(key, error.found, error.remedy) from error
+    return read
+
+
+def _checked(fields: Fields, key: str, name: str, values: tuple[Value, ...], scene: Scene) -> tuple[Value, ...]:
+    """The values of the factor `name`: at least one, different ones, and such as the scene allows."""
     if not values or len(set(values)) < len(values):
         raise fields.problem(key, "has a value twice" if values else "has no value")
+    for value in values:
+        if name == "light" and value not in scene.lights:
+            found = f"is {value!r}, must be one of {', '.join(scene.lights)}"
+            raise fields.problem(key, found, hint(str(value), scene.lights))
+        if name == "sequence":
+            _check_sequence(fields, key, str(value), scene)
     return values
 
 
-def _value(fields: Fields, key: str, name: str, scene: Scene) -> Value:
-    """A value of the factor `name`."""
-    if name in SWITCHES:
-        return fields.boolean(key)
-    if name in NUMBERS:
-        return fields.quantity(key, NUMBERS[name])
-    if name != "sequence":
-        return fields.choice(key, scene.lights if name == "light" else ("ring", "body"))
-    text = fields.text(key)
+def _check_sequence(fields: Fields, key: str, text: str, scene: Scene) -> None:
     try:
         masks = [step.mask(len(scene.rig.lasers.names)) for step in parsed_sequence(text)]
     except UsageError as error:
         raise fields.problem(key, f"is {text!r}: {error.found}", error.remedy) from error
     if not any(masks):
         raise fields.problem(key, f"is {text!r}, in which no laser is on")
-    return text
 
 
 def _check(fields: Fields, study: Study) -> None:
