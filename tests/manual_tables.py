@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ringpose.bench.report import Report
 from ringpose.capture.device_discovery import FoundCamera, SerialPort
 from ringpose.capture.self_test import DeviceCheck
 from ringpose.files.cameras.ros import CameraFile, CameraInfo
@@ -190,6 +191,7 @@ TABLES: Mapping[tuple[str, str], Callable[[], Iterator[str]]] = {
         for cls in (RigFile, CameraFile, Board, Truth, RobotPose)
     },
     **{("ringpose-simulate.1", f"keys of {cls.__name__}"): partial(keys, cls, SceneFile) for cls in OF_SCENE},
+    ("ringpose-bench.1", "keys of Report"): partial(keys, Report, Report),
     **{("ringpose-study.5", f"keys of {cls.__name__}"): partial(keys, cls, StudyFile) for cls in OF_STUDY},
     **{
         ("ringpose-capture.1", f"keys of {cls.__name__}"): partial(keys, cls)

@@ -2,24 +2,24 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from math import degrees, isfinite
-from typing import Any, Literal
+from typing import Annotated, Literal
 
 from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag, PoseLine
+from ringpose.types.record import Key
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssumedRadii:
     """Radii that a pose assumes: given radii, or those of the catalogue's ring that each shot identifies."""
 
-    source: Literal["given", "catalogue"]
-    inner_m: float | None = None
-    outer_m: float | None = None
-    """Given radii; None for an edge without one."""
-    sd_m: float | None = None
+    source: Annotated[Literal["given", "catalogue"], Key("Where the radii are from.")]
+    inner_m: Annotated[float | None, Key("Given radius of the inner edge; null without one.", least=0.0)] = None
+    outer_m: Annotated[float | None, Key("Given radius of the outer edge; null without one.", least=0.0)] = None
+    sd_m: Annotated[float | None, Key("Standard deviation of the given radii.", least=0.0)] = None
 
 
 OTHER_ASSUMPTIONS = PoseFlag.MOTION | PoseFlag.RING_FORM | PoseFlag.RADIUS_INCONSISTENT
@@ -30,8 +30,14 @@ OTHER_ASSUMPTIONS = PoseFlag.MOTION | PoseFlag.RING_FORM | PoseFlag.RADIUS_INCON
 class StatedAssumptions(Assumptions):
     """The assumptions of a pose record, among them those about the radii."""
 
-    radii: AssumedRadii | None = None
-    """None if the radii are unknown."""
+    radii: Annotated[AssumedRadii | None, Key("Assumed radii; null if they are unknown.")] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CountedAssumptions(StatedAssumptions):
+    """The same assumptions of several shots."""
+
+    shots: Annotated[int, Key("Number of these shots.", least=1)]
 
 
 def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
@@ -59,27 +65,13 @@ def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
     )
 
 
-def counted(assumptions: Iterable[StatedAssumptions | None]) -> list[tuple[StatedAssumptions, int]]:
+def counted(assumptions: Iterable[StatedAssumptions | None]) -> tuple[CountedAssumptions, ...]:
     """The different assumptions in the order of their first occurrence, each with the number of shots."""
-    return list(Counter(each for each in assumptions if each is not None).items())
-
-
-def counted_records(assumptions: Iterable[StatedAssumptions | None]) -> list[dict[str, Any]]:
-    """The different assumptions as plain values, each with the number of shots."""
-    return [{**(assumptions_record(each) or {}), "shots": shots} for each, shots in counted(assumptions)]
-
-
-def assumptions_record(assumptions: StatedAssumptions | None) -> dict[str, Any] | None:
-    """The assumptions with the keys of `priors` in a pose record."""
-    if assumptions is None:
-        return None
-    motion = assumptions.motion
-    return {
-        "motion": "still" if motion is None else asdict(motion),
-        "radii": None if assumptions.radii is None else asdict(assumptions.radii),
-        "ring_tolerance_m": assumptions.ring_tolerance_m,
-        "stability": asdict(assumptions.stability),
-    }
+    counts = Counter(each for each in assumptions if each is not None)
+    return tuple(
+        CountedAssumptions(**{key.name: getattr(each, key.name) for key in fields(each)}, shots=shots)
+        for each, shots in counts.items()
+    )
 
 
 def assumptions_text(assumptions: StatedAssumptions) -> str:
@@ -102,8 +94,8 @@ def assumptions_text(assumptions: StatedAssumptions) -> str:
 
 def assumption_lines(assumptions: Sequence[StatedAssumptions | None]) -> list[str]:
     """A line for each of the different assumptions of some shots."""
-    found = counted(assumptions)
+    different = counted(assumptions)
     return [
-        f"assumptions: {assumptions_text(each)}" + (f" ({count} shots)" if len(found) > 1 else "")
-        for each, count in found
+        f"assumptions: {assumptions_text(each)}" + (f" ({each.shots} shots)" if len(different) > 1 else "")
+        for each in different
     ]

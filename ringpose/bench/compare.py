@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringpose.bench.score import Score
-from ringpose.bench.summary import Value, grouped
+from ringpose.bench.score import Score, Value
+from ringpose.bench.summary import grouped
 from ringpose.types.arrays import Array, Float64
 
 FALSE_DISCOVERY_RATE = 0.05

@@ -5,11 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ringpose.bench.assumptions import assumption_lines, counted_records
+from ringpose.bench.assumptions import CountedAssumptions, assumption_lines, counted
 from ringpose.bench.compare import COMPARED, Pair, Row, RowVerdict, testable_shots
 from ringpose.bench.score import Judgement
 from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
 from ringpose.bench.table import COLUMNS, NEES, group_cells
+from ringpose.files.records.codec import definition_of
 from ringpose.types.table import Table
 
 SCHEMA = "bench_compare/1"
@@ -151,7 +152,10 @@ def comparison_record(
     return {
         "ringpose": SCHEMA,
         "tolerance": tolerance,
-        "assumptions": counted_records(b.assumptions or a.assumptions for _, members in paired for a, b in members),
+        "assumptions": [
+            definition_of(CountedAssumptions).write(each)
+            for each in counted(b.assumptions or a.assumptions for _, members in paired for a, b in members)
+        ],
         "matched": dict(matched),
         "changed": not nothing_changed(rows),
         "worse": sum(row.beyond_tolerance for row in rows),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from types import MappingProxyType
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -27,8 +27,12 @@ from ringpose.measure.status import flags_forbidding
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, Status
+from ringpose.types.record import Key
 from ringpose.types.rig import Camera
 from ringpose.types.scene import Truth
+
+Value = str | float | int | bool
+"""Value of a group."""
 
 WRONG_SIGMAS = 5.0
 """A quantity farther from the truth than this (Mahalanobis distance), and without a flag that names it, is wrong."""
@@ -125,26 +129,41 @@ class Judgement(StrEnum):
 class Score:
     """The comparison of one shot with the truth, for one method."""
 
-    shot: str
-    method: str
-    outcome: Outcome
-    status: Literal["ok", "degraded", "none", "lost"]
-    """Status of the pose record; `lost` if there is none."""
-    has_target: bool = True
-    """Whether a ring is visible."""
-    groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
-    errors: Mapping[str, float] = field(default_factory=dict)
-    """Errors by the names of `QUANTITIES`, without those that cannot be compared."""
-    judgements: Mapping[str, Judgement] = field(default_factory=dict)
-    """Judgements by the names of `JUDGED`, without those that the pose does not report."""
-    distances: Mapping[str, float] = field(default_factory=dict)
-    """Mahalanobis distances from the truth by the names of `JUDGED`, of the quantities with a covariance."""
-    gross: tuple[str, ...] = ()
-    """Wrong quantities that cannot be explained by chance: beyond `GROSS_SIGMAS`, a grasp point off the rim or outside
-    the arc, a pose where there is no ring."""
-    assumptions: StatedAssumptions | None = None
-    latency_s: float | None = None
-    rig: str = ""
+    shot: Annotated[str, Key("Name of the shot.")]
+    method: Annotated[str, Key("The method; empty if no record names it.", blank=True)]
+    outcome: Annotated[Outcome, Key("What the method gives, compared with what the truth expects.")]
+    status: Annotated[
+        Literal["ok", "degraded", "none", "lost"], Key("Status of the pose record; `lost` if there is none.")
+    ]
+    has_target: Annotated[bool, Key("Whether a ring is visible.", needed=True)] = True
+    groups: Annotated[Mapping[str, Value], Key("The groups of the truth.", needed=True)] = field(default_factory=dict)
+    errors: Annotated[
+        Mapping[str, float], Key("Errors by quantity, without those that cannot be compared.", needed=True)
+    ] = field(default_factory=dict)
+    """By the names of `QUANTITIES`."""
+    judgements: Annotated[
+        Mapping[str, Judgement], Key("Judgements of the quantities that the pose reports.", needed=True)
+    ] = field(default_factory=dict)
+    """By the names of `JUDGED`."""
+    distances: Annotated[
+        Mapping[str, float],
+        Key("Mahalanobis distances from the truth, of the quantities with a covariance.", needed=True),
+    ] = field(default_factory=dict)
+    """By the names of `JUDGED`."""
+    gross: Annotated[
+        tuple[str, ...],
+        Key(
+            "Wrong quantities that chance cannot explain: far beyond the limit, a grasp point off the rim or outside "
+            "the arc, a pose where there is no ring.",
+            needed=True,
+        ),
+    ] = ()
+    """Beyond `GROSS_SIGMAS`."""
+    assumptions: Annotated[
+        StatedAssumptions | None, Key("What the pose assumes; null for one that is not compared by it.")
+    ] = None
+    latency_s: Annotated[float | None, Key("Time from the image to the pose.", least=0.0)] = None
+    rig: Annotated[str, Key("Hash of the rig file; null if the record does not name it.", null="")] = ""
 
     @property
     def wrong(self) -> tuple[str, ...]:
@@ -156,15 +175,15 @@ class Score:
 class Matching:
     """The assignment of pose records to truths by the names of their shots."""
 
-    truths: int
-    matched: int
-    """Shots of the truth that have a record."""
-    without_truth: tuple[str, ...]
-    """Shots that have a record but no truth, each once."""
-    repeated: tuple[str, ...]
-    """Shots with more than one record of one method, of which the last is scored."""
-    unsorted: bool
-    """Whether the shots are in a different order than in the truth, which has no effect on the scores."""
+    truths: Annotated[int, Key("Shots of the truth.", least=0)]
+    matched: Annotated[int, Key("Shots of the truth that have a record.", least=0)]
+    without_truth: Annotated[tuple[str, ...], Key("Shots that have a record but no truth, each once.")]
+    repeated: Annotated[
+        tuple[str, ...], Key("Shots with more than one record of one method, of which the last is scored.")
+    ]
+    unsorted: Annotated[
+        bool, Key("Whether the shots are in another order than in the truth, which has no effect on the scores.")
+    ]
 
 
 def estimate_of(line: PoseLine, place: str) -> PoseEstimate:

@@ -3,14 +3,12 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 
-from ringpose.bench.score import JUDGED, QUANTITIES, WRONG_SIGMAS, Judgement, Outcome, Score
-
-Value = str | float | int | bool
-"""Value of a group."""
+from ringpose.bench.score import JUDGED, QUANTITIES, WRONG_SIGMAS, Judgement, Outcome, Score, Value
+from ringpose.types.record import Key
 
 _Item = TypeVar("_Item")
 
@@ -28,10 +26,10 @@ ALLOWANCE = 0.99
 class ErrorStatistics:
     """Statistics of the absolute values of errors."""
 
-    count: int
-    rmse: float
-    median: float
-    max: float
+    count: Annotated[int, Key("Shots with such an error.", least=1)]
+    rmse: Annotated[float, Key("Root mean square.", least=0)]
+    median: Annotated[float, Key("Median.", least=0)]
+    max: Annotated[float, Key("Largest.", least=0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,20 +37,29 @@ class WrongQuantities:
     """Judgements of the reported quantities of a group of shots, by the names of `JUDGED`."""
 
     counts: Mapping[str, Mapping[Judgement, int]]
-    gross: int
-    """Wrong quantities that cannot be explained by chance (`Score.gross`)."""
+    gross: Annotated[int, Key("Wrong quantities that chance cannot explain.", least=0)]
+    """The number of `Score.gross`."""
 
     def count(self, judgement: Judgement) -> int:
         """Number of quantities that have the given judgement."""
         return sum(counts[judgement] for counts in self.counts.values())
 
     @property
-    def judged(self) -> int:
+    def wrong(self) -> Annotated[int, Key("Number of wrong quantities.", name="count", least=0)]:
+        """Number of wrong quantities."""
+        return self.count(Judgement.WRONG)
+
+    @property
+    def judged(
+        self,
+    ) -> Annotated[int, Key("Number of quantities without a flag and with a covariance.", after="count", least=0)]:
         """Number of judged quantities: those without a flag and with a covariance (grasp points also without)."""
         return self.count(Judgement.CORRECT) + self.count(Judgement.WRONG)
 
     @property
-    def allowed(self) -> int:
+    def allowed(
+        self,
+    ) -> Annotated[int, Key("Wrong quantities of 99 % of runs if all covariances are correct.", after="judged")]:
         """Maximum number of wrong quantities in 99 % of runs if all covariances are correct.
 
         A quantity with k degrees of freedom is wrong by chance with the probability that chi-squared with k degrees of
@@ -68,7 +75,9 @@ class WrongQuantities:
         return int(poisson.ppf(ALLOWANCE, mean))
 
     @property
-    def none_wrong(self) -> bool:
+    def none_wrong(
+        self,
+    ) -> Annotated[bool, Key("Whether there are at most these, and no gross one.", after="gross")]:
         """Whether there are at most the allowed wrong quantities, and no gross one."""
         return self.gross == 0 and self.count(Judgement.WRONG) <= self.allowed
 
@@ -77,20 +86,26 @@ class WrongQuantities:
 class Summary:
     """Figures of a group of shots, or of all of them, by one method."""
 
-    method: str
-    group: Mapping[str, Value]
-    """Empty for all shots."""
-    shots: int
-    outcomes: Mapping[Outcome, int]
-    targets: int
-    """Shots in which there is a ring."""
-    available: int
-    """Shots in which there is a ring and whose status is `ok`."""
-    wrong: WrongQuantities
-    errors: Mapping[str, ErrorStatistics]
-    """Statistics by the names of `QUANTITIES`; for the two NEES see `nees`."""
-    nees: Mapping[str, float]
-    """Mean NEES of centre and normal divided by the degrees of freedom; 1 if the covariance is correct."""
+    method: Annotated[str, Key("The method; empty if no record names it.", blank=True)]
+    group: Annotated[Mapping[str, Value], Key("What the shots have in common; empty for all shots.")]
+    shots: Annotated[int, Key("Number of shots.", least=0)]
+    outcomes: Annotated[Mapping[Outcome, int], Key("Number of shots by outcome.")]
+    targets: Annotated[int, Key("Shots in which there is a ring.", least=0)]
+    available: Annotated[int, Key("Shots in which there is a ring and whose status is `ok`.", least=0)]
+    wrong: Annotated[WrongQuantities, Key("Quantities that were judged wrong.")]
+    errors: Annotated[Mapping[str, ErrorStatistics], Key("Statistics of the absolute values of the errors.")]
+    """By the names of `QUANTITIES`; for the NEES see `nees`."""
+    nees: Annotated[
+        Mapping[str, float],
+        Key("Mean NEES divided by the degrees of freedom; 1 if the covariance is correct."),
+    ]
+
+    @property
+    def quantities(
+        self,
+    ) -> Annotated[Mapping[str, Mapping[Judgement, int]], Key("Judgements of each quantity.", after="nees")]:
+        """The judgements of each quantity that has any."""
+        return {name: counts for name, counts in self.wrong.counts.items() if any(counts.values())}
 
 
 def summaries(scores: Sequence[Score], by: Sequence[str]) -> list[Summary]:

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from ringpose.bench.assumptions import StatedAssumptions, assumption_lines
-from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
-from ringpose.bench.summary import ABSENT, Summary, Value
+from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome, Value
+from ringpose.bench.summary import ABSENT, Summary
 from ringpose.types.table import Table
 
 OUTCOMES = {outcome: outcome.value for outcome in Outcome}

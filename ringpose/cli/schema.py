@@ -34,6 +34,7 @@ def schema(name: SchemaName = None) -> None:
 
 def json_schemas() -> Mapping[str, Callable[[], dict[str, Any]]]:
     """The JSON Schemas of what is read, and of what is written only, by name."""
+    from ringpose.bench import report
     from ringpose.capture.device_discovery import FoundCamera, SerialPort
     from ringpose.capture.self_test import DeviceCheck
     from ringpose.files.records.codec import RecordType, json_schema
@@ -41,6 +42,7 @@ def json_schemas() -> Mapping[str, Callable[[], dict[str, Any]]]:
     from ringpose.files.schemas import RECORDS
 
     written: Mapping[str, RecordType[Any]] = {
+        "bench": report.RECORD,
         "ros": RecordType(cls=RosLine, description="A pose or track line with --format ros: messages of ROS 2."),
         "capture-test": RecordType(cls=DeviceCheck, description="One check of `ringpose capture --test`."),
     }

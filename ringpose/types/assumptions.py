@@ -58,10 +58,10 @@ def motion_prior(max_speed_m_s: float = MAX_SPEED_M_S, max_rate_deg_s: float = M
 class Assumptions:
     """Standard deviations of what a shot does not measure; the defaults leave image noise and calibration errors."""
 
-    motion: MotionPrior | None = None
+    motion: Annotated[MotionPrior | None, Key("As `priors` of a pose line.", needed=True, words={None: "still"})] = None
     """None if the target is assumed to be still within a shot."""
-    ring_tolerance_m: float = 0.0
-    stability: RigStability = RigStability()
+    ring_tolerance_m: Annotated[float, Key("As `priors` of a pose line.", needed=True, least=0.0)] = 0.0
+    stability: Annotated[RigStability, Key("As `priors.rig` of a pose line.", needed=True)] = RigStability()
 
 
 IDEAL = Assumptions()

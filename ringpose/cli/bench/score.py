@@ -146,8 +146,8 @@ def bench(
     if json is not None:
         named = [Path(name) for name in inputs if name != STDOUT]
         files = [*truth, *([rig] if rig else []), *named, *(folder / "rig.yaml" for folder in named)]
-        made = report(lines, scores, missed, matched, map(sha256, filter(Path.is_file, truth)))
-        made["provenance"] = provenance(list(filter(Path.is_file, files)))
+        hashes, origin = map(sha256, filter(Path.is_file, truth)), provenance(list(filter(Path.is_file, files)))
+        made = report(lines, scores, missed, matched, hashes, origin)
         write_result(json, records.line_of(made), force=force)
     if csv is not None:
         write_result(csv, csv_text(score_table(scores)), force=force)
