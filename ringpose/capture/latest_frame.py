@@ -12,6 +12,7 @@ from ringpose.detect.difference_images import LaserImage
 from ringpose.types.arrays import Array
 from ringpose.types.detection import Stripes
 from ringpose.types.image import Frame, Shot
+from ringpose.types.rig import Rig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,10 +103,12 @@ class EarlyStripes:
     """Searches each frame of a switched shot for its stripe while the camera exposes the next ones, in a thread.
 
     The background is the last frame without lasers so far. `stripes_of` returns None for a frame that was not searched,
-    and for a frame whose background in the complete shot is a later frame.
+    and for a frame whose background in the complete shot is a later frame. Stripes along columns are those of the
+    turned frame, as the detector needs them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rig: Rig | None = None) -> None:
+        self._rig = rig if rig is not None and rig.stripes_along_columns else None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="stripes")
         self._dark: Frame | None = None
         self._searches: dict[tuple[float, float | None, int], Future[Stripes]] = {}
@@ -117,7 +120,7 @@ class EarlyStripes:
             self._dark = frame
         elif frame.lasers.bit_count() == 1:
             dark, dark_stamp_s = (None, None) if self._dark is None else (self._dark.image, self._dark.mid_exposure_s)
-            search = self._thread.submit(_stripes_in, frame.image, dark, saturation_dn)
+            search = self._thread.submit(_stripes_in, frame.image, dark, saturation_dn, self._rig)
             self._searches[frame.mid_exposure_s, dark_stamp_s, saturation_dn] = search
             if len(self._searches) > MAX_SEARCHED:
                 del self._searches[next(iter(self._searches))]
@@ -129,9 +132,14 @@ class EarlyStripes:
         return None if search is None else search.result()
 
 
-def _stripes_in(image: Array, dark: Array | None, saturation_dn: int) -> Stripes:
+def _stripes_in(image: Array, dark: Array | None, saturation_dn: int, turned: Rig | None) -> Stripes:
     from ringpose.detect.stripes import find_stripes  # slow to import: not while a laser is on for the next frame
 
+    if turned is not None:
+        from ringpose.geometry.quarter_turn import to_rows
+
+        turn = to_rows(turned.camera)
+        image, dark = turn.image(image), None if dark is None else turn.image(dark)
     return find_stripes(image, dark, saturation_dn=saturation_dn)
 
 

@@ -26,7 +26,7 @@ def live_lines(
     fit the rig: it ends the stream, as all that follow would be bad for the same reason. At the end of the block the
     lasers are off and the devices closed.
     """
-    early = EarlyStripes()
+    early = EarlyStripes(request.rig)
     stream, sequence = open_stream(early=early.stripes_of), TrackedSequence()
     choose = sequence if stream.is_tracking and not request.steps else None
     source = open_source(replace(request, choose=choose, on_frame=early.add, yields_lost=True))

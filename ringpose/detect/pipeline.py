@@ -69,7 +69,8 @@ class Prior:
     """A frame without lasers of an earlier shot, for a shot without one: it is subtracted, but the edges that it shows
     are not measured again."""
     stripes_of: Callable[[LaserImage], Stripes | None] | None = None
-    """The stripes of a whole frame, if they were found before the shot was complete."""
+    """The stripes of a whole frame, if they were found before the shot was complete; those of the turned frame if the
+    stripes run along columns."""
 
 
 NOTHING_KNOWN = Prior()
@@ -117,6 +118,8 @@ def detect(
 
     The steps are those of ringpose-method(7), section 3.
     """
+    if rig.stripes_along_columns:
+        return _detected_along_columns(shot, rig, prior, source, edges=edges)
     view = shot_view(shot, rig, prior)
     blank = blank_detection(view)
     if not view.images:
@@ -138,6 +141,21 @@ def detect(
         rejected=(*found.rejected, *([Rejection(what="edge")] if edges and missing else [])),
         advice=exposure_advice(points, shot, view.images),
     )
+
+
+def _detected_along_columns(shot: Shot, rig: Rig, prior: Prior, source: StripeSource, *, edges: bool) -> Detection:
+    """What `detect` finds in the shot turned by 90 degrees, in the pixels of the shot as it was given."""
+    from ringpose.geometry.quarter_turn import rig_along_rows, to_columns, to_rows  # for few rigs
+
+    turn, predicted = to_rows(rig.camera), prior.predicted
+    turned = replace(
+        prior,
+        camera=turn.motion(prior.camera),
+        predicted=None if predicted is None else turn.break_points(predicted),
+        background=turn.frame(prior.background),
+    )
+    found = detect(turn.shot(shot), rig_along_rows(rig), turned, source=source, edges=edges)
+    return to_columns(rig.camera).detection(found)
 
 
 def shot_view(shot: Shot, rig: Rig, prior: Prior) -> View:

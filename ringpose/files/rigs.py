@@ -41,8 +41,9 @@ MIN_DISTANCE_M = 1e-6
 """Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
 
 MAX_STRIPE_ANGLE_DEG = 30.0
-"""Maximum angle to the rows of a stripe on a surface that faces the camera: stripes are measured column by column, and
-the detector finds no ring on steeper ones; above 15 degrees it finds fewer."""
+"""Maximum angle to the rows, or to the columns if the stripes run along these, of a stripe on a surface that faces the
+camera: stripes are measured column by column (row by row), and the detector finds no ring on steeper ones; above 15
+degrees it finds fewer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,9 +137,10 @@ def rig_in(text: bytes, location: str, *, for_rings: bool = True) -> Rig:
     """The rig in the text of a rig.yaml, checked as by `read_rig`; `location` is used in messages."""
     fields = Fields(location, parsed(text, location), RECORD.keys)
     rig = rig_of(fields, hashlib.sha256(text).hexdigest())
-    for entry, finding in zip(fields.each("lasers"), steep_stripes(rig.lasers), strict=True):
+    for entry, finding in zip(fields.each("lasers"), steep_stripes(rig), strict=True):
         if finding and for_rings:
-            raise entry.problem("normal", finding, "mount the camera so that the stripes run along the rows")
+            remedy = "mount the camera so that the stripes of all lasers run along the rows, or along the columns"
+            raise entry.problem("normal", finding, remedy)
     return rig
 
 
@@ -159,15 +161,16 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
     )
 
 
-def steep_stripes(lasers: LaserPlanes) -> list[str]:
-    """For each laser, why it cannot measure rings (the angle of its stripe to the rows), as text; empty if it can."""
-    angles_deg = np.degrees(np.arctan2(np.abs(lasers.normal[:, 0]), np.abs(lasers.normal[:, 1]))).tolist()
+def steep_stripes(rig: Rig) -> list[str]:
+    """For each laser, why it cannot measure rings (the angle of its stripe to the others), as text; empty if it can."""
+    along, lines = (0, "columns") if rig.stripes_along_columns else (1, "rows")
+    across = np.abs(rig.lasers.normal[:, [1 - along, along]])
     limit = f"at most {MAX_STRIPE_ANGLE_DEG:g}"
     return [
-        f"draws a stripe at {angle_deg:.1f} degrees to the image's rows, {limit}"
+        f"draws a stripe at {angle_deg:.1f} degrees to the image's {lines}, {limit}"
         if angle_deg > MAX_STRIPE_ANGLE_DEG
         else ""
-        for angle_deg in angles_deg
+        for angle_deg in np.degrees(np.arctan2(*across.T)).tolist()
     ]
 
 

@@ -378,6 +378,23 @@ def pose_result(
     if lasers != known_lasers:
         found = f"they are of {lasers} lasers, the rig has {known_lasers}"
         raise DataError("break points", found, "use the rig that took the shots")
+    if rig.stripes_along_columns:
+        from ringpose.geometry.quarter_turn import rig_along_rows, to_columns, to_rows  # for few rigs
+
+        turn = to_rows(rig.camera)
+        turned = pose_result(
+            turn.break_points(break_points),
+            rig_along_rows(rig),
+            method,
+            None if ring_edges is None else turn.edges(ring_edges),
+            known,
+            assumptions,
+            lasers_on,
+            rejected,
+            turn.motion(camera),
+            None if judged is None else turn.judged(judged),
+        )
+        return to_columns(rig.camera).result(turned)
     try:
         with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:

@@ -57,6 +57,13 @@ def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | Non
     Stripes that are not in view are NaN. `labelled`: whether the stripes are so far apart that a measured one can be
     assigned to its laser.
     """
+    if rig.stripes_along_columns:
+        from ringpose.geometry.quarter_turn import rig_along_rows, to_columns, to_rows  # for few rigs
+
+        turn = to_rows(rig.camera)
+        turned = [PredictedRing(arcs=turn.arcs(ring.arcs), covariance=ring.covariance) for ring in rings]
+        predicted = predicted_stripes(turned, rig_along_rows(rig))
+        return None if predicted is None else to_columns(rig.camera).break_points(predicted)
     camera, count = rig.camera, len(rings)
     points_m, sigma_px = np.full((count, 2, 3), np.nan), np.full((count, 2, 2), np.nan)
     with np.errstate(all="ignore"):  # a plane that misses the ring has NaN

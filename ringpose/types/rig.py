@@ -200,6 +200,12 @@ class Rig:
         """The camera's pose in the tool frame; None without a mount."""
         return None if self.mount is None else self.mount.tool_from_camera
 
+    @property
+    def stripes_along_columns(self) -> bool:
+        """Whether its stripes run along the columns of the image rather than along its rows, on surfaces facing it."""
+        across = np.abs(self.lasers.normal[:, :2]).sum(axis=0) / np.diag(self.camera.camera_matrix)[:2]
+        return bool(across[0] > across[1])
+
 
 def reject_other_rig(of_record: str, rig: str, location: str, remedy: str) -> None:
     """Reject a record of another rig than the one given, by the SHA-256 of their files; an empty one is unknown."""

@@ -73,13 +73,22 @@ def test_a_rig_that_could_not_be_read_is_not_written(rig_file, tmp_path, part, c
 
 def test_a_rig_whose_stripe_is_too_steep_is_rejected_only_for_measuring_rings(rig_file, tmp_path):
     rig = read_rig(rig_file())
-    upright = replace(rig.lasers, normal=np.array([[0.8, 0.0, 0.6], [0.0, 0.6, -0.8]]))
+    upright = replace(rig.lasers, normal=np.array([[0.6, 0.0, 0.8], [0.0, 0.8, -0.6]]))
 
     write_rig(tmp_path / "new.yaml", replace(rig, lasers=upright))
 
     with pytest.raises(DataError, match=r"lasers\[0\].normal: draws a stripe at 90.0 degrees"):
         read_rig(tmp_path / "new.yaml")
     np.testing.assert_array_equal(read_rig(tmp_path / "new.yaml", for_rings=False).lasers.normal, upright.normal)
+
+
+def test_a_rig_whose_stripes_all_run_along_the_columns_is_read(rig_file, tmp_path):
+    rig = read_rig(rig_file())
+    upright = replace(rig.lasers, normal=np.array([[0.8, 0.0, 0.6], [0.6, 0.1, -np.sqrt(0.63)]]))
+
+    write_rig(tmp_path / "new.yaml", replace(rig, lasers=upright))
+
+    assert read_rig(tmp_path / "new.yaml").stripes_along_columns
 
 
 def test_a_rounded_normal_is_normalised(rig_file):

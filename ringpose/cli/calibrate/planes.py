@@ -211,7 +211,7 @@ def _report_lasers(stripes: "StripeShots", rig: "Rig", *, quiet: bool) -> None:
     from ringpose.cli import messages
     from ringpose.files.rigs import steep_stripes
 
-    for name, finding in zip(rig.lasers.names, steep_stripes(rig.lasers), strict=True):
+    for name, finding in zip(rig.lasers.names, steep_stripes(rig), strict=True):
         if finding:
             messages.echo(f"{name}: {finding}: it cannot measure rings")
     if not quiet and stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
