@@ -81,6 +81,11 @@ class WrongQuantities:
         """Whether there are at most the allowed wrong quantities, and no gross one."""
         return self.gross == 0 and self.count(Judgement.WRONG) <= self.allowed
 
+    @property
+    def verdict(self) -> str:
+        """`none wrong`, `WRONG`, or `nothing judged` where no quantity could be right or wrong."""
+        return "WRONG" if not self.none_wrong else "none wrong" if self.judged else "nothing judged"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:

@@ -100,16 +100,15 @@ def _wrong(line: Summary) -> Mapping[str, str]:
         "gross": str(line.wrong.gross),
         "flagged": str(line.wrong.count(Judgement.FLAGGED)),
         "no cov.": str(line.wrong.count(Judgement.NO_COVARIANCE)),
-        "verdict": "none wrong" if line.wrong.none_wrong else "WRONG",
+        "verdict": line.wrong.verdict,
     }
 
 
 def _verdict(line: Summary) -> str:
     wrong = line.wrong
-    verdict = "none wrong" if wrong.none_wrong else "WRONG"
     return (
-        f"{line.method or ABSENT}: {verdict}: {wrong.count(Judgement.WRONG)} of {wrong.judged} quantities are wrong, "
-        f"{wrong.allowed} allowed by chance (99 %), {wrong.gross} of them gross; "
+        f"{line.method or ABSENT}: {wrong.verdict}: {wrong.count(Judgement.WRONG)} of {wrong.judged} quantities are "
+        f"wrong, {wrong.allowed} allowed by chance (99 %), {wrong.gross} of them gross; "
         f"{line.available} of {line.targets} shots are available (ok)"
     )
 

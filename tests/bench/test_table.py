@@ -30,3 +30,10 @@ def test_errors_have_three_digits_in_millimetres_and_degrees():
 
     assert block[1].split("  ")[-1] == "normal NEES"
     assert block[2].split() == ["paper", "-", "-", "-", "12.3", "1.00", "-", "-", "0.123", "1.25", "-"]
+
+
+def test_without_a_quantity_that_could_be_wrong_nothing_is_judged():
+    text = table(summaries(scores()[1:], []), [])
+
+    assert "paper: nothing judged: 0 of 0 quantities are wrong" in text
+    assert "none wrong" not in text

@@ -31,6 +31,14 @@ def test_without_a_rig_that_covers_the_volume_the_status_is_3(capsys):
     assert "none" in capsys.readouterr().out
 
 
+def test_the_limits_of_a_ring_of_given_outer_radius_are_stated(capsys):
+    main([*SMALL, "--radius-outer", "0.1"])
+
+    out = capsys.readouterr().out
+    assert "a ring of 0.1 m, its face 25 mm wide" in out
+    assert "the whole ring in the middle of the image: three stripes" in out
+
+
 @pytest.mark.slow
 def test_a_report_has_maps(tmp_path):
     needed_module("matplotlib", "ringpose[report]")
@@ -49,7 +57,7 @@ def test_a_report_has_maps(tmp_path):
         (["--vary", "baseline_m=" + ",".join(str(0.1 + n / 1000) for n in range(600))], "600"),
         (["--distances", "-1"], "--distances"),
         (["--offsets", "wide"], "wide"),
-        (["--radius-outer", "0.6"], "--radius-inner"),
+        (["--radius-inner", "0.6"], "--radius-outer"),
         (["--minimize", "size"], "size"),
     ],
 )

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 MAX_DESIGNS = 500
 """Maximum number of rigs in a sweep."""
 
+MAX_FACE_SHARE = 0.25
+"""Largest width of a face that is not given, as a share of the outer radius: flanges have 0.1 to 0.4."""
+
 
 QUANTITY = {
     Minimized.CENTER: "center_m",
@@ -102,6 +105,7 @@ def design(
     """Map the accuracy that a rig allows (Cramer-Rao bounds), and find the best of a sweep."""
     from math import radians
 
+    from ringpose.bench.design.crossings import crossing_table, crossings, limit_lines
     from ringpose.bench.design.maps import best, designs, median_table, place_table, places, summary_lines
     from ringpose.files import records
     from ringpose.files.atomic import reject_existing
@@ -127,7 +131,12 @@ def design(
         best_line = (
             f"best by {minimize.value}: {name} with all stripes in view at {100 * min_coverage:g} % of the places"
         )
-        lines = [*median_table(found).lines(), "", *summary_lines(found), "", best_line]
+        turned = radians(pitch), radians(yaw)
+        at = crossing_table(
+            [crossings(base, distance_m, *turned) for distance_m in sorted({w.distance_m for w in where})]
+        )
+        lines = [*median_table(found).lines(), "", *summary_lines(found), "", *at.lines(), *limit_lines(base, *turned)]
+        lines += ["", best_line]
         records.write_text("\n".join(lines) + "\n")
     if csv is not None:
         write_result(csv, csv_text(place_table(found)), force=force)
@@ -189,8 +198,11 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
     count = len(judged.lasers.names)
     sequence = (0, *(1 << laser for laser in range(count)), (1 << count) - 1)
     ring = base.ring
-    if (radius_inner_m is None) != (radius_outer_m is None):
-        raise UsageError("--radius-inner", "and --radius-outer need each other")
+    if radius_outer_m is None and radius_inner_m is not None:
+        raise UsageError("--radius-inner", "needs --radius-outer")
+    if radius_outer_m is not None and radius_inner_m is None:  # the scene's face, or that of a small flange
+        face_m = ring.radius_outer_m - ring.radius_inner_m
+        radius_inner_m = radius_outer_m - min(face_m, MAX_FACE_SHARE * radius_outer_m)
     if radius_inner_m is not None and radius_outer_m is not None:
         check_plausible("--radius-inner", radius_inner_m, RING_RADIUS_M)
         check_plausible("--radius-outer", radius_outer_m, RING_RADIUS_M)

@@ -121,6 +121,7 @@ def bench(
     from ringpose.bench.table import table
     from ringpose.files import records
     from ringpose.files.io import csv_text, provenance, sha256, write_result
+    from ringpose.report.stripes import stripes_shown
 
     if json == csv == STDOUT:
         raise UsageError("", "--json - and --csv - both use standard output", "write one of them into a file")
@@ -142,7 +143,9 @@ def bench(
     missed = limits.missed(lines)
     report_missed(missed, batch)
     if STDOUT not in (json, csv) and (missed or not cron):
-        records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
+        shown = [stripes_shown(_truths(file), _laser_names(rig or file.with_name("rig.yaml"))) for file in truth]
+        tables = table(lines, names, matched, [score.assumptions for score in scores])
+        records.write_text("\n".join(filter(None, [tables, *shown])) + "\n" * any(shown))
     if json is not None:
         named = [Path(name) for name in inputs if name != STDOUT]
         files = [*truth, *([rig] if rig else []), *named, *(folder / "rig.yaml" for folder in named)]
@@ -152,6 +155,13 @@ def bench(
     if csv is not None:
         write_result(csv, csv_text(score_table(scores)), force=force)
     batch.finish()
+
+
+def _laser_names(rig: Path) -> tuple[str, ...]:
+    """The names of the lasers in a rig file; none without the file."""
+    from ringpose.files.rigs import read_rig
+
+    return read_rig(rig).lasers.names if rig.exists() else ()
 
 
 def report_missed(sentences: Iterable[str], batch: Batch) -> None:

@@ -9,8 +9,11 @@ from ringpose.cli.app import finite
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ringpose.simulate.features import Deviations
-    from ringpose.types.scene import Scene
+    from ringpose.types.rig import Rig
+    from ringpose.types.scene import Scene, Truth
 
 Features = Annotated[
     bool, typer.Option("--features", help="Draw detection records from the ring's model; no images are rendered.")
@@ -107,7 +110,14 @@ def deviations_of(
 
 
 def write_features(
-    scene: "Scene", source: Path, deviations: "Deviations", count: int | None, output: Path | None, *, force: bool
+    scene: "Scene",
+    source: Path,
+    deviations: "Deviations",
+    count: int | None,
+    output: Path | None,
+    *,
+    force: bool,
+    quiet: bool,
 ) -> None:
     """Draw the detections of a scene: records on stdout, or a folder with rig, truth and NPZ files."""
     from ringpose.files import records
@@ -115,13 +125,24 @@ def write_features(
     from ringpose.files.records.detections import detection_record
     from ringpose.simulate.features import drawn_features
 
-    folder = None
+    folder, truths = None, []
     for shot in drawn_features(scene, deviations, count):
+        truths.append(shot.truth)
         if output is None:
             records.write(detection_record(shot.detection))
             continue
         folder = folder or SimulationFolder(output, scene.rig, force=force, inputs=[source], content="detections")
         records.write_name(folder.add_detection(shot.detection, shot.truth))
+    report_stripes(truths, scene.rig, quiet=quiet)
+
+
+def report_stripes(truths: "Sequence[Truth]", rig: "Rig", *, quiet: bool) -> None:
+    """Report on stderr how many shots show how many stripes of which lasers."""
+    from ringpose.cli import messages
+    from ringpose.report.stripes import stripes_shown
+
+    if not quiet and (shown := stripes_shown(truths, rig.lasers.names)):
+        messages.echo(shown)
 
 
 def _share_and_range(option: str, text: str | None, usual: tuple[float, float]) -> tuple[float, tuple[float, float]]:

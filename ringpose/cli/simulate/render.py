@@ -70,7 +70,7 @@ def simulate(
 
     from ringpose.cli import messages
     from ringpose.cli.batch import with_progress
-    from ringpose.cli.simulate.features import deviations_of, write_features
+    from ringpose.cli.simulate.features import deviations_of, report_stripes, write_features
     from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
@@ -88,17 +88,20 @@ def simulate(
     seeded = read if seed is None else replace(read, seed=seed)
     if features or output is None:
         deviations = deviations_of(*drawn, moves=read.motion is not None)
-        write_features(seeded, scene, deviations, count, output, force=force)
+        write_features(seeded, scene, deviations, count, output, force=force, quiet=quiet)
         return
     processes = jobs or cores()
     shots = simulated(seeded, count, processes)  # checks the motion before anything is written
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
+    truths = []
     for shot, truth in with_progress(shots, "shots", quiet):
         records.write_name(folder.add(shot, truth))
+        truths.append(truth)
         if verbose:
             messages.echo(
                 f"{shot.name}: {len(shot.images)} frames of {1e3 * shot.exposure_s[0]:.3f} ms, {truth.expect}"
             )
+    report_stripes(truths, read.rig, quiet=quiet)
     for name, boards in (("camera", seeded.camera_boards), ("plane", seeded.plane_boards)):
         if boards is not None:
             views = with_progress(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
