@@ -11,7 +11,7 @@ from ringpose.estimate.nuisance import FORM_ORDERS
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.kernels.render import blocked
-from ringpose.simulate.light import IlluminatedTarget, in_fan
+from ringpose.simulate.light import IlluminatedTarget, bend_m, in_fan
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.rig import Camera
 from ringpose.types.target import RingForm, RingShape
@@ -39,9 +39,8 @@ def break_points_px_at(
     radius_m = np.array([ring.radius_inner_m, ring.radius_outer_m])
     point_m = ring_crossings_m(illuminated, ring, radius_m, side)
     if ring.form is not None:
-        placement = illuminated.placement
-        center_m = placement.points_camera(np.array([0.0, 0.0, ring.height_m]))
-        point_m += form_displacement(ring.form, point_m, center_m, placement.rotation, illuminated.planes.normal)
+        axes, centers_m = illuminated.placement.rotation, _edge_centers_m(illuminated, ring)
+        point_m += form_displacement(ring.form, point_m, centers_m, axes, illuminated.planes.normal)
     pixel = project(point_m, camera)
     shown = inside_image(pixel, -0.5, camera) & _visible_and_lit(illuminated, ring, point_m)
     return np.where(shown[..., None], pixel, np.nan)
@@ -56,20 +55,39 @@ def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, c
 def ring_crossings_m(
     illuminated: IlluminatedTarget, ring: RingShape, radius_m: Float64[Array, "radius=2"], side: float
 ) -> Float64[Array, "laser radius=2 xyz=3"]:
-    """Intersections of each light plane with two circles in the plane of the face of an ideal ring, camera frame.
+    """Intersections of each sheet of light with two circles at the edges of the face of an ideal ring, camera frame.
 
-    A plane meets each circle twice; the intersection on side +1 or -1, along the first laser's stripe, is returned, NaN
-    if there is none.
+    They are at the heights of the inner and the outer edge, or both midway if the radii are the same. A sheet meets
+    each circle twice; the intersection on side +1 or -1, along the first laser's stripe, is returned, NaN if there is
+    none.
     """
     placement, planes = illuminated.placement, illuminated.planes
-    center_m = placement.points_camera(np.array([0.0, 0.0, ring.height_m]))
+    centers_m = _edge_centers_m(illuminated, ring)
+    if radius_m[0] == radius_m[1]:
+        centers_m = centers_m.mean(axis=0, keepdims=True).repeat(2, axis=0)
     normal = placement.rotation[:, 2]
     along = np.cross(planes.normal[0], normal)
     length = float(np.linalg.norm(along))
     if length < np.finfo(float).eps:
         along, length = placement.rotation[:, 0], 1.0
-    arcs = ring_arcs(center_m, normal, radius_m, center_m + side * along / length)
-    return predicted_break_points(arcs, planes.normal, planes.distance_m)
+    arcs = [ring_arcs(center_m, normal, radius_m, center_m + side * along / length) for center_m in centers_m]
+    distance_m = np.stack([planes.distance_m, planes.distance_m])
+    for _ in range(BEND_STEPS if illuminated.laser_light.bow_per_rad else 1):
+        at_edges = [predicted_break_points(arcs[k], planes.normal, distance_m[k])[:, k] for k in (0, 1)]
+        point_m = np.stack(at_edges, axis=1)
+        distance_m = planes.distance_m + bend_m(planes, illuminated.laser_light, point_m).T
+    return point_m
+
+
+BEND_STEPS = 6
+"""Corrections of a light plane by the bend of its sheet at the break point; each is a hundredth of the one before."""
+
+
+def _edge_centers_m(illuminated: IlluminatedTarget, ring: RingShape) -> Float64[Array, "edge=2 xyz=3"]:
+    """Centres of the circles of the inner and the outer edge of the face, camera frame."""
+    edges_m = np.zeros((2, 3))
+    edges_m[:, 2] = ring.edge_heights_m
+    return illuminated.placement.points_camera(edges_m)
 
 
 FORM_STEPS = 4
@@ -79,13 +97,14 @@ FORM_STEPS = 4
 def form_displacement(
     form: RingForm,
     point_m: Float64[Array, "laser edge=2 xyz=3"],
-    center_m: Float64[Array, "xyz=3"],
+    center_m: Float64[Array, "*edge xyz=3"],
     axes: Float64[Array, "3 3"],
     light_normal: Float64[Array, "laser xyz=3"],
 ) -> Float64[Array, "laser edge=2 xyz=3"]:
     """Displacement of break points on the inner and the outer edge by the ring's form, by Newton's method.
 
-    The points stay on their light planes. The columns of `axes` are the x, y and z axes of the ring.
+    The points stay on their light planes. The columns of `axes` are the x, y and z axes of the ring; `center_m` is the
+    centre of both edges, or of each.
     """
     normal, in_plane = axes[:, 2], point_m - center_m
     radius_m = np.linalg.norm(in_plane, axis=-1)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.errors import DataError
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import EDGE_SIGN, edge_points
 from ringpose.optics.feature_errors import end_covariance_px2, fitted_columns, tilt_sigma_px
@@ -89,7 +90,11 @@ class DrawnShot:
 def drawn_features(
     scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
 ) -> Iterator[DrawnShot]:
-    """Draw a detection for the first `count` views of a scene, or all; rig and form of the ring are drawn once."""
+    """Draw a detection for the first `count` views of a scene, or all; rig and form of the ring are drawn once.
+
+    A scene with what only images show (`_reject_what_images_show`) is a `DataError`.
+    """
+    _reject_what_images_show(scene)
     common = run_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
     shown: RingView | None = None
     for number, view in enumerate(islice(ring_views(scene), count)):
@@ -98,6 +103,18 @@ def drawn_features(
             shown = view
         stamp_s = scene.start_s + number * scene.period_s
         yield draw_detection(scene, view, rng, deviations, common, stamp_s, expected_appearance(scene, shown))
+
+
+def _reject_what_images_show(scene: Scene) -> None:
+    shown = {
+        "lasers.ghost": scene.lasers.ghost is not None,
+        "lasers.bow_per_rad": scene.lasers.bow_per_rad != 0.0,
+        "ring.slope_rad": bool(np.ptp(scene.ring.edge_heights_m)),
+        "obstacles": bool(scene.obstacles),
+    }
+    for key, given in shown.items():
+        if given:
+            raise DataError(f"the scene's {key}", "has no model of its features", "render images, without --features")
 
 
 MAX_CHANGE = 0.01

@@ -92,6 +92,19 @@ def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[
     return inside
 
 
+def bend_m(
+    planes: LaserPlanes, light: LaserLight, point_m: Float64[Array, "laser *shape xyz=3"]
+) -> Float64[Array, "laser *shape"]:
+    """Distance of each laser's bent sheet from its plane where points are projected on it, along the normal."""
+    shape = (len(planes.names), *[1] * (point_m.ndim - 2), 3)
+    normal, axis = planes.normal.reshape(shape), _fan_axes(planes).reshape(shape)
+    from_projector = point_m - planes.projector_m.reshape(shape)
+    aside = (np.cross(normal, axis) * from_projector).sum(axis=-1)
+    angle = np.arctan2(aside, (axis * from_projector).sum(axis=-1))
+    bent: Float64[Array, "laser *shape"] = light.bow_per_rad * angle**2 * np.linalg.norm(from_projector, axis=-1)
+    return bent
+
+
 # What the ray caster takes
 
 
@@ -115,7 +128,16 @@ def caster_view(
         target=illuminated.target,
         poses=np.array([[*each.rotation.ravel(), *each.translation_m] for each in illuminated.during]),
         lamps=np.column_stack([lamps, _LAMP_SHARPNESS, _LAMP_SHARES]),
-        lasers=np.column_stack([planes.normal, planes.distance_m, planes.projector_m, _fan_axes(planes), on]),
+        lasers=np.column_stack(
+            [
+                planes.normal,
+                planes.distance_m,
+                planes.projector_m,
+                _fan_axes(planes),
+                on,
+                np.full(len(on), laser.bow_per_rad),
+            ]
+        ),
         light=render.SceneLight(
             ambient_w_m2=light.ambient_w_m2,
             **_sky(light),

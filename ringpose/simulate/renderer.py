@@ -21,7 +21,7 @@ from ringpose.simulate.light import IlluminatedTarget, caster_view
 from ringpose.types.arrays import Array, Float32, Float64, Int16, UInt8
 from ringpose.types.image import Frame
 from ringpose.types.rig import Camera
-from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
+from ringpose.types.scene import Beacon, Ghost, Light, Scene, Sensor, Speckle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,7 +106,7 @@ def render_view(
 def _make_stripe(
     scene: Scene, layer: Float32[Array, "row column"], scale: np.float32, generator: np.random.Generator
 ) -> None:
-    """Turn the radiance due to a laser into electron rates, with speckle, blurred by the lens; only near its light."""
+    """Turn the radiance due to a laser into electron rates, with speckle, blurred by the lens, and with its ghost."""
     rows = np.flatnonzero(layer.any(axis=1))
     if len(rows) == 0:
         return
@@ -115,6 +115,15 @@ def _make_stripe(
     reach_px = int(np.ceil(5 * scene.lens.blur_px))
     near = slice(max(first - reach_px, 0), last + reach_px)
     layer[near] = _blurred(layer[near], scene.lens.blur_px)
+    if scene.lasers.ghost is not None:
+        layer += ghost_of(layer, scene.lasers.ghost)
+
+
+def ghost_of(layer: Float32[Array, "row column"], ghost: Ghost) -> Float32[Array, "row column"]:
+    """The ghost of a laser's light: fainter, and displaced; linear between rows."""
+    matrix = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, ghost.rows_px]])
+    moved = cv2.warpAffine(layer, matrix, layer.shape[::-1], flags=cv2.INTER_LINEAR)
+    return np.asarray(np.float32(ghost.ratio) * moved, dtype=np.float32)
 
 
 def _blurred(layer: Float32[Array, "row column"], sigma_px: float) -> Float32[Array, "row column"]:

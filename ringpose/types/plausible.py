@@ -110,6 +110,7 @@ RING_FORM_M = _metres("deviation of a ring's form", -0.01, 0.01)
 PART_M = _metres("size or position of a part of the target, each axis", -50, 50)
 DETAIL_M = _metres("body, foil or grid of the target", -5, 5)
 ANGLE_RAD = _radians("angle of a part, a gap or a roll", -7, 7)
+SLOPE_RAD = _radians("slope of a ring's face", -0.5, 0.5)
 
 # Where the target is, and how it moves
 
@@ -144,6 +145,8 @@ LASER_POWER_W = Range(quantity="power of a laser", lowest=0, highest=1, unit="wa
 SHEET_M = _metres("half thickness of a sheet of light", 1e-6, 0.01, "millimetres", "micrometres")
 DIVERGENCE_RAD = _radians("divergence of a sheet of light", 0, 0.05, "milliradians")
 FAN_RAD = _radians("fan of a laser", 1e-6, pi)
+BOW_PER_RAD = Range(quantity="bow of a sheet of light", lowest=-0.5, highest=0.5, unit="one by radians")
+GHOST_PX = Range(quantity="offset of a ghost", lowest=-500, highest=500, unit="pixels")
 IRRADIANCE_W_M2 = Range(quantity="irradiance", lowest=0, highest=5000, unit="watts a square metre")
 SUN_RAD = _radians("diameter of the sun", 0, 0.2)
 STRIPE_DN = Range(quantity="brightness of the stripes in a study", lowest=5, highest=10000, unit="grey values")

@@ -14,6 +14,7 @@ import numpy as np
 from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
+from ringpose.types.obstacles import Obstacle
 from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import Rig
 from ringpose.types.target import Body, FreeMotion, Part, RingShape, TargetPath, TimedPoses
@@ -23,6 +24,16 @@ TargetKind = Literal["ring", "body", "none"]
 
 _MIN_DIVISOR = 1e-6
 """Minimum of numbers by which others are divided."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ghost:
+    """A fainter copy of the laser lines, as reflections between the surfaces of lenses and windows cause."""
+
+    rows_px: Annotated[
+        float, Key("Its offset along the image's columns; negative is upwards.", plausible=plausible.GHOST_PX)
+    ]
+    ratio: Annotated[float, Key("Its brightness as a share of the line's.", plausible=plausible.SHARE)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +67,16 @@ class LaserLight:
             presence=Presence.IF_KNOWN,
         ),
     ] = 1.4
+    bow_per_rad: Annotated[
+        float,
+        Key(
+            "How the sheets are bent: elevation of a ray over its plane, in radians, by the square of its angle from "
+            "the middle of the fan.",
+            plausible=plausible.BOW_PER_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0
+    ghost: Annotated[Ghost | None, Key("A copy of each line.", presence=Presence.IF_KNOWN)] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -368,6 +389,8 @@ class Scene:
     body: Body | None = None
     parts: tuple[Part, ...] = ()
     """Parts of the target other than its ring and `body`."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands on the ring's face or lies over it."""
     lasers: LaserLight = LaserLight()
     lens: Optics = Optics()
     sensor: Sensor = Sensor()

@@ -5,7 +5,7 @@ face, towards the camera.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
@@ -51,6 +51,7 @@ MATERIALS: Mapping[str, Material] = {
     "matt": Material(diffuse=0.30, specular=0.0, roughness=1.0),
     "metal": Material(diffuse=0.12, specular=0.55, roughness=0.35),
     "foil": Material(diffuse=0.06, specular=0.75, roughness=0.22),
+    "mirror": Material(diffuse=0.02, specular=0.80, roughness=0.08),
     "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
     "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
     "radiator": Material(diffuse=0.70, specular=0.08, roughness=0.15),
@@ -159,8 +160,14 @@ class RingShape:
 
     @property
     def height_m(self) -> float:
-        """Height of the face over the body."""
-        return float(self.profile_m[self.face_piece, 1])
+        """Height of the face over the body; of a face that slopes, midway between its edges."""
+        return float(self.edge_heights_m.mean())
+
+    @property
+    def edge_heights_m(self) -> Float64[Array, "edge=2"]:
+        """Heights of the face's inner and outer edge over the body."""
+        ends = self.profile_m[self.face_piece : self.face_piece + 2]
+        return ends[np.argsort(ends[:, 0]), 1]
 
     @property
     def radius_inner_m(self) -> float:
@@ -171,6 +178,16 @@ class RingShape:
     def radius_outer_m(self) -> float:
         """Radius of the face's outer edge."""
         return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].max())
+
+
+def sloping(ring: RingShape, slope_rad: float) -> RingShape:
+    """The ring with a conical face, which rises outwards by this angle and is as high as before in its middle."""
+    if slope_rad == 0.0:
+        return ring
+    piece, profile_m = ring.face_piece, ring.profile_m.copy()
+    middle_m = (ring.radius_inner_m + ring.radius_outer_m) / 2
+    profile_m[piece : piece + 2, 1] += np.tan(slope_rad) * (profile_m[piece : piece + 2, 0] - middle_m)
+    return replace(ring, profile_m=profile_m, face_edges=(piece, piece + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

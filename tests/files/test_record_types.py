@@ -37,12 +37,14 @@ from ringpose.files.schemas import RECORDS
 from ringpose.files.studies.specification import AssumeEntry, StudyFile, TrackEntry
 from ringpose.types.assumptions import RigStability
 from ringpose.types.board import Board
+from ringpose.types.obstacles import Blanket, Cable, Heads
 from ringpose.types.rig import ParameterCovariance, RobotPose, ToolPose
 from ringpose.types.scene import (
     Approach,
     Beacon,
     BoardApproach,
     Earth,
+    Ghost,
     LaserLight,
     Optics,
     Sensor,
@@ -89,7 +91,7 @@ GRID = Grid(cell_m=(0.1, 0.2), line_m=0.01, diffuse=0.1, specular=0.2, roughness
 PAINT = Material(diffuse=0.1, specular=0.2, roughness=0.3, grid=GRID)
 PROFILE_M = np.array([[0.5, 0.0], [0.5, 0.1], [0.6, 0.1]])
 FORM = FormEntry(inner_m=np.full((3, 2), 1e-4), outer_m=np.zeros((3, 2)), axial_m=np.zeros((3, 2)))
-RING = {"gaps": (Gap(angle_rad=1.0, width_m=0.1, depth_m=0.01),), "form": FORM, "chamfer_m": 0.001}
+RING = {"slope_rad": 0.1, "gaps": (Gap(angle_rad=1.0, width_m=0.1, depth_m=0.01),), "form": FORM, "chamfer_m": 0.001}
 COMMON = {"position_m": np.ones(3), "rotation_rad": np.ones(3), "material": PAINT, "mass_kg": {"dry": 1.0, "wet": 2.0}}
 SCENE = SceneFile(
     rig="rig.yaml", seed=2, sequence="off,1,all", exposure_s=0.01, stripe_dn=170.0, period_s=0.2, start_s=3.0,
@@ -119,7 +121,18 @@ SCENE = SceneFile(
         center_of_mass_m=np.ones(3), velocity_m_s=np.full(3, 0.1), file="poses.csv", shots=3,
         camera=(TimedPose(time_s=0.0, position_m=np.ones(3), orientation_xyzw=np.array([0.0, 0.6, 0.0, 0.8])),),
     ),
-    lasers=LaserLight(power_w=0.1, sigma_m=1e-3, divergence_rad=1e-3, fan_rad=1.0),
+    obstacles=(
+        Heads(kind="heads", height_m=0.01, width_m=0.02, spacing_m=0.1, angle_rad=1.0, count=2, material=PAINT),
+        Cable(kind="cable", angle_rad=1.0, direction_rad=0.5, width_m=0.01, length_m=0.2, material=PAINT),
+        Blanket(
+            kind="blanket", angle_rad=1.0, length_m=0.2, overlap_m=0.01, beyond_m=0.1, material=PAINT,
+            foil=Foil(seed=2),
+        ),
+    ),
+    lasers=LaserLight(
+        power_w=0.1, sigma_m=1e-3, divergence_rad=1e-3, fan_rad=1.0, bow_per_rad=0.01,
+        ghost=Ghost(rows_px=-15.0, ratio=0.1),
+    ),
     lights={
         "dim": None,
         "sun": LightEntry(

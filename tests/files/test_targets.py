@@ -113,6 +113,16 @@ def test_shapes_are_boxes_and_surfaces_of_revolution():
     assert target.ring.radius_outer_m == 0.597
 
 
+def test_a_slope_raises_the_outer_edge_and_chamfers_follow_it():
+    sloping = target_of({**RING, "slope_rad": 0.1}).ring
+    chamfered = target_of({**RING, "slope_rad": 0.1, "chamfer_m": 0.001}).ring
+
+    np.testing.assert_allclose(sloping.edge_heights_m, 0.06 + np.tan(0.1) * np.array([-0.015, 0.015]), atol=1e-12)
+    lower_m, higher_m = chamfered.edge_heights_m
+    width_m = chamfered.radius_outer_m - chamfered.radius_inner_m
+    assert np.arctan2(higher_m - lower_m, width_m) == pytest.approx(0.1, abs=1e-12)
+
+
 def test_a_chamfer_moves_the_edges_of_the_face_inward():
     ring = target_of({**RING, "chamfer_m": 0.001}).ring
 

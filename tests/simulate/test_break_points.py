@@ -9,7 +9,7 @@ from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.simulate.pipeline import illuminated_ring, view_truth
 from ringpose.types.scene import RingView
-from ringpose.types.target import Gap, RingForm, RingShape
+from ringpose.types.target import Gap, RingForm, RingShape, sloping
 
 
 def truth_of(scene, view):
@@ -123,6 +123,46 @@ def test_break_points_of_a_deformed_ring_lie_on_its_edge_and_the_light_plane(sce
         expected_px = projected_px(point(angle)[None], scene.rig.camera)[0]
         np.testing.assert_allclose(truth.break_points_px[laser, edge], expected_px, atol=1e-9)
     assert np.abs(truth.break_points_px - ideal.break_points_px).max() > 0.05
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+def test_break_points_of_a_sloping_face_lie_on_circles_at_the_heights_of_its_edges(scene, view, edge):
+    cone, planes = replace(scene, ring=sloping(scene.ring, 0.0262)), scene.rig.lasers
+    above_m = np.tan(0.0262) * (-0.015, 0.015)[edge]
+    circle = replace(view, center_m=view.center_m + above_m * view.normal)
+
+    truth = truth_of(cone, view)
+
+    np.testing.assert_allclose(truth.center_m, view.center_m, atol=1e-12)
+    for laser in range(3):
+        place = (0.567, 0.597)[edge], planes.normal[laser], planes.distance_m[laser]
+        expected_px = projected_px(point_where_circle_meets_plane(circle, *place)[None], scene.rig.camera)[0]
+        np.testing.assert_allclose(truth.break_points_px[laser, edge], expected_px, atol=1e-9)
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+def test_break_points_of_bent_sheets_are_on_rays_that_rise_with_the_square_of_their_angle(scene, view, edge):
+    """Of the rays of a fan, the one that meets the circle is found by its angle, without the plane's equation."""
+    bow, radius_m = 0.2, (0.567, 0.597)[edge]
+    bent, planes = replace(scene, lasers=replace(scene.lasers, bow_per_rad=bow)), scene.rig.lasers
+
+    points_px = truth_of(bent, view).break_points_px
+
+    for laser in range(3):
+        normal, projector_m = planes.normal[laser], planes.projector_m[laser]
+        axis = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+        axis /= np.linalg.norm(axis)
+        aside = np.cross(normal, axis)
+
+        def on_face(angle, axis=axis, aside=aside, normal=normal, projector_m=projector_m):
+            elevation = bow * angle**2
+            ray = np.cos(elevation) * (np.cos(angle) * axis + np.sin(angle) * aside) + np.sin(elevation) * normal
+            return projector_m + ray * ((view.center_m - projector_m) @ view.normal) / (ray @ view.normal)
+
+        angle = brentq(lambda a, at=on_face: np.linalg.norm(at(a) - view.center_m) - radius_m, -0.3, 0.3, xtol=1e-14)
+        expected_px = projected_px(on_face(angle)[None], scene.rig.camera)[0]
+        np.testing.assert_allclose(points_px[laser, edge], expected_px, atol=1e-4)
+    assert np.nanmax(np.abs(points_px - truth_of(scene, view).break_points_px)) > 0.3
 
 
 def test_a_break_point_in_a_gap_is_null(scene, view):

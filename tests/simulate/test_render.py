@@ -50,6 +50,32 @@ def test_column_centroids_lie_on_the_analytic_stripe(clean_scene, view, sigma_m)
     assert np.abs(error_px).max() < 0.005
 
 
+def test_column_centroids_of_a_bent_sheet_lie_on_its_rays(clean_scene, view):
+    """The middle of each column's light is where rays that rise with the square of their angle meet the face."""
+    flat, bow = with_sigma(clean_scene, 0.0012), 0.05
+    bent = replace(flat, lasers=replace(flat.lasers, bow_per_rad=bow))
+    projector_m, (normal, axis) = flat.rig.lasers.projector_m[1], np.eye(3)[[1, 2]]
+    aside, angle = np.cross(normal, axis), np.linspace(-0.6, 0.6, 20001)[:, None]
+    ray = np.cos(bow * angle**2) * (np.cos(angle) * axis + np.sin(angle) * aside) + np.sin(bow * angle**2) * normal
+    points = projector_m + ray * (((view.center_m - projector_m) @ view.normal) / (ray @ view.normal))[:, None]
+    true = project(points, flat.rig.camera)
+
+    image = rendered(bent, view).laser[1].astype(float)
+
+    columns = np.arange(10, 310)
+    centroid = (image * np.arange(240)[:, None]).sum(axis=0)[columns] / image.sum(axis=0)[columns]
+    kept = true[np.isfinite(true).all(axis=1) & (true[:, 0] > -20) & (true[:, 0] < 340)]
+    kept = kept[np.argsort(kept[:, 0])]
+    expected = np.interp(columns, kept[:, 0], kept[:, 1])
+    assert np.abs(centroid - expected).max() < 0.01
+    assert np.ptp(expected - stripe_pixels_row(flat, view, columns)) > 1.0
+
+
+def stripe_pixels_row(scene, view, columns):
+    true = stripe_pixels(scene, view, 1)
+    return np.interp(columns, true[:, 0], true[:, 1])
+
+
 def test_a_stripe_thinner_than_a_pixel_is_integrated_over_the_pixel(clean_scene, view):
     """Compares the shares of a column's light in its pixels with the integral of a Gaussian over them."""
     flat, sigma_m = with_sigma(clean_scene, 0.0004), 0.0004

@@ -24,6 +24,7 @@ from ringpose.files.schema import SCENE, Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.obstacles import Obstacle
 from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import Rig
 from ringpose.types.scene import (
@@ -120,6 +121,10 @@ class SceneFile:
     target: Annotated[
         TargetEntry | None, Key("Instead of ring and body: a model, or parts.", presence=Presence.IF_KNOWN)
     ] = None
+    obstacles: Annotated[
+        tuple[Obstacle, ...],
+        Key("What stands on the ring's face or lies over it.", tag="kind", presence=Presence.IF_KNOWN),
+    ] = ()
     sun: Annotated[
         SunEntry | None,
         Key("The sun in all lights that have no `sun_w_m2` of their own.", presence=Presence.IF_KNOWN),
@@ -226,6 +231,9 @@ def _target_and_motion(fields: Fields, entry: SceneFile, folder: Path) -> dict[s
     if entry.body is None and entry.target is None:
         raise fields.missing("body")
     values: dict[str, Any] = {"ring": target.ring or NO_RING, "body": entry.body, "parts": target.parts}
+    values["obstacles"] = entry.obstacles
+    if entry.obstacles and target.ring is None:
+        raise fields.problem("obstacles", "lie on a ring, and the target has none", "remove them")
     if entry.motion is not None:
         inertia_and_center = _inertia_and_center(fields, target, entry.body)
         values["motion"] = motion_of(fields.fields("motion"), entry.motion, *inertia_and_center, folder)

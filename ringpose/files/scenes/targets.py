@@ -27,6 +27,7 @@ from ringpose.types.target import (
     Revolution,
     RingForm,
     RingShape,
+    sloping,
 )
 
 MODELS = Path(ringpose.__file__).parent / "simulate" / "target" / "models"
@@ -111,6 +112,14 @@ class RingEntry:
     wall: Annotated[
         Material, Key("Material of the other pieces.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)
     ] = MATERIALS["metal"]
+    slope_rad: Annotated[
+        float,
+        Key(
+            "Slope of the face: the angle by which it rises outwards; poses are those of the plane midway.",
+            plausible=plausible.SLOPE_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0
     gaps: Annotated[tuple[Gap, ...], Key("Slots across the ring.", presence=Presence.IF_KNOWN)] = ()
     form: Annotated[FormEntry | None, Key("How it is out of round and warped.", presence=Presence.IF_KNOWN)] = None
     chamfer_m: Annotated[
@@ -260,6 +269,10 @@ class RevolutionEntry(PartEntry):
             presence=Presence.IF_KNOWN,
         ),
     ] = None
+    slope_rad: Annotated[
+        float | None,
+        Key("Of the interface ring, as of `ring`.", plausible=plausible.SLOPE_RAD, presence=Presence.IF_KNOWN),
+    ] = None
     gaps: Annotated[tuple[Gap, ...] | None, Key("Of the interface ring, as of `ring`.", presence=Presence.IF_KNOWN)] = (
         None
     )
@@ -362,7 +375,7 @@ def _parts(entries: Iterable[tuple[Fields, ShapeEntry]], mass: str | None = None
 
 
 def _part(fields: Fields, entry: ShapeEntry, mass: str | None) -> Part:
-    for key in filter(fields.has, ("gaps", "form", "chamfer_m", "wall")):
+    for key in filter(fields.has, ("slope_rad", "gaps", "form", "chamfer_m", "wall")):
         raise fields.problem(key, "is for the interface ring", "name its edges by `edges`")
     if entry.foil is not None and not isinstance(entry, BoxEntry | PanelEntry):
         raise fields.problem("foil", f"is not available for a {entry.shape}", "foil crinkles boxes and panels")
@@ -455,12 +468,12 @@ def _ring_of_part(fields: Fields, entry: RevolutionEntry, edges: FaceEdges, mass
 
 
 def _with_details(fields: Fields, entry: RingEntry | RevolutionEntry, ring: RingShape) -> RingShape:
-    """The ring with the gaps, the form and the chamfer of an entry."""
+    """The ring with the slope, the gaps, the form and the chamfer of an entry."""
     for number, gap in enumerate(entry.gaps or ()):
         if gap.width_m >= 2 * ring.radius_inner_m:
             raise fields.problem(f"gaps[{number}].width_m", f"is {gap.width_m:g}, wider than the ring")
     form = None if entry.form is None else _form(fields.fields("form"), entry.form)
-    ring = replace(ring, gaps=entry.gaps or (), form=form)
+    ring = replace(sloping(ring, entry.slope_rad or 0.0), gaps=entry.gaps or (), form=form)
     return ring if entry.chamfer_m is None else _chamfered(fields, ring, entry.chamfer_m)
 
 

@@ -86,7 +86,7 @@ class View(NamedTuple):
     poses: Float64[Array, "time column=12"]
     """camera_from_target (rotation in rows, translation) at equal steps of the exposure."""
     lamps: Float64[Array, "lamp=4 column=5"]
-    lasers: Float64[Array, "laser column=11"]
+    lasers: Float64[Array, "laser column=12"]
     light: SceneLight
     xy: Float64[Array, "xy=2 pixel"]
     """Rays (x, y, 1) of the pixels."""

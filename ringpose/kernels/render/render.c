@@ -56,7 +56,7 @@ typedef struct {
     Vector normal;
     double distance;
     Vector projector, axis;
-    double on;
+    double on, bow; /* bow: elevation of the rays over the plane by the square of their angle in it */
 } Laser;
 
 /* The light in the target frame at one time of the exposure. */
@@ -76,6 +76,7 @@ typedef struct {
     int times, lasers, dark;
     double moved;    /* largest motion of the eye or a projector in the target frame */
     double baseline; /* largest distance of a projector from the camera */
+    double bend;     /* largest elevation of a ray over its light plane, as a slope */
     double relief;   /* largest displacement of a hit by a relief, for rays up to 60 degrees from the normal */
 } Scene;
 
@@ -322,6 +323,13 @@ VECTOR_LOOP static void find_sheet(const Scene *scene, const Laser *laser, const
     }
 }
 
+/* Angles in the plane of a sheet, from the middle of its fan, at which the hits are seen from the projector. */
+static double fan_angle(const Laser *laser, const Block *block, int i) {
+    const double z = block->depth[i];
+    const Vector from = minus((Vector){z * block->cx[i], z * block->cy[i], z}, laser->projector);
+    return atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from));
+}
+
 static void add_laser(const Scene *scene, int number, Block *block) {
     const SceneLight *light = &scene->light;
     const Laser *laser = scene->laser + number;
@@ -333,6 +341,10 @@ static void add_laser(const Scene *scene, int number, Block *block) {
     Beam beam;
     Choice choice;
     find_sheet(scene, laser, block, off, sigma, range);
+    for (int i = 0; i < hits->count && laser->bow != 0; i++) {
+        const double angle = fan_angle(laser, block, i);
+        off[i] -= laser->bow * angle * angle * range[i];
+    }
     for (int i = 0; i < hits->count; i++) {
         const Vector projector = scene->stand[block->time[hits->ray[i]]].projector[number];
         beam.on[i] = fabs(off[i]) < MAX_SIGMAS * sigma[i];
@@ -354,9 +366,7 @@ static void add_laser(const Scene *scene, int number, Block *block) {
     for (int i = 0; i < hits->count; i++) {
         if (beam.shadowed[i]) block->code[hits->ray[i]] |= 1u << number;
         if (reflected[i] <= 0 || hits->fx[i] * beam.x[i] + hits->fy[i] * beam.y[i] + hits->fz[i] * beam.z[i] <= 0) continue;
-        const double z = block->depth[i];
-        const Vector from = minus((Vector){z * block->cx[i], z * block->cy[i], z}, laser->projector);
-        if (fabs(atan2(dot(cross(laser->normal, laser->axis), from), dot(laser->axis, from))) > light->fan_rad / 2) continue;
+        if (fabs(fan_angle(laser, block, i)) > light->fan_rad / 2) continue;
         const double across = exp(-0.5 * off[i] * off[i] / (sigma[i] * sigma[i])) / (sqrt(2 * PI) * sigma[i]);
         add(block, 1 + number, hits->ray[i], light->power_w / (light->fan_rad * range[i]) * across * reflected[i]);
     }
@@ -387,8 +397,8 @@ VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Bloc
                                          uint8_t *restrict wanted) {
     const Rays *rays = &block->rays;
     const int count = rays->count;
-    const double least = MAX_SIGMAS * (scene->light.sigma_m + scene->light.divergence_rad * scene->baseline) + scene->relief;
-    const double slope = MAX_SIGMAS * scene->light.divergence_rad, per_px = scene->light.angle_per_px;
+    const double slope = MAX_SIGMAS * scene->light.divergence_rad + scene->bend, per_px = scene->light.angle_per_px;
+    const double least = MAX_SIGMAS * scene->light.sigma_m + slope * scene->baseline + scene->relief;
     double limit[BLOCK];
     uint32_t lasers = 0;
     memset(wanted, 0, BLOCK);
@@ -715,6 +725,8 @@ static Scene *open_scene(const Arguments *arguments, Pixels *pixels) {
     for (Py_ssize_t i = 0; i < arguments->view[9].shape[0]; i++)
         scene->relief = greater(scene->relief, 2 * scene->target.texel[i][1]);
     memcpy(scene->laser, view[2].buf, (size_t)scene->lasers * sizeof(Laser));
+    for (int i = 0; i < scene->lasers; i++)
+        scene->bend = greater(scene->bend, fabs(scene->laser[i].bow) * pow(scene->light.fan_rad / 2, 2));
     for (int i = 0; i < scene->lasers; i++)
         scene->baseline = greater(scene->baseline, sqrt(dot(scene->laser[i].projector, scene->laser[i].projector)));
     scene->dark = !(scene->light.ambient_w_m2 > 0 || scene->light.sun_w_m2 > 0 || scene->light.earth_w_m2 > 0);

@@ -11,6 +11,7 @@ from ringpose.geometry.board import board_print, outline_m
 from ringpose.kernels.render import BOX, MAX_PARTS, MAX_POINTS, NONE, REVOLUTION, TEXELS, TargetTables
 from ringpose.types.arrays import Array, Float32, Float64
 from ringpose.types.board import Board
+from ringpose.types.obstacles import Obstacle
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.target import MATERIALS, Body, Box, Foil, Material, Part, Revolution, RingShape
 
@@ -34,21 +35,31 @@ def part_around(scene: Scene, view: RingView, point_m: Float64[Array, "xyz=3"]) 
     return next((part.name for part in _parts(*_described(scene, view)) if _contains(part, point_m)), None)
 
 
-def _described(scene: Scene, view: RingView) -> tuple[Body | None, tuple[Part, ...], RingShape | None]:
+_Described = tuple[Body | None, tuple[Part, ...], RingShape | None, tuple[Obstacle, ...]]
+
+
+def _described(scene: Scene, view: RingView) -> _Described:
     if view.target == "none":
-        return None, (), None
-    return scene.body, scene.parts, scene.ring if view.target == "ring" else None
+        return None, (), None, ()
+    if view.target == "body":
+        return scene.body, scene.parts, None, ()
+    return scene.body, scene.parts, scene.ring, scene.obstacles
 
 
 @lru_cache(maxsize=4)
-def _parts(body: Body | None, parts: tuple[Part, ...], ring: RingShape | None) -> tuple[Part, ...]:
+def _parts(
+    body: Body | None, parts: tuple[Part, ...], ring: RingShape | None, obstacles: tuple[Obstacle, ...]
+) -> tuple[Part, ...]:
     bodies = () if body is None else (body_part(body),)
-    return (*bodies, *parts, *(() if ring is None else (ring_part(ring),)))
+    rings = () if ring is None else (ring_part(ring), *(part for each in obstacles for part in each.parts(ring)))
+    return (*bodies, *parts, *rings)
 
 
 @lru_cache(maxsize=4)
-def _tables(body: Body | None, parts: tuple[Part, ...], ring: RingShape | None) -> TargetTables:
-    return target_tables(_parts(body, parts, ring))
+def _tables(
+    body: Body | None, parts: tuple[Part, ...], ring: RingShape | None, obstacles: tuple[Obstacle, ...]
+) -> TargetTables:
+    return target_tables(_parts(body, parts, ring, obstacles))
 
 
 def _contains(part: Part, point_m: Float64[Array, "xyz=3"]) -> bool:
