@@ -214,7 +214,7 @@ RULES = (
     ),
     FlagRule(
         flag=PoseFlag.RIG_DRIFT,
-        findings=Finding.PLANE_MOVED,
+        findings=Finding.PLANE_MOVED | Finding.PLANE_OR_CAMERA_MOVED | Finding.RIG_DISAGREES | Finding.SHOTS_CONTRADICT,
         meaning=(
             "A light plane has moved, as the shots before show. The covariance includes the correction of the rig, but "
             "a robot should stop until somebody has looked at the rig. Where the rig could not be corrected, or the "
@@ -420,9 +420,17 @@ SENTENCES = MappingProxyType(
         Finding.POINT_SATURATED: "a break point could not be measured, as its stripe is saturated",
         Finding.POINT_CUT_OFF: "a break point could not be measured, as its stripe is cut off by the image's border",
         Finding.AMBIENT_CHANGED: "ambient light changed within the shot",
+        Finding.PLANE_MOVED: "the light plane of laser {laser} {change}",
+        Finding.PLANE_OR_CAMERA_MOVED: "the light plane of laser {laser} {change}, or the camera has turned",
+        Finding.RIG_DISAGREES: "the stripes disagree with the rig: a light plane or the camera has moved",
+        Finding.SHOTS_CONTRADICT: ("most of the last shots contradict one ring: a light plane or the camera has moved"),
+        Finding.RADII_DIFFER: (
+            "the ring's radius differs between shots by {spread} (standard deviation), more than its errors allow: the "
+            "ring is not round (give --ring-tolerance), or the rig has changed"
+        ),
     }
 )
-"""What a finding adds to the reason of a line, in the order of `Finding`; the stream states what it has shown."""
+"""What a finding adds to the reason of a line, in the order of `Finding`."""
 
 
 def sentences(findings: Finding, **names: str) -> str:
@@ -474,8 +482,9 @@ def rejection_remark(rejected: Sequence[Rejection]) -> str:
     return f"{' and '.join(names)} {verbs[0]} the others and {verbs[1]} left out"
 
 
-def with_findings(line: PoseLine, findings: Finding, reason: str) -> PoseLine:
-    """The line with what the stream has shown, and its reason."""
+def with_findings(line: PoseLine, findings: Finding, **names: str) -> PoseLine:
+    """The line with what the stream has shown; `names`: what the sentences of the findings name."""
+    reason = sentences(findings, **names)
     flags = line.flags | flags_of(findings)
     pose = None if line.pose is None else replace(line.pose, flags=line.pose.flags | flags)
     return replace(line, flags=flags, pose=pose, reason="; ".join(filter(None, [line.reason, reason])))

@@ -19,10 +19,10 @@ from ringpose.estimate.nuisance import (
     total_covariance,
 )
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.measure.status import with_findings
+from ringpose.measure.status import sentences, with_findings
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
-from ringpose.types.finding import Finding
+from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import PLANE_PARAMETERS, PlaneCorrection, Rig, laser_parameters
 
@@ -41,10 +41,6 @@ SHOTS_TO_NAME = 4.0
 DOUBTED_FROM = 0.4
 """Share of contradictory shots without evidence from which the rig is reported as changed, whatever the others show."""
 
-CONTRADICTED = "most of the last shots contradict one ring: a light plane or the camera has moved"
-DISAGREES = "the stripes disagree with the rig: a light plane or the camera has moved"
-"""Reasons of lines after a drift that is not explained by one plane."""
-
 CONTRADICTORY = PoseFlag.STRIPE_REJECTED | PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.INCONSISTENT
 """Flags of a shot whose stripes do not fit one ring as they were assigned."""
 
@@ -58,7 +54,7 @@ class DriftMonitor:
         self._given, self._stability = rig, stability
         self._evidence = RigEvidence(rig, stability, SHOTS_KEPT)
         self._shots, self._doubted = 0.0, 0.0
-        self._reason, self._corrected = "", False
+        self._drift, self._corrected = Drift(), False
 
     def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
         """The line with the lasers' health and the flag of a drift, and a warning where one is detected.
@@ -69,7 +65,7 @@ class DriftMonitor:
             return line, None
         contradictory = bool(line.flags & CONTRADICTORY)
         line = self._flagged(line)  # before this shot is counted: it was measured with the rig as it was
-        before = self._reason.partition(" by ")[0]
+        before = self._drift.cause
         if line.plane_evidence is not None:
             if PoseFlag.RADIUS_INCONSISTENT not in line.flags and self._evidence.add(line.plane_evidence):
                 self._shots, self._doubted = FORGETTING * self._shots + 1.0, FORGETTING * self._doubted
@@ -82,39 +78,42 @@ class DriftMonitor:
             health = dict.fromkeys(names, nan)
         line = replace(line, rig_health=health)
         self._judge(chi2, line)
-        cause = self._reason.partition(" by ")[0]  # the figures change with every shot
-        return line, self._reason if cause and cause != before else None
+        cause = self._drift.cause
+        return line, self._drift.sentence if cause and cause != before else None
 
     def _flagged(self, line: PoseLine) -> PoseLine:
         """The line with the flags of a drift that earlier shots have shown."""
-        if not self._reason:
+        if not self._drift.finding:
             return line
         is_checked = self._corrected and PoseFlag.RIG_UNCHECKED not in line.flags
-        findings = Finding.PLANE_MOVED if is_checked else Finding.PLANE_MOVED | Finding.RIG_DOUBTED
-        return with_findings(line, findings, self._reason)
+        findings = self._drift.finding | (NOTHING if is_checked else Finding.RIG_DOUBTED)
+        return with_findings(line, findings, **self._drift.names)
 
     def _judge(self, chi2: Float64[Array, "laser"], line: PoseLine) -> None:
         """Name and correct a plane that has moved, or report that the rig has changed."""
         shots, evidence = self._shots, self._evidence
         if shots >= SHOTS_NEEDED and self._doubted > DOUBTED_FROM * shots:
-            self._reason, self._corrected = CONTRADICTED, False
+            self._drift, self._corrected = Drift(finding=Finding.SHOTS_CONTRADICT), False
         elif chi2.max(initial=0.0) > evidence.limit:
             laser, turned = evidence.moved_laser(chi2)
             if laser is None:
-                self._reason, self._corrected = DISAGREES, False
+                self._drift, self._corrected = Drift(finding=Finding.RIG_DISAGREES), False
                 return
             moved = evidence.moved_plane(laser)
             depth_m = 0.5 if line.plane_evidence is None else float(line.plane_evidence.place_m[2])
-            self._reason = f"the light plane of laser {self.rig.lasers.names[laser]} {moved.description(depth_m)}"
+            self._drift = Drift(
+                # the middle of three planes hardly differs from a turn
+                finding=Finding.PLANE_OR_CAMERA_MOVED if turned else Finding.PLANE_MOVED,
+                laser=self.rig.lasers.names[laser],
+                change=moved.description(depth_m),
+            )
             self._corrected = not turned and shots - self._doubted >= SHOTS_TO_NAME
             if self._corrected:
                 self._correct(moved)
-            elif turned:  # the middle of three planes hardly differs from a turn
-                self._reason = f"{self._reason}, or the camera has turned"
-        elif self._reason == CONTRADICTED and not self.rig.moved_planes:
-            self._reason = (
-                ""  # contradictory shots are over; what the evidence has shown holds until the rig is updated
-            )
+        elif self._drift.finding is Finding.SHOTS_CONTRADICT and not self.rig.moved_planes:
+            self._drift = (
+                Drift()
+            )  # contradictory shots are over; what the evidence shows holds until the rig is updated
 
     def _correct(self, moved: "MovedPlane") -> None:
         """Replace the plane in the rig for the next shots by the estimated plane with its covariance."""
@@ -132,6 +131,32 @@ class DriftMonitor:
             moved_planes={**self.rig.moved_planes, lasers.names[laser]: correction},
         )
         self._evidence = RigEvidence(self.rig, self._stability, SHOTS_KEPT)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drift:
+    """What a stream has shown about the rig."""
+
+    finding: Finding = NOTHING
+    laser: str = ""
+    """The laser whose plane has moved, if it is known."""
+    change: str = ""
+    """By how much, which differs from shot to shot."""
+
+    @property
+    def cause(self) -> Finding | str:
+        """What has changed: the laser, or what the stream shows instead; nothing, if it has shown nothing."""
+        return self.laser or self.finding
+
+    @property
+    def names(self) -> dict[str, str]:
+        """What the sentence of the finding names."""
+        return {"laser": self.laser, "change": self.change}
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        return sentences(self.finding, **self.names)
 
 
 # Evidence of shots, and its tests
@@ -359,7 +384,7 @@ class FormMonitor:
 
     def __init__(self) -> None:
         self._shots: list[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]] = []
-        self._reason = ""
+        self._spread = ""
 
     def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
         """The line with the flags of a form that earlier shots have shown, and a warning where one is detected.
@@ -377,24 +402,21 @@ class FormMonitor:
         covariance = pose.covariance[5:7, 5:7] * to_curvature[:, None] * to_curvature
         same = [each for each in self._shots if abs(each[0] * radius_m - 1.0).max() < SAME_RING]
         self._shots = [*(same if same else []), (1.0 / radius_m, covariance)][-SHOTS_KEPT:]
-        known, self._reason = self._reason, self._finding()
-        return flagged, self._reason if self._reason and not known else None
+        known, self._spread = self._spread, self._excessive_spread()
+        is_new = self._spread and not known
+        return flagged, sentences(Finding.RADII_DIFFER, spread=self._spread) if is_new else None
 
     def _flagged(self, line: PoseLine) -> PoseLine:
-        if not self._reason or line.pose is None:
+        if not self._spread or line.pose is None:
             return line
-        return with_findings(line, Finding.RADII_DIFFER, self._reason)
+        return with_findings(line, Finding.RADII_DIFFER, spread=self._spread)
 
-    def _finding(self) -> str:
-        """The reason why the ring is not round; empty if the radii agree."""
+    def _excessive_spread(self) -> str:
+        """Standard deviation of the radii of a ring that is not round, in millimetres; empty if the radii agree."""
         count = len(self._shots)
         if count < MIN_SHOTS or _disagreement(self._shots) <= chi2_quantile(_EDGES * (count - 1), _LIMIT_SIGMAS):
             return ""
-        spread_mm = 1e3 * float(np.std([1.0 / curvature[1] for curvature, _ in self._shots]))
-        return (
-            f"the ring's radius differs between shots by {spread_mm:.2g} mm (standard deviation), more than its errors "
-            "allow: the ring is not round (give --ring-tolerance), or the rig has changed"
-        )
+        return f"{1e3 * float(np.std([1.0 / curvature[1] for curvature, _ in self._shots])):.2g} mm"
 
 
 def _disagreement(shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array, "edge=2 edge=2"]]]) -> float:

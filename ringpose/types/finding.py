@@ -74,6 +74,12 @@ class Finding(IntFlag):
 
     # What a stream of shots has shown
     PLANE_MOVED = auto()
+    PLANE_OR_CAMERA_MOVED = auto()
+    """A turn of the camera explains the shots about as well as the plane of a laser that has moved."""
+    RIG_DISAGREES = auto()
+    """The stripes disagree with the rig, and not by one plane alone."""
+    SHOTS_CONTRADICT = auto()
+    """Most of the last shots contradict one ring."""
     RIG_DOUBTED = auto()
     """The rig has changed in a way that is not corrected, or that the shot cannot check."""
     RADII_DIFFER = auto()

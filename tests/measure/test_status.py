@@ -42,7 +42,8 @@ def test_a_row_forbids_quantities_that_bench_judges():
 
 
 def test_sentences_name_the_laser_where_they_are_about_one():
-    named = {"laser": "left", "edge": "inner", "fitting": "left, right", "given": "right, left"}
+    named = {"laser": "left", "edge": "inner", "fitting": "left, right", "given": "right, left", "change": "has moved"}
+    named["spread"] = "2 mm"
 
     assert "laser left" in sentences(Finding.STRIPE_NOT_FOUND, laser="left")
     assert all("{" not in sentences(finding, **named) for finding in SENTENCES)
