@@ -77,9 +77,9 @@ def outcomes(work: Callable[[Any], Result], items: Iterable[Any], jobs: int) -> 
                     pool.give([(given, *item)])
                     given += 1
                 continue
-            for chunk, found, _ in pool.collected(*([arriving] if is_ready else [])):
+            for chunk, results, _ in pool.collected(*([arriving] if is_ready else [])):
                 number, item = chunk[0]
-                finished[number] = WorkerKilled(item) if found is None else found[0]
+                finished[number] = WorkerKilled(item) if results is None else results[0]
     finally:
         arriving.close()
         pool.close()
@@ -160,13 +160,13 @@ class Pool:
                 continue
             worker, chunk, started_s = self.busy.pop(connection)
             try:
-                found = worker.connection.recv()
+                received = worker.connection.recv()
             except (EOFError, OSError):
                 worker.process.join()
-                found = None
+                received = None
             else:
                 self._idle.append(worker)
-            yield chunk, found, perf_counter() - started_s
+            yield chunk, received, perf_counter() - started_s
 
     def close(self) -> None:
         """End all workers."""

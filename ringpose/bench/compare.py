@@ -200,13 +200,13 @@ def pairs(scores_a: Sequence[Score], scores_b: Sequence[Score]) -> list[tuple[st
     if len(methods_a) == len(methods_b) == 1 and not compared:
         (a,), (b,) = methods_a, methods_b
         compared = {f"{a or '-'} -> {b or '-'}": (a, b)}
-    found = []
+    paired = []
     for name, (method_a, method_b) in compared.items():
         of_a = {score.shot: score for score in scores_a if score.method == method_a}
         of_b = {score.shot: score for score in scores_b if score.method == method_b}
         both = [(of_a[shot], of_b[shot]) for shot in of_a if shot in of_b]
-        found.append((name, [(a, b) for a, b in both if not a.status == b.status == "lost"]))
-    return found
+        paired.append((name, [(a, b) for a, b in both if not a.status == b.status == "lost"]))
+    return paired
 
 
 def compare(
@@ -253,8 +253,8 @@ class _Sample(NamedTuple):
 
 def paired_scores(members: Iterable[Pair], quantity: Quantity) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
     """The scores of A and B in the shots in which both have one, without differences that are rounding errors."""
-    found = [(quantity.score(a), quantity.score(b)) for a, b in members]
-    both = np.array([pair for pair in found if None not in pair], dtype=np.float64).reshape(-1, 2)
+    compared = [(quantity.score(a), quantity.score(b)) for a, b in members]
+    both = np.array([pair for pair in compared if None not in pair], dtype=np.float64).reshape(-1, 2)
     a, b = both[:, 0], both[:, 1]
     scale = float(np.abs(both).mean()) if len(both) else 0.0
     return a, np.where(np.abs(b - a) <= ROUNDING * scale + MIN_ERROR**2, a, b)
@@ -289,7 +289,7 @@ def permutation_p_value(
         )
         return float(exact.pvalue)
     generator = np.random.default_rng(SEED)
-    found = monte_carlo_test(
+    test = monte_carlo_test(
         half,
         lambda size: half * generator.choice((-1.0, 1.0), size),
         difference,
@@ -298,7 +298,7 @@ def permutation_p_value(
         batch=max(1, 4_000_000 // len(half)),
         alternative="greater",
     )
-    return float(found.pvalue)
+    return float(test.pvalue)
 
 
 def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance: float, resamples: int) -> Row:
@@ -355,7 +355,7 @@ def bootstrap_interval(
     for method in ("BCa", "percentile"):
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            found = bootstrap(
+            resampled = bootstrap(
                 (a, b),
                 difference,
                 paired=True,
@@ -366,7 +366,7 @@ def bootstrap_interval(
                 batch=max(1, 4_000_000 // len(a)),
                 random_state=np.random.default_rng(SEED),
             ).confidence_interval
-        low, high = float(found.low), float(found.high)
+        low, high = float(resampled.low), float(resampled.high)
         if math.isfinite(low) and math.isfinite(high):
             break
     return low, high

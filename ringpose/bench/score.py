@@ -168,7 +168,7 @@ class Score:
     @property
     def wrong(self) -> tuple[str, ...]:
         """Names of the wrong quantities."""
-        return tuple(name for name, found in self.judgements.items() if found is Judgement.WRONG)
+        return tuple(name for name, judgement in self.judgements.items() if judgement is Judgement.WRONG)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,11 +222,11 @@ def scores(estimates: Iterable[PoseEstimate], truths: Sequence[Truth], camera: C
     """
     every = list(estimates)
     methods = list(dict.fromkeys(estimate.method for estimate in every if estimate.method)) or [""]
-    found = []
+    judged = []
     for method in methods:
         by_shot = {each.shot: each for each in every if each.method in (method, "")}
-        found += [score(truth, by_shot.get(truth.shot), method, camera) for truth in truths]
-    return found
+        judged += [score(truth, by_shot.get(truth.shot), method, camera) for truth in truths]
+    return judged
 
 
 def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matching:
@@ -260,15 +260,15 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
         for name, (error, covariance) in compared.items()
         if covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
     }
-    found = dict(_judgements(truth_now, line, compared, distances, camera))
-    judgements = {name: judgement for name, (judgement, _) in found.items()}
+    by_quantity = dict(_judgements(truth_now, line, compared, distances, camera))
+    judgements = {name: judgement for name, (judgement, _) in by_quantity.items()}
     return scored(
         outcome=_outcome(truth, estimate.status, Judgement.WRONG in judgements.values()),
         status=estimate.status,
         errors=_errors(truth_now, line.pose, compared, distances),
         judgements=judgements,
         distances=distances,
-        gross=tuple(name for name, (_, gross) in found.items() if gross),
+        gross=tuple(name for name, (_, gross) in by_quantity.items() if gross),
         assumptions=assumptions_of(line),
         latency_s=line.latency_s if math.isfinite(line.latency_s) else None,
         rig=line.rig,
@@ -292,30 +292,30 @@ Compared = dict[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]
 def _compared(truth: Truth, line: PoseLine) -> Compared:
     pose, velocity, reported = line.pose, line.velocity, _reported(line)
     center_m, normal, radius_m = truth.center_m, truth.normal, mid_radius_m(truth)
-    found: Compared = {}
+    errors: Compared = {}
     if pose is None or center_m is None or normal is None:
-        return found
+        return errors
     full = np.full((7, 7), np.nan) if pose.covariance is None else pose.covariance
     if "center" in reported:
-        found["center"] = pose.center_m - center_m, pose.covariance_center_m2
+        errors["center"] = pose.center_m - center_m, pose.covariance_center_m2
     if "normal" in reported:
-        found["normal"] = tilt_error_rad(pose.normal, normal), full[:2, :2]
+        errors["normal"] = tilt_error_rad(pose.normal, normal), full[:2, :2]
     if "grasp" in reported and radius_m is not None:
         axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
         grasp_m2 = pose.covariance_grasp_m2
-        found["grasp"] = beside_m, None if grasp_m2 is None else axes @ grasp_m2 @ axes.T
+        errors["grasp"] = beside_m, None if grasp_m2 is None else axes @ grasp_m2 @ axes.T
     if "radius_inner" in reported and truth.radius_inner_m is not None:
-        found["radius_inner"] = np.array([pose.radius_inner_m - truth.radius_inner_m]), full[5:6, 5:6]
+        errors["radius_inner"] = np.array([pose.radius_inner_m - truth.radius_inner_m]), full[5:6, 5:6]
     if "radius_outer" in reported and truth.radius_outer_m is not None:
-        found["radius_outer"] = np.array([pose.radius_outer_m - truth.radius_outer_m]), full[6:7, 6:7]
+        errors["radius_outer"] = np.array([pose.radius_outer_m - truth.radius_outer_m]), full[6:7, 6:7]
     moves = truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
     if "velocity" in reported and velocity is not None and moves:
         true_m_s = np.zeros(3) if truth.velocity_m_s is None else truth.velocity_m_s
         true_rad_s = np.zeros(3) if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
         across_rad_s = true_rad_s - (true_rad_s @ normal) * normal  # the spin about the true normal is not observable
         rate_error_rad_s = tilt_basis(pose.normal) @ (velocity.rate_rad_s - across_rad_s)
-        found["velocity"] = np.concatenate([velocity.center_m_s - true_m_s, rate_error_rad_s]), velocity.covariance
-    return found
+        errors["velocity"] = np.concatenate([velocity.center_m_s - true_m_s, rate_error_rad_s]), velocity.covariance
+    return errors
 
 
 def _reported(line: PoseLine) -> list[str]:

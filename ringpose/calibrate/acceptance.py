@@ -151,12 +151,12 @@ def check(
     The limits of a relative quantity are multiplied by `scale`; to the limit of a good value, `margin` is added.
     """
     limit = limits[name]
-    found = Check(
+    checked = Check(
         name=name, value=value, pass_limit=scale * limit.good + margin, fail_limit=scale * limit.redo, place=place
     )
-    special = limit.if_unknown if isnan(value) else limit.if_redo if found.grade is Grade.REDO else None
+    special = limit.if_unknown if isnan(value) else limit.if_redo if checked.grade is Grade.REDO else None
     advice = limit.advice if special is None else special
-    return replace(found, advice=advice.format(place=place, **words))
+    return replace(checked, advice=advice.format(place=place, **words))
 
 
 def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:

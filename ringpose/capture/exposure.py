@@ -105,8 +105,8 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
     scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
     stripes = list(_stripes_on_face(points, images, rig)) if rig is not None and isinstance(points, BreakPoints) else []
     if not stripes:
-        found = [(i, find_stripes(i.lit, i.dark, saturation_dn=i.threshold_scale_dn).position_px) for i in images]
-        stripes = [(image, position_px) for image, position_px in found if len(position_px) >= MIN_STRIPE_COLUMNS]
+        centers = [(i, find_stripes(i.lit, i.dark, saturation_dn=i.threshold_scale_dn).position_px) for i in images]
+        stripes = [(image, position_px) for image, position_px in centers if len(position_px) >= MIN_STRIPE_COLUMNS]
     if not stripes:
         return tuple(factor_without_stripes(shot) * each for each in exposures_of(shot))
     shortest_s = exposures_of(shot)[0]

@@ -32,10 +32,10 @@ def live_lines(
     source = open_source(replace(request, choose=choose, on_frame=early.add, yields_lost=True))
 
     def measured(live: LiveShot) -> Measured:
-        found = stream.measure(checked(live.shot, stream.setup.rig, request.camera))
+        measurement = stream.measure(checked(live.shot, stream.setup.rig, request.camera))
         sequence.report(is_assigned=stream.assigns_lasers)
         latency_s = perf_counter() - live.taken_s
-        return replace(found, line=replace(found.line, shots_dropped=live.dropped, latency_s=latency_s))
+        return replace(measurement, line=replace(measurement.line, shots_dropped=live.dropped, latency_s=latency_s))
 
     with ExitStack() as stack:
         for device in source.devices:

@@ -67,10 +67,10 @@ def _recorded(pattern: str, request: CaptureRequest, batch: Batch) -> Source:
 
 def _matching_inputs(pattern: str) -> Iterator[Input | Problem]:
     try:
-        found = _matches(pattern)
+        matches = _matches(pattern)
     except OSError as error:
         return iter([NoInputError(pattern, f"cannot be opened: {(error.strerror or str(error)).lower()}")])
-    return inputs(found, SHOT_SUFFIXES) if found else iter([NoInputError(pattern, "does not exist")])
+    return inputs(matches, SHOT_SUFFIXES) if matches else iter([NoInputError(pattern, "does not exist")])
 
 
 def _matches(pattern: str) -> list[Path]:

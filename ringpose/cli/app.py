@@ -132,12 +132,12 @@ def check_plausible(option: str, value: float | None, plausible: Range, remedy: 
 def numbers(text: str | None, option: str, remedy: str, plausible: Range) -> list[float]:
     """The numbers of an option, separated by commas; UsageError unless all are in the range of their quantity."""
     try:
-        found = [float(word) for word in text.split(",")] if text is not None else []
+        parsed = [float(word) for word in text.split(",")] if text is not None else []
     except ValueError:
         raise UsageError(option, f"{text!r} is not a list of numbers", remedy) from None
-    for number in found:
+    for number in parsed:
         check_plausible(option, number, plausible, remedy)
-    return found
+    return parsed
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]

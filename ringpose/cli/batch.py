@@ -65,10 +65,10 @@ def _identity(item: "Input") -> Hashable | None:
     if not isinstance(item, Path):
         return item.location
     try:
-        found = item.stat()
+        status = item.stat()
     except (OSError, ValueError):  # reported where it is read
         return None
-    return found.st_dev, found.st_ino, found.st_mtime_ns
+    return status.st_dev, status.st_ino, status.st_mtime_ns
 
 
 class Batch:

@@ -29,8 +29,8 @@ def _list_devices(is_requested: bool) -> bool:
 
     for line in device_discovery.remarks():
         messages.echo(line)
-    for found in device_discovery.cameras():
-        records.write(definition_of(device_discovery.FoundCamera).write(found))
+    for device in device_discovery.cameras():
+        records.write(definition_of(device_discovery.FoundCamera).write(device))
     for port in device_discovery.serial_ports():
         records.write(definition_of(device_discovery.SerialPort).write(port))
     raise typer.Exit

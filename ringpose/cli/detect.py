@@ -88,9 +88,9 @@ def detect(
         track=track,
         options=assumed.options,
     )
-    found = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
+    detections = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
     with batch:
-        for path, shot, detection in with_progress(found, "shots", quiet):
+        for path, shot, detection in with_progress(detections, "shots", quiet):
             with batch.guarded():
                 if overlays is not None:  # first, so that all files exist when the detection's name is printed
                     from ringpose.report.overlay import overlay as drawn

@@ -53,9 +53,9 @@ def _is_shown(path: Path) -> bool:
     import subprocess
 
     for program, *options in VIEWERS:
-        found = shutil.which(program)
-        words = [found or "", *options, str(path)]
+        executable = shutil.which(program)
+        words = [executable or "", *options, str(path)]
         # what it reports is of its own, such as tables wider than the terminal; if it fails, the text is shown instead
-        if found and subprocess.run(words, check=False, stderr=subprocess.DEVNULL).returncode == 0:  # noqa: S603
+        if executable and subprocess.run(words, check=False, stderr=subprocess.DEVNULL).returncode == 0:  # noqa: S603
             return True
     return False

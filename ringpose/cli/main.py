@@ -125,9 +125,9 @@ def _command(arguments: list[str]) -> int:
         raise abort.__cause__ or abort from None
 
 
-def _number_kind(found: re.Match[str]) -> str:
+def _number_kind(match: re.Match[str]) -> str:
     """What Typer calls a valid int or float, with or without range."""
-    return "a whole number" if found[1] == "int" else "a number"
+    return "a whole number" if match[1] == "int" else "a number"
 
 
 def _output_failed(error: OSError) -> int:

@@ -114,23 +114,23 @@ def pose(
         camera=None if is_live_robot else camera_motion(robot_poses, rig, inputs),
     )
     in_stream = partial(Stream, setup, settings.options(assumed.options) if track else None, clock=time)
-    found: AbstractContextManager[Iterator[Measured]]
+    lines: AbstractContextManager[Iterator[Measured]]
     with batch, ExitStack() as stack:
         if is_live_robot:
             in_stream = partial(in_stream, motion_until=stack.enter_context(live_camera_motion(rig, batch)))
         if camera is None:
-            found = nullcontext(
+            lines = nullcontext(
                 batch.reported(_recorded(inputs or [], in_stream(), SourceReader(loaded_rig, channel), jobs, batch))
             )
         else:
-            found = _live(camera, shots, loaded_rig, in_stream, batch)
+            lines = _live(camera, shots, loaded_rig, in_stream, batch)
         pictures = None
         if overlay is not None or report is not None:
             from ringpose.cli.overlays import PosePictures
 
             pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
         write = _writer(record_writer(stack, newest), track, output_format, brief, verbose, batch)
-        _write(with_progress(stack.enter_context(found), "shots", quiet), write, pictures, batch, verbose)
+        _write(with_progress(stack.enter_context(lines), "shots", quiet), write, pictures, batch, verbose)
     batch.finish()
 
 
@@ -228,7 +228,7 @@ def _writer(
 
 
 def _write(
-    found: "Iterable[Measured]",
+    lines: "Iterable[Measured]",
     write: "Callable[[Measured], None]",
     pictures: "PosePictures | None",
     batch: Batch,
@@ -237,7 +237,7 @@ def _write(
     """Write each line as it comes, with what the stream has shown about the rig, then draw the line's picture."""
     from ringpose.pose.advice import remarks_on
 
-    for measured in found:
+    for measured in lines:
         for warning in measured.warnings:
             messages.echo(f"{measured.line.shot}: {warning}")
         write(measured)

@@ -81,7 +81,7 @@ def _handle_of(server: viser.ViserServer, control: Control) -> Any:
 
 def plain(text: str) -> str:
     """Text that a page shows as it is: without Markdown, HTML and line breaks, whatever a file contains."""
-    return re.sub(r"[!-/:-@\[-`{-~]", lambda found: f"&#{ord(found[0])};", " ".join(encodable(text).split()))
+    return re.sub(r"[!-/:-@\[-`{-~]", lambda match: f"&#{ord(match[0])};", " ".join(encodable(text).split()))
 
 
 def encodable(text: str) -> str:

@@ -134,10 +134,10 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], host: str) -> str:
     The port is that of the browser's address, which differs from ours if it is forwarded (ssh -L). Programs other than
     browsers send no origin.
     """
-    found = re.fullmatch(r"\[?([^\[\]@/]*?)\]?(:[0-9]+)?", hosts[0].lower()) if len(hosts) == 1 else None
-    if found is None or found[1] not in (*LOOPBACK_NAMES, host):
+    match = re.fullmatch(r"\[?([^\[\]@/]*?)\]?(:[0-9]+)?", hosts[0].lower()) if len(hosts) == 1 else None
+    if match is None or match[1] not in (*LOOPBACK_NAMES, host):
         return "ringpose: refused: this page is at 127.0.0.1 and localhost only"
-    if origins and [each.lower() for each in origins] not in ([f"http://{found[0]}"], [f"https://{found[0]}"]):
+    if origins and [each.lower() for each in origins] not in ([f"http://{match[0]}"], [f"https://{match[0]}"]):
         return "ringpose: refused: a page of another origin asked for this one"
     return ""
 

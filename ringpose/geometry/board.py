@@ -29,9 +29,9 @@ def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
     else:
         remedy = "give one of OpenCV's, for example DICT_4X4_50, or a dictionary file"
         raise DataError("board", f'no dictionary "{name}"', remedy)
-    found, needed = len(dictionary.bytesList), marker_count(board)
-    if found < needed:
-        finding = f'dictionary "{board.dictionary}" has {found} markers, the board has {needed}'
+    available, needed = len(dictionary.bytesList), marker_count(board)
+    if available < needed:
+        finding = f'dictionary "{board.dictionary}" has {available} markers, the board has {needed}'
         raise DataError("board", finding, "give a larger dictionary, or correct the number of squares")
     return dictionary
 

@@ -138,8 +138,8 @@ class CameraMotion:
 def _displacements(
     camera: CameraMotion, reference_s: float, instant_s: tuple[float, ...]
 ) -> CameraDisplacements | None:
-    found = _displaced(camera, reference_s, instant_s)
-    if found is None:
+    displaced = _displaced(camera, reference_s, instant_s)
+    if displaced is None:
         return None
     columns, mount = [np.zeros((len(instant_s), 6, 0))], camera.mount
     for number, sd in enumerate(np.sqrt(np.diag(mount.covariance)).tolist()):
@@ -161,7 +161,7 @@ def _displacements(
         turn = np.array([rotation_vector(each) for each in turned])
         shift = ahead[1] - (turned @ behind[1][..., None])[..., 0]
         columns.append(np.concatenate([turn, shift], axis=1)[..., None] / (2.0 * sd))
-    return CameraDisplacements(*found, np.concatenate(columns, axis=-1))
+    return CameraDisplacements(*displaced, np.concatenate(columns, axis=-1))
 
 
 def _displaced(

@@ -383,10 +383,12 @@ def _why_missing(point_flags: list[int]) -> Finding:
 
 
 def unused_lasers(
-    rig: Rig, lasers_on: Bool[Array, "laser"] | None, found: bool | Bool[Array, "laser"]
+    rig: Rig, lasers_on: Bool[Array, "laser"] | None, has_stripe: bool | Bool[Array, "laser"]
 ) -> Mapping[str, LaserState]:
     """The states of the lasers that were on, in a shot that has no pose: whether a stripe was found for them."""
-    on, stripes = (np.broadcast_to(each, len(rig.lasers.names)) for each in (lasers_on is None or lasers_on, found))
+    on, stripes = (
+        np.broadcast_to(each, len(rig.lasers.names)) for each in (lasers_on is None or lasers_on, has_stripe)
+    )
     states = (LaserState.REJECTED if stripe else LaserState.NOT_SEEN for stripe in stripes)
     return {name: state for name, state, lit in zip(rig.lasers.names, states, on, strict=True) if lit}
 

@@ -20,15 +20,15 @@ _UNLABELLED = (255, 80, 255)
 _CORNER, _FIRST, _TEXT = (60, 60, 255), (60, 255, 60), (60, 255, 255)
 
 
-def board_overlay(image: UInt[Array, "row column"], found: BoardView | NoBoard) -> UInt8[Array, "row column color=3"]:
+def board_overlay(image: UInt[Array, "row column"], view: BoardView | NoBoard) -> UInt8[Array, "row column color=3"]:
     """BGR image with a circle at each corner, the first one green; or with the reason why there are none."""
     drawn = cv2.cvtColor(grey_8_bit(image), cv2.COLOR_GRAY2BGR)
-    if isinstance(found, NoBoard):
-        for x, y in found.points_px:
+    if isinstance(view, NoBoard):
+        for x, y in view.points_px:
             cv2.circle(drawn, (round(float(x) * 16), round(float(y) * 16)), 16 * 5, _TEXT, 1, cv2.LINE_AA, 4)
-        return _with_text(drawn, (f"no board: {found.failure.value}", found.found))
-    for number, (x, y) in zip(found.ids, found.points_px, strict=True):
-        color = _FIRST if number == found.ids[0] else _CORNER
+        return _with_text(drawn, (f"no board: {view.failure.value}", view.found))
+    for number, (x, y) in zip(view.ids, view.points_px, strict=True):
+        color = _FIRST if number == view.ids[0] else _CORNER
         cv2.circle(drawn, (round(float(x) * 16), round(float(y) * 16)), 16 * 5, color, 1, cv2.LINE_AA, 4)
     return np.asarray(drawn, dtype=np.uint8)
 

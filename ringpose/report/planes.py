@@ -107,24 +107,24 @@ def _limits(axis: Axes, limit: float, label: str) -> None:
 def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
     """By view: positions along the stripe and mean residuals there."""
     along = 0 if abs(laser.normal[1]) >= abs(laser.normal[0]) else 1
-    found = []
+    averages = []
     for view in laser.views:
         position = view.points[:, along] / view.points[:, 2]
         bins = np.round(position / _BIN_SHARE).astype(int)
         every, count = np.unique(bins, return_counts=True)
         kept = every[count >= _MIN_COUNT]
         mean = np.array([view.residual_m[bins == each].mean() for each in kept])
-        found.append((kept * _BIN_SHARE, mean))
-    return found
+        averages.append((kept * _BIN_SHARE, mean))
+    return averages
 
 
 def _depths(calibration: PlanesCalibration) -> Picture:
     seen = [view.distance_m for laser in calibration.lasers for view in laser.views]
     distances_m = np.linspace(0.5 * min(seen), 2 * max(seen), _DEPTHS).tolist()
-    found = worst_depth_sd_m(calibrated_rig(calibration), distances_m)
+    depth_sd_m = worst_depth_sd_m(calibrated_rig(calibration), distances_m)
     figure = canvas(10, 4)
     axis = figure.subplots()
-    for laser, worst in zip(calibration.lasers, found, strict=True):
+    for laser, worst in zip(calibration.lasers, depth_sd_m, strict=True):
         axis.plot(distances_m, 1e3 * worst, label=drawn(laser.name))
     axis.plot(
         distances_m,

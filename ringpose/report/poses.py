@@ -81,9 +81,9 @@ def _series_picture(
     """The parts of one quantity over time with one standard deviation on either side; below, the deviations alone."""
     place, label = _abscissa(lines)
     nothing = np.full(len(parts), np.nan)
-    found = [(nothing, nothing) if line.pose is None else values(line.pose) for line in lines]
-    value = np.array([each for each, _ in found]).reshape(-1, len(parts))
-    sigma = np.array([each for _, each in found]).reshape(-1, len(parts))
+    values_and_sigmas = [(nothing, nothing) if line.pose is None else values(line.pose) for line in lines]
+    value = np.array([each for each, _ in values_and_sigmas]).reshape(-1, len(parts))
+    sigma = np.array([each for _, each in values_and_sigmas]).reshape(-1, len(parts))
     figure = canvas(10, 1.9 * len(parts) + 1.6)
     rows: list[Axes] = figure.subplots(len(parts) + 1, 1, sharex=True).tolist()
     for part, name in enumerate(parts):

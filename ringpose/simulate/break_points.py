@@ -137,15 +137,15 @@ def _visible_and_lit(
     placement, light = illuminated.placement, illuminated.sheets
     shown = np.zeros(point_m.shape[:2], dtype=np.bool_)
     for laser, points in enumerate(point_m):
-        found = np.flatnonzero(np.isfinite(points).all(axis=1))
-        at = placement.points_target(points[found].T)
+        seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+        at = placement.points_target(points[seen].T)
         radial = at[:2] / np.linalg.norm(at[:2], axis=0)
-        at = at + _INSIDE_M * np.vstack([np.where(found == 0, 1.0, -1.0) * radial, np.ones(len(found))])
+        at = at + _INSIDE_M * np.vstack([np.where(seen == 0, 1.0, -1.0) * radial, np.ones(len(seen))])
         to_eye = placement.eye_m[:, None] - at
         to_projector = light.projector_m[laser][:, None] - at
         clear = ~blocked(illuminated.target, at, to_eye) & ~blocked(illuminated.target, at, to_projector)
         clear &= (to_eye[2] > 0) & (to_projector[2] > 0) & in_fan(light, laser, at)
-        shown[laser, found] = clear & ~in_gap(ring, at.T)
+        shown[laser, seen] = clear & ~in_gap(ring, at.T)
     return shown
 
 

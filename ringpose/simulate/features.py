@@ -174,7 +174,9 @@ def draw_detection(
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
-    found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
+    break_points: BreakPoints | NoBreakPoints = (
+        NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
+    )
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
         when_s = np.where(np.isfinite(shown_s), shown_s, first_s)
@@ -187,13 +189,13 @@ def draw_detection(
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
             points = _drawn_points(stripes, appearance, noise, outliers, seen)
             stamp = np.where(seen, stamp_s + shown_s, np.nan)
-            found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
+            break_points = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
             edges = _drawn_edges(scene, appearance, common, shot_motion, middle_s, stamp_s, unit, moving=moving)
     detection = Detection(
         shot=view.name,
         stamp_s=stamp_s + first_s,
-        break_points=found,
+        break_points=break_points,
         ring_edges=edges,
         lasers_on=frames.number >= 0,
         still=not moving,
@@ -300,7 +302,7 @@ def _drawn_edges(
     dark = [number for number, mask in enumerate(scene.sequence) if not mask]
     if dark and moving:
         numbers = sorted({dark[0], dark[-1]})
-    visible, camera, found = appearance.edges, common.rig.camera, []
+    visible, camera, drawn = appearance.edges, common.rig.camera, []
     for time_s in middle_s[numbers].tolist():
         arcs, axes = shot_motion.at(time_s)
         place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
@@ -314,7 +316,7 @@ def _drawn_edges(
             continue
         off_face = np.array(EDGE_SIGN)[visible.edge[shown], None] * outward[shown]
         normal, _ = edge_normals_px(place_m[shown], off_face, arcs, camera)
-        found.append(
+        drawn.append(
             RingEdgePoints(
                 position_px=position_px[shown] + (visible.sigma_px * unit)[shown, None] * normal,
                 normal=normal,
@@ -323,7 +325,7 @@ def _drawn_edges(
                 stamp_s=np.full(int(shown.sum()), stamp_s + time_s),
             )
         )
-    return joined_edge_points(found) if found else None
+    return joined_edge_points(drawn) if drawn else None
 
 
 def _as_measured(points: BreakPoints, camera: Camera, labelled: bool, stamp_s: Float64[Array, "laser"]) -> BreakPoints:

@@ -174,10 +174,10 @@ def _bias_sigmas(bank: Bank, observed: Observation) -> float:
     linearised far from the state.
     """
     observed, best = observed.towards(bank.chart.axes[0, 0]), slice(bank.best, bank.best + 1)
-    found = local_coordinates(bank.chart, retract(bank.chart, bank.coordinates[best]))
-    changed = observed.wrt_step @ found.coordinates[0, : len(STEP)]
-    changed += observed.wrt_step_rates @ (step_rates(bank.chart, found)[0] - observed.step_rates)
-    tilt_rad = np.linalg.norm(found.coordinates[0, [TILT_INWARD, TILT_ALONG]])
+    coordinates = local_coordinates(bank.chart, retract(bank.chart, bank.coordinates[best]))
+    changed = observed.wrt_step @ coordinates.coordinates[0, : len(STEP)]
+    changed += observed.wrt_step_rates @ (step_rates(bank.chart, coordinates)[0] - observed.step_rates)
+    tilt_rad = np.linalg.norm(coordinates.coordinates[0, [TILT_INWARD, TILT_ALONG]])
     return float(tilt_rad * np.linalg.norm(changed))
 
 

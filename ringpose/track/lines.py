@@ -84,10 +84,10 @@ def track_line(
     if lost.validity is Validity.LOST:
         return lost
     bank, weights = track.likeliest, track.weights
-    found = _Reported(bank, stamp_s)
+    reported = _Reported(bank, stamp_s)
     next_s = next_stamp_s or stamp_s + (track.interval_s or MIN_VALID_S)
     following = _Reported(bank, next_s)
-    findings |= _open(found, options)
+    findings |= _open(reported, options)
     if weights.max() < RESOLVED_FROM:
         findings |= Finding.SIDE_OPEN
     if track.rejections:
@@ -96,14 +96,16 @@ def track_line(
     models, chosen, gripper = bank.models, bank.best, options.gripper
     return replace(
         lost,
-        pose=_pose(found, flags),
+        pose=_pose(reported, flags),
         velocity=RingVelocity(
-            center_m_s=found.value[_VELOCITY], rate_rad_s=found.value[_RATES], covariance=found.velocity_covariance()
+            center_m_s=reported.value[_VELOCITY],
+            rate_rad_s=reported.value[_RATES],
+            covariance=reported.velocity_covariance(),
         ),
         grasp=GraspState(
-            point_m=found.value[_GRASP],
-            velocity_m_s=found.value[_GRASP_VELOCITY],
-            covariance=found.covariance(_GRASP, _GRASP_VELOCITY),
+            point_m=reported.value[_GRASP],
+            velocity_m_s=reported.value[_GRASP_VELOCITY],
+            covariance=reported.covariance(_GRASP, _GRASP_VELOCITY),
         ),
         next_tick=NextTick(
             stamp_s=next_s,
@@ -115,7 +117,7 @@ def track_line(
             SideHypothesis(
                 side=each.side,
                 weight=weight,
-                center_m=(found if each is bank else _Reported(each, stamp_s)).value[_CENTER],
+                center_m=(reported if each is bank else _Reported(each, stamp_s)).value[_CENTER],
             )
             for each, weight in zip(track.banks, weights.tolist(), strict=True)
         ),
@@ -126,7 +128,7 @@ def track_line(
         ),
         capture_probability=None
         if gripper is None
-        else capture_probability(found.capture_covariance(), gripper.radial_m, gripper.tilt_rad),
+        else capture_probability(reported.capture_covariance(), gripper.radial_m, gripper.tilt_rad),
     )
 
 
@@ -203,28 +205,28 @@ def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
     return np.concatenate([states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1)
 
 
-def _open(found: _Reported, options: TrackOptions) -> Finding:
+def _open(reported: _Reported, options: TrackOptions) -> Finding:
     """The quantities whose standard deviations exceed the limits of single shots."""
     findings = NOTHING
-    limit_m = WEAK_SD * float(np.abs(found.value[_RADII]).min())
-    if standard_deviation(found.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
+    limit_m = WEAK_SD * float(np.abs(reported.value[_RADII]).min())
+    if standard_deviation(reported.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
         findings |= Finding.NORMAL_OPEN
-    if not found.is_curved or standard_deviation(found.covariance(_CENTER)) > limit_m:
+    if not reported.is_curved or standard_deviation(reported.covariance(_CENTER)) > limit_m:
         findings |= Finding.CENTER_OPEN
-    if not found.is_curved or sqrt(float(found.covariance(_RADII).diagonal().max())) > limit_m:
+    if not reported.is_curved or sqrt(float(reported.covariance(_RADII).diagonal().max())) > limit_m:
         findings |= Finding.RADIUS_OPEN
-    if standard_deviation(found.covariance(_GRASP)) > GRASP_UNKNOWN_FROM_M:
+    if standard_deviation(reported.covariance(_GRASP)) > GRASP_UNKNOWN_FROM_M:
         findings |= Finding.GRASP_OPEN
-    if standard_deviation(found.covariance(_VELOCITY)) > VELOCITY_WEAK_SHARE * options.motion.speed_sd_m_s:
+    if standard_deviation(reported.covariance(_VELOCITY)) > VELOCITY_WEAK_SHARE * options.motion.speed_sd_m_s:
         findings |= Finding.VELOCITY_OPEN
     return findings
 
 
-def _pose(found: _Reported, flags: PoseFlag) -> RingPose:
+def _pose(reported: _Reported, flags: PoseFlag) -> RingPose:
     """The pose, with NaN for what is not determined."""
-    value, curved = found.value, found.is_curved
+    value, curved = reported.value, reported.is_curved
     normal_known = PoseFlag.NORMAL_WEAK not in flags
-    covariance = found.pose_covariance()
+    covariance = reported.pose_covariance()
     known = np.array([normal_known] * 3 + [curved and normal_known] * 2 + [curved] * 2)
     masked = np.where(known[:, None] & known, covariance, nan)
     grasp_known = PoseFlag.GRASP_WEAK not in flags
@@ -238,8 +240,8 @@ def _pose(found: _Reported, flags: PoseFlag) -> RingPose:
         condition_number=nan,
         residual_rms_px=nan,
         covariance=masked if known.any() else None,
-        covariance_center_m2=found.covariance(_CENTER) if curved and normal_known else None,
-        covariance_grasp_m2=found.covariance(_GRASP) if grasp_known else None,
+        covariance_center_m2=reported.covariance(_CENTER) if curved and normal_known else None,
+        covariance_grasp_m2=reported.covariance(_GRASP) if grasp_known else None,
         flags=flags,
     )
 

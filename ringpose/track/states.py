@@ -187,16 +187,16 @@ MOVING = (TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN)
 """Increments (`STEP`) that change by motion."""
 
 
-def step_rates(chart: RingStates, found: LocalCoordinates) -> Float64[Array, "state 5"]:
+def step_rates(chart: RingStates, local: LocalCoordinates) -> Float64[Array, "state 5"]:
     """Derivatives of the coordinates `MOVING` by time, from the motion of the states.
 
     The place on the face slides along it, so as to stay in the chart's plane, which turns the axes.
     """
-    motion, axes = found.coordinates[:, 7:], found.axes
+    motion, axes = local.coordinates[:, 7:], local.axes
     velocity = (motion[:, None, :3] @ axes)[:, 0]
     slide = -velocity[:, 1] / axes[:, 1, 1]
     velocity += slide[:, None] * axes[:, 1]
-    about = slide * np.maximum(chart.curvature + found.coordinates[:, CURVATURE], MIN_CURVATURE)
+    about = slide * np.maximum(chart.curvature + local.coordinates[:, CURVATURE], MIN_CURVATURE)
     inward, along, normal = axes[:, 0], axes[:, 1], axes[:, 2]
     # derivatives of the axes: w x axis, and the turn of the slide
     rate_in, rate_al = motion[:, 3, None], motion[:, 4, None]
@@ -206,10 +206,10 @@ def step_rates(chart: RingStates, found: LocalCoordinates) -> Float64[Array, "st
     scale = 1.0 / (1.0 + inward[:, 0] + along[:, 1] + normal[:, 2])
     trace = (d_inward[:, 0] + d_along[:, 1] + d_normal[:, 2]) * scale
     rates = np.empty((len(slide), len(MOVING)))
-    rates[:, 0] = 2.0 * scale * (d_normal[:, 0] - d_inward[:, 2]) - trace * found.coordinates[:, TILT_INWARD]
-    rates[:, 1] = 2.0 * scale * (d_normal[:, 1] - d_along[:, 2]) - trace * found.coordinates[:, TILT_ALONG]
+    rates[:, 0] = 2.0 * scale * (d_normal[:, 0] - d_inward[:, 2]) - trace * local.coordinates[:, TILT_INWARD]
+    rates[:, 1] = 2.0 * scale * (d_normal[:, 1] - d_along[:, 2]) - trace * local.coordinates[:, TILT_ALONG]
     rates[:, 2], rates[:, 3] = velocity[:, 2], velocity[:, 0]
-    rates[:, 4] = 2.0 * scale * (d_inward[:, 1] - d_along[:, 0]) - trace * found.coordinates[:, TURN]
+    rates[:, 4] = 2.0 * scale * (d_inward[:, 1] - d_along[:, 0]) - trace * local.coordinates[:, TURN]
     return rates
 
 

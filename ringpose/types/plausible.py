@@ -52,8 +52,8 @@ class Range:
 
     def likely(self, value: int | float) -> str:
         """What the value would be in the mistaken units in which it is plausible; empty if it is so in none."""
-        found = [(value * UNITS[unit], unit) for unit in self.mistaken if value]
-        return ", ".join(f"{meant:.4g} if it is in {unit}" for meant, unit in found if self.holds(meant))
+        meanings = [(value * UNITS[unit], unit) for unit in self.mistaken if value]
+        return ", ".join(f"{meant:.4g} if it is in {unit}" for meant, unit in meanings if self.holds(meant))
 
 
 def _metres(quantity: str, lowest: int | float, highest: int | float, *mistaken: str) -> Range:

@@ -55,8 +55,8 @@ class Step:
 
 def seconds_of(text: str) -> float | None:
     """A time with its unit, as 500us, 4ms or 0.5s, in seconds; None if the text is not one."""
-    found = _EXPOSURE.fullmatch(text)
-    return None if found is None else float(found[1]) * _UNIT_S[found[2]]
+    match = _EXPOSURE.fullmatch(text)
+    return None if match is None else float(match[1]) * _UNIT_S[match[2]]
 
 
 def parsed_sequence(text: str) -> tuple[Step, ...]:

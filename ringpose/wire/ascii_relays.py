@@ -63,8 +63,8 @@ class AsciiCodec:
         """The commands in complete lines that match a template, and the bytes of an incomplete line."""
         end = self.end.encode()
         *lines, rest = received.split(end)
-        found = [self._command(line.decode("ascii", "replace")) for line in lines]
-        return [command for command in found if command is not None], rest
+        commands = [self._command(line.decode("ascii", "replace")) for line in lines]
+        return [command for command in commands if command is not None], rest
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The answer of a board: the mask of its relays as a line, or the acknowledgement."""

@@ -65,20 +65,20 @@ class LcusCodec:
 
         Bytes that begin neither a valid frame nor a read are skipped.
         """
-        found: list[Command] = []
+        commands: list[Command] = []
         position = 0
         while position < len(received):
             frame = received[position : position + 4]
             if frame[0] == START and len(frame) < 4:
                 break
             if frame[0] == START and frame == _frame(frame[1], frame[2]) and frame[1] >= self.first:
-                found.append(Switch(frame[1] - self.first, bool(frame[2])))
+                commands.append(Switch(frame[1] - self.first, bool(frame[2])))
                 position += 4
                 continue
             if frame[0] == READ:
-                found.append(Read(0))
+                commands.append(Read(0))
             position += 1
-        return found, received[position:]
+        return commands, received[position:]
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The answer of a board with a CH340: a line for each relay if they are read; a switch has no answer."""

@@ -66,7 +66,7 @@ class ModbusCodec:
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
         """The complete frames for this unit, and the bytes of an unfinished one; other bytes are skipped one by one."""
-        found: list[Command] = []
+        commands: list[Command] = []
         position = 0
         while len(received) - position >= 8:
             length = 9 + received[position + 6] if received[position + 1] == WRITE_COILS else 8
@@ -75,9 +75,9 @@ class ModbusCodec:
                 break
             command = self._command(frame)
             if command is not None:
-                found.append(command)
+                commands.append(command)
             position += length if command is not None else 1
-        return found, received[position:]
+        return commands, received[position:]
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The response of a board: the echo of a write, or the states of the coils that are read."""

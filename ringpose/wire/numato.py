@@ -50,13 +50,13 @@ class NumatoCodec:
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
         """The commands in complete lines, and the bytes of an incomplete one; other lines are skipped."""
         *lines, rest = received.replace(b"\n", b"").split(b"\r")
-        found: list[Command] = []
+        commands: list[Command] = []
         for line in lines:
             words = _COMMAND.fullmatch(line.decode("ascii", "replace"))
             if words is None:
                 continue
-            found.append(Read(0) if words[3] else Switch(_DIGITS.index(words[2]), words[1] == "on"))
-        return found, rest
+            commands.append(Read(0) if words[3] else Switch(_DIGITS.index(words[2]), words[1] == "on"))
+        return commands, rest
 
     def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The answer of a board: the echo, the states of the relays if they are read, and the prompt."""

@@ -94,7 +94,7 @@ def crossings(scene: Scene, distance_m: float, pitch_rad: float = 0.0, yaw_rad: 
     )
 
 
-def crossing_table(found: Sequence[Crossings]) -> Table:
+def crossing_table(of_distances: Sequence[Crossings]) -> Table:
     """A row of text for each distance."""
     rows = [
         [
@@ -105,7 +105,7 @@ def crossing_table(found: Sequence[Crossings]) -> Table:
             f"{each.width_px:.1f}",
             "yes" if each.is_resolved else "no",
         ]
-        for each in found
+        for each in of_distances
     ]
     headings = ["distance", "stripes on an arc", "on the whole ring", "step px", "stripe px", "step resolved"]
     return Table(headings=headings, rows=rows)

@@ -160,9 +160,9 @@ def change_text(name: str, value: float) -> str:
     return f"focal length {value:g} px" if name == "focal_px" else f"dark noise {value:g} e"
 
 
-def best(found: Iterable[Design], quantity: str, min_coverage: float) -> Design | None:
+def best(mapped: Iterable[Design], quantity: str, min_coverage: float) -> Design | None:
     """The design with the smallest median of a quantity among those with this coverage; None if there is none."""
-    allowed = [design for design in found if not design.reference and design.coverage() >= min_coverage]
+    allowed = [design for design in mapped if not design.reference and design.coverage() >= min_coverage]
     finite = [design for design in allowed if design.median(quantity) < inf]
     return min(finite, key=lambda design: design.median(quantity), default=None)
 
@@ -249,7 +249,7 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
     return False
 
 
-def median_table(found: Sequence[Design]) -> Table:
+def median_table(mapped: Sequence[Design]) -> Table:
     """A row of text for each design and distance: medians over the places."""
     medians = {
         "center mm": ("center_m", 1e3),
@@ -259,7 +259,7 @@ def median_table(found: Sequence[Design]) -> Table:
         "center mm (r known)": ("center_known_m", 1e3),
     }
     rows = []
-    for design in found:
+    for design in mapped:
         for distance_m in sorted({result.place.distance_m for result in design.results}):
             results = tuple(result for result in design.results if result.place.distance_m == distance_m)
             here = replace(design, results=results)
@@ -269,10 +269,10 @@ def median_table(found: Sequence[Design]) -> Table:
     return Table(headings=["rig", "distance", "in view", *medians, "above bound"], rows=rows)
 
 
-def summary_lines(found: Sequence[Design]) -> list[str]:
+def summary_lines(mapped: Sequence[Design]) -> list[str]:
     """For each design its field of view, the distances with all stripes in view, and ambiguous assignments."""
     lines = []
-    for design in found:
+    for design in mapped:
         camera, range_m = design.rig.camera, design.full_view_m()
         focal = camera.camera_matrix[0, 0], camera.camera_matrix[1, 1]
         size = np.array([camera.image_width, camera.image_height])
@@ -290,7 +290,7 @@ PLACE_FLAGS = ("weak", "weak_known", "light_beyond", "ambiguous")
 """What is true or false of a place (`PlaceResult`)."""
 
 
-def place_table(found: Iterable[Design]) -> Table:
+def place_table(mapped: Iterable[Design]) -> Table:
     """A row for each design and place, in metres and radians."""
     headings = (
         "rig", "reference", *SWEPT, "distance_m", "offset_x", "offset_y", "pitch_rad", "yaw_rad", "stripes",
@@ -305,7 +305,7 @@ def place_table(found: Iterable[Design]) -> Table:
             *(result.sd[name] for name in QUANTITIES),
             *(bool(getattr(result, name)) for name in PLACE_FLAGS),
         ]
-        for design in found
+        for design in mapped
         for result in design.results
         for place in [result.place]
     ]

@@ -31,9 +31,9 @@ UNITS = {
 _ABOVE_BOUND = {"center_known_m": "above_bound_known"}
 
 
-def design_report(found: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
+def design_report(mapped: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
     """HTML page: what was chosen, tables, maps, curves and sketches."""
-    shown = _shown(found, chosen, quantity)
+    shown = _shown(mapped, chosen, quantity)
     label = UNITS[quantity][0]
     sections = [
         Section(
@@ -50,21 +50,21 @@ def design_report(found: Sequence[Design], chosen: Design | None, quantity: str,
         Section(
             title="Maps", pictures=[_maps(shown, name) for name in dict.fromkeys((quantity, "normal_rad", "grasp_m"))]
         ),
-        Section(title="Fields of view and stripes", points=summary_lines(found)),
-        Section(title="Medians by distance", table=median_table(found)),
+        Section(title="Fields of view and stripes", points=summary_lines(mapped)),
+        Section(title="Medians by distance", table=median_table(mapped)),
         Section(title="Provenance", text=[f"{key}: {value}" for key, value in provenance.items()]),
     ]
     return page("Rig design", sections)
 
 
-def _shown(found: Sequence[Design], chosen: Design | None, quantity: str) -> list[Design]:
+def _shown(mapped: Sequence[Design], chosen: Design | None, quantity: str) -> list[Design]:
     """The given rig, the best ones, and the references."""
-    references = [design for design in found if design.reference]
+    references = [design for design in mapped if design.reference]
     others = sorted(
-        (design for design in found[1:] if not design.reference),
+        (design for design in mapped[1:] if not design.reference),
         key=lambda design: (design is not chosen, design.median(quantity)),
     )
-    return [found[0], *others[: MAX_MAPS - 1 - len(references)], *references]
+    return [mapped[0], *others[: MAX_MAPS - 1 - len(references)], *references]
 
 
 def _curves(shown: Sequence[Design]) -> Picture:

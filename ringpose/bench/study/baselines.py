@@ -39,10 +39,10 @@ def bisectors_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPos
     This is the method of double-line and earlier structured-light systems (method(7), section 4): with chords that are
     nearly parallel the intersection is far away. The radii are not used.
     """
-    found = _points_in_space(detection, rig)
-    if not isinstance(found, tuple):
-        return found
-    points_m, edges = found
+    points = _points_in_space(detection, rig)
+    if not isinstance(points, tuple):
+        return points
+    points_m, edges = points
     normal, distance_m = _facing_plane(points_m)
     basis = tilt_basis(normal)
     centers = []
@@ -68,10 +68,10 @@ def points_pose(detection: Detection, rig: Rig, radii: KnownRadii) -> RingPose |
 
     Starts from `paper-constrained`. The radii are not used.
     """
-    found = _points_in_space(detection, rig)
-    if not isinstance(found, tuple):
-        return found
-    points_m, edges = found
+    points = _points_in_space(detection, rig)
+    if not isinstance(points, tuple):
+        return points
+    points_m, edges = points
     if len(points_m) < 5 or len(set(edges.tolist())) < 2:
         return NoPose.TOO_FEW_BREAK_POINTS
     normal, distance_m = _facing_plane(points_m)

@@ -90,12 +90,12 @@ def _code_sha256(package: Path) -> str:
 def computed(executor: Executor, work: Work, indices: Iterable[int]) -> Iterator[Done]:
     """Compute the shots; they come in any order."""
     chunks = Chunks(indices)
-    for chunk, found, duration_s in executor(work, chunks):
-        if found is None:
+    for chunk, results, duration_s in executor(work, chunks):
+        if results is None:
             yield from (Done(index, None) for index in chunks.killed(chunk))
         else:
             chunks.took(len(chunk), duration_s)
-            yield from map(Done, chunk, found)
+            yield from map(Done, chunk, results)
 
 
 class Chunks:
@@ -234,8 +234,8 @@ def _submitted(client: Any, work: Work, chunks: Chunks) -> Iterator[Finished]:
 def _timed(work: Work, chunk: list[int]) -> tuple[list[Rows], float]:
     """Results of a chunk, and the time that it took."""
     start_s = perf_counter()
-    found = [work(index) for index in chunk]
-    return found, perf_counter() - start_s
+    results = [work(index) for index in chunk]
+    return results, perf_counter() - start_s
 
 
 def _require_same_software(workers: Mapping[str, dict[str, str]], ours: Mapping[str, str]) -> None:

@@ -93,12 +93,12 @@ def _columns(study: Study, rows: Iterable[Row]) -> dict[str, dict[str, np.ndarra
     """For each method: distance, error, bound, and reported standard deviation of the centre; NaN for missing ones."""
     stride = max(1, study.shots // MAX_POINTS)
     names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m")
-    found: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}
+    values_of: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}
     for row in rows:
         if int(row["shot"] or 0) % stride == 0:
             values = [np.nan if (value := row.get(name)) is None else float(value) for name in names]
-            found[str(row["method"])].append(values)
-    columns = {method: np.array(values).reshape(-1, len(names)).T for method, values in found.items()}
+            values_of[str(row["method"])].append(values)
+    columns = {method: np.array(values).reshape(-1, len(names)).T for method, values in values_of.items()}
     return {method: dict(zip(names, values, strict=True)) for method, values in columns.items()}
 
 
@@ -191,14 +191,14 @@ def _errors(summary: StudySummary) -> Picture:
     figure = canvas(11, 4)
     for axis, (name, label, factor) in zip(figure.subplots(1, len(ERROR_PLOTS)), ERROR_PLOTS, strict=True):
         for place, method in enumerate(summary.methods):
-            keys, found = wide_columns(summary, method)
-            values = np.array([factor * each.rms(name) for each in found])
+            keys, wide = wide_columns(summary, method)
+            values = np.array([factor * each.rms(name) for each in wide])
             x = _positions(keys, place, len(summary.methods))
             axis.plot(x, values, "o-" if _numeric(keys) else "o", color=_color(summary.methods, method), markersize=4)
         bounds = [summary.methods[0], *(method for method in summary.methods if method == "ml-known")]
         for method, style in zip(bounds, ("k--", "k:"), strict=False):
-            keys, found = wide_columns(summary, method)
-            values = np.array([factor * each.rms(f"bound_{name}") for each in found])
+            keys, wide = wide_columns(summary, method)
+            values = np.array([factor * each.rms(f"bound_{name}") for each in wide])
             if _numeric(keys):
                 axis.plot(_positions(keys, 0, 1), values, style, linewidth=1.2)
             else:

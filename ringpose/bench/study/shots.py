@@ -264,12 +264,12 @@ def run_result(
         setup = Setup(rig=rig, method=of_pose, known=radii if known else None, options=options)
         is_track = method is StudyMethod.TRACK
         stream = Stream(setup, track_options(options) if is_track else None)
-        found = [stream.measure(source) for source in (run if is_track or not detections else detections)]
-        detection_s = sum(each.line.stage_s.get("detect", 0.0) for each in found)
-        lines[method] = _line_of_track(found[-1]) if is_track else found[-1].line
+        measured = [stream.measure(source) for source in (run if is_track or not detections else detections)]
+        detection_s = sum(each.line.stage_s.get("detect", 0.0) for each in measured)
+        lines[method] = _line_of_track(measured[-1]) if is_track else measured[-1].line
         pose_s[method] = perf_counter() - start_s - detection_s
         if method is detecting:
-            detections = [each.detection for each in found if each.detection is not None]
+            detections = [each.detection for each in measured if each.detection is not None]
             detect_s = detection_s
     return RunResult(lines, pose_s, detections[-1], detect_s)
 
@@ -333,7 +333,7 @@ def _scored(scored: Score, line: PoseLine, truth: Truth) -> Row:
         "flags": " ".join(line.flag_names),
         "wrong": " ".join(scored.wrong),
         "gross": " ".join(scored.gross),
-        "correct": " ".join(name for name, found in scored.judgements.items() if found is Judgement.CORRECT),
+        "correct": " ".join(name for name, judgement in scored.judgements.items() if judgement is Judgement.CORRECT),
         **{name: float(value) for name, value in scored.errors.items()},
     }
     pose = line.pose

@@ -193,14 +193,14 @@ def factor_text(factor: Factor) -> str:
 
 def paper_table(study: Study, summary: StudySummary, method: str) -> Table:
     """The table in the paper's form: a column for each distance or light, a row for each component of the error."""
-    keys, found = wide_columns(summary, method)
-    rows = [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
+    keys, wide = wide_columns(summary, method)
+    rows = [[label, *(number(each.rms(name) * factor) for each in wide)] for label, name, factor in PAPER_ROWS]
     if study.level == "images":
-        rows += [[label, *(number(each.median(name) * 1e3) for each in found)] for label, name in PAPER_TIMES]
-    rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
-    rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
-    if any(each.targets < each.shots for each in found):
-        rows.append(["poses without a ring", *(f"{each.false_poses}/{each.shots - each.targets}" for each in found)])
+        rows += [[label, *(number(each.median(name) * 1e3) for each in wide)] for label, name in PAPER_TIMES]
+    rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in wide)])
+    rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in wide)])
+    if any(each.targets < each.shots for each in wide):
+        rows.append(["poses without a ring", *(f"{each.false_poses}/{each.shots - each.targets}" for each in wide)])
     columns = [value_text(study.table, key[0]) if key else "all" for key in keys]
     return Table(headings=[f"{method}, root mean square", *columns], rows=rows)
 
@@ -266,7 +266,7 @@ def failure_rows(summary: StudySummary) -> list[list[str]]:
 
 def exceeded_limits(study: Study, summary: StudySummary) -> list[str]:
     """A message for each limit that the first method misses in a cell, or that applies to nothing."""
-    method, found = summary.methods[0], []
+    method, exceeded = summary.methods[0], []
     for name, stated in study.limits.items():
         what, applies = LIMITS[name], False
         for (of_method, key), each in summary.cells.items():
@@ -278,11 +278,11 @@ def exceeded_limits(study: Study, summary: StudySummary) -> list[str]:
             place = ", ".join(f"{by} {value_text(by, v)}" for by, v in zip(summary.by, key, strict=True)) or "all shots"
             if value < limit if name.startswith("min_") else value > limit:
                 relation = "is below" if name.startswith("min_") else "exceeds"
-                found.append(f"{name}: {what} {value:.4g} of {place} ({method}) {relation} {limit:.4g}")
+                exceeded.append(f"{name}: {what} {value:.4g} of {place} ({method}) {relation} {limit:.4g}")
         if not applies:
-            found.append(f"{name}: no shot of {method} has {what}, limit {stated}")
+            exceeded.append(f"{name}: no shot of {method} has {what}, limit {stated}")
     failed = summary.all(method).failed
-    return [*found, *([f"{failed} shots could not be computed"] if failed else [])]
+    return [*exceeded, *([f"{failed} shots could not be computed"] if failed else [])]
 
 
 def _limit_in(stated: float | Mapping[str, float], summary: StudySummary, key: Key) -> float | None:

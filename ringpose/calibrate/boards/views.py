@@ -57,16 +57,16 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
     if (failure := hopeless(grey, board)) is not None:
         return failure
     try:
-        found = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
+        view = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
     except cv2.error as error:
         finding = f"OpenCV fails on its {grey.shape[1]} x {grey.shape[0]} pixels: {' '.join(str(error.err).split())}"
         raise DataError(name, finding, "give a smaller image") from error
-    if isinstance(found, NoBoard):
-        return unusable(grey, found) or found
+    if isinstance(view, NoBoard):
+        return unusable(grey, view) or view
     window = np.ones((_SATURATION_WINDOW_PX, _SATURATION_WINDOW_PX), dtype=np.uint8)
     saturated = cv2.dilate((grey == 255).astype(np.uint8), window)
-    column, row = np.clip(np.rint(found.points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
-    return replace(found, saturated_share=float(np.mean(saturated[row, column])))
+    column, row = np.clip(np.rint(view.points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
+    return replace(view, saturated_share=float(np.mean(saturated[row, column])))
 
 
 def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoard:
@@ -127,8 +127,8 @@ def _charuco_corners(
     size = (board.squares_x or 0, board.squares_y or 0)
     pattern = cv2.aruco.CharucoBoard(size, board.square_m or 0.0, board.marker_m or 0.0, marker_dictionary(board))
     pattern.setLegacyPattern(board.legacy_pattern)
-    corners, ids, found, found_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
-    markers = markers_of(found, found_ids)
+    corners, ids, marker_corners, found_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
+    markers = markers_of(marker_corners, found_ids)
     if ids is None or not len(ids):
         return np.empty(0, dtype=np.int64), np.empty((0, 2)), markers
     numbers = np.asarray(ids).ravel().astype(np.int64)

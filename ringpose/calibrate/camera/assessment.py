@@ -181,8 +181,8 @@ def different_poses(poses: Sequence[BoardPose]) -> int:
         shift_m = np.linalg.norm(pose.translation_m - other.translation_m)
         return bool(angle_rad < SAME_RAD and shift_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
 
-    found: list[BoardPose] = []
+    different: list[BoardPose] = []
     for pose in poses:
-        if not any(same(pose, other) for other in found):
-            found.append(pose)
-    return len(found)
+        if not any(same(pose, other) for other in different):
+            different.append(pose)
+    return len(different)

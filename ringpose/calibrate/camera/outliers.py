@@ -156,16 +156,16 @@ def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Came
     start that is 10 % off, the focal length agrees with that of `scipy.optimize.least_squares` to 3e-8 of its value;
     this takes 8 ms, SciPy's solver 30 to 35 ms.
     """
-    found = camera
+    fitted = camera
     directions = np.zeros((len(parameters_of(camera)), 3))
     directions[:2, 0] = parameters_of(camera)[:2]
     directions[2, 1] = directions[3, 2] = 1.0
     directions = directions[:, :unknowns]
     for _ in range(_ITERATIONS):
-        rows = [view_equations(view, board_pose(view, found), found, 1.0).without_pose() for view in views]
+        rows = [view_equations(view, board_pose(view, fitted), fitted, 1.0).without_pose() for view in views]
         wrt_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         step = np.linalg.lstsq(wrt_camera @ directions, residual)[0]
         if not np.abs(step[0]) < 0.5:  # relative step of the focal length: diverged
             return camera
-        found = camera_with(parameters_of(found) + directions @ step, found)
-    return found
+        fitted = camera_with(parameters_of(fitted) + directions @ step, fitted)
+    return fitted

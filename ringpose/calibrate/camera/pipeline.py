@@ -107,10 +107,10 @@ def _without_bad_corners(
         kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
         poses = [board_pose(view, camera) for view in kept]
         errors = [residuals(view, pose, camera) for view, pose in zip(views, poses, strict=True)]
-        found = [whole_markers(*one) for one in zip(views, outlying_corners(errors), strict=True)]
-        if all(np.array_equal(*pair) for pair in zip(found, left_out, strict=True)):
+        cleaned = [whole_markers(*one) for one in zip(views, outlying_corners(errors), strict=True)]
+        if all(np.array_equal(*pair) for pair in zip(cleaned, left_out, strict=True)):
             break
-        left_out = found
+        left_out = cleaned
         kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
         camera = camera_solution(kept, camera, model).camera
     return camera, left_out

@@ -308,11 +308,11 @@ def robot_sigmas(
 
     starts = [np.log([5e-4, 5e-4]), usual] if start is None else [np.log(np.array(start))]
     options: Any = {"xatol": 0.01, "fatol": 1e-3}
-    found = min(
+    likeliest = min(
         (minimize(minus_log_likelihood, each, method="Nelder-Mead", options=options) for each in starts),
         key=lambda each: float(each.fun),
     )
-    return RobotSigmas(*np.exp(np.clip(found.x, lower, upper)).tolist())
+    return RobotSigmas(*np.exp(np.clip(likeliest.x, lower, upper)).tolist())
 
 
 def _camera_prior(camera: Camera, refine_camera: bool) -> Float64[Array, "common common"]:

@@ -33,12 +33,12 @@ def matched_poses(
 
 def _by_name(names: Sequence[str], poses: Sequence[ReportedPose]) -> list[ReportedPose | DataError]:
     """Poses by the name of the image without its suffix; else by the number at the end of both names."""
-    found = _pairs(names, poses, lambda name: PurePath(name).stem)
-    if all(pose is None for pose in found):
-        found = _pairs(names, poses, _last_number)
+    pairs = _pairs(names, poses, lambda name: PurePath(name).stem)
+    if all(pose is None for pose in pairs):
+        pairs = _pairs(names, poses, _last_number)
     remedy = f"the poses are of {poses[0].name} to {poses[-1].name}"
     return [
-        pose or DataError(name, "has no pose of the robot", remedy) for name, pose in zip(names, found, strict=True)
+        pose or DataError(name, "has no pose of the robot", remedy) for name, pose in zip(names, pairs, strict=True)
     ]
 
 

@@ -120,14 +120,14 @@ def wrong_views(solution: MountSolution) -> WrongViews | None:
     tried = [each for _, each in ranked if not each.slipped][:TRIED] + [each for _, each in ranked if each.slipped][
         :TRIED
     ]
-    found = []
+    wrong = []
     for each in tried:
         explained = _with(numbers, each)
         sigmas = robot_sigmas(explained, _padded(solution.prior, explained))
         own = inverse_marginal(numbers, sigmas)
         chance = _chance(_chi2(numbers, own, solution.prior), _chi2(explained, own, solution.prior), degrees_of_freedom)
-        found.append((chance, sigmas.translation_m, each))
-    chance, _, best = min(found, key=lambda each: each[:2])
+        wrong.append((chance, sigmas.translation_m, each))
+    chance, _, best = min(wrong, key=lambda each: each[:2])
     return best if count * chance < CHANCE and views - len(best.views) >= MIN_VIEWS else None
 
 

@@ -104,12 +104,12 @@ def laser_disagreements(data: JointData, state: JointState) -> tuple[float, ...]
 
     It identifies a laser whose plane contradicts the board poses on which the other lasers agree.
     """
-    found, chi2 = [], joint_chi2(data, state)
+    disagreements, chi2 = [], joint_chi2(data, state)
     for laser in range(len(state.distance_m)):
         dof = _degrees_of_freedom(data, laser)
         others = data.without_laser(laser)
-        found.append((chi2 - joint_chi2(others, joint_fit(others, state))) / dof if dof > 0 else float("nan"))
-    return tuple(found)
+        disagreements.append((chi2 - joint_chi2(others, joint_fit(others, state))) / dof if dof > 0 else float("nan"))
+    return tuple(disagreements)
 
 
 def _degrees_of_freedom(data: JointData, laser: int) -> int:

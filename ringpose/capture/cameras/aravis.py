@@ -59,11 +59,11 @@ class AravisCamera(GenApiCamera):
 
     @property
     def _aravis(self) -> Aravis:
-        found = library()
-        if found is None:
+        loaded = library()
+        if loaded is None:
             missing = "needs the library Aravis, which is not installed"
             raise DeviceError(self.uri.text, missing, f"apt install {PACKAGE}")
-        return found
+        return loaded
 
     def close(self) -> None:
         """Stop and close the camera; closing a lost one takes 10 s and continues in the background."""

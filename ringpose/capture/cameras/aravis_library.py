@@ -147,11 +147,11 @@ class Aravis:
         count = c_uint()
         name = "arv_device_dup_available_enumeration_feature_values_as_strings"
         try:
-            found = self.call(name, device, feature.encode(), byref(count))
+            names = self.call(name, device, feature.encode(), byref(count))
         except AravisError:
             return ()
-        texts = tuple(sorted(found[k].decode() for k in range(count.value)))
-        self._library.g_free(found)
+        texts = tuple(sorted(names[k].decode() for k in range(count.value)))
+        self._library.g_free(names)
         return texts
 
     def _declare(self, name: str, result: Any, arguments: tuple[Any, ...]) -> None:

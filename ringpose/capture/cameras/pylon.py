@@ -36,11 +36,11 @@ class PylonCamera(GenApiCamera):
         except ImportError as error:
             raise DeviceError(self.uri.text, "needs pypylon, which is not installed", EXTRA) from error
         factory = self._pylon.TlFactory.GetInstance()
-        found = [info for info in factory.EnumerateDevices() if self.uri.address in ("", info.GetSerialNumber())]
-        if not found:
+        devices = [info for info in factory.EnumerateDevices() if self.uri.address in ("", info.GetSerialNumber())]
+        if not devices:
             raise DeviceError(self.uri.text, "no such camera", "see ringpose capture --list")
         try:
-            self._camera = self._pylon.InstantCamera(factory.CreateDevice(found[0]))
+            self._camera = self._pylon.InstantCamera(factory.CreateDevice(devices[0]))
             self._camera.Open()
         except Exception as error:
             self._camera = None

@@ -124,8 +124,8 @@ def design(
         reject_existing(output, force)
     base = _scene(rig, scene, radius_inner, radius_outer)
     stability = TYPICAL_STABILITY.scaled(rig_stability)
-    found = list(with_progress(designs(base, sweep, where, stability), "rigs", quiet))
-    chosen = best(found, QUANTITY[minimize], min_coverage)
+    mapped = list(with_progress(designs(base, sweep, where, stability), "rigs", quiet))
+    chosen = best(mapped, QUANTITY[minimize], min_coverage)
     if csv != STDOUT:
         name = "none" if chosen is None else f"{chosen.name},"
         best_line = (
@@ -135,11 +135,18 @@ def design(
         at = crossing_table(
             [crossings(base, distance_m, *turned) for distance_m in sorted({w.distance_m for w in where})]
         )
-        lines = [*median_table(found).lines(), "", *summary_lines(found), "", *at.lines(), *limit_lines(base, *turned)]
+        lines = [
+            *median_table(mapped).lines(),
+            "",
+            *summary_lines(mapped),
+            "",
+            *at.lines(),
+            *limit_lines(base, *turned),
+        ]
         lines += ["", best_line]
         records.write_text("\n".join(lines) + "\n")
     if csv is not None:
-        write_result(csv, csv_text(place_table(found)), force=force)
+        write_result(csv, csv_text(place_table(mapped)), force=force)
     if chosen is not None and output is not None:
         from ringpose.files.rigs import write_rig
 
@@ -148,7 +155,7 @@ def design(
         from ringpose.bench.design.report import design_report
         from ringpose.files.io import provenance, write_page
 
-        write_page(report, design_report(found, chosen, QUANTITY[minimize], provenance([rig])), force=force)
+        write_page(report, design_report(mapped, chosen, QUANTITY[minimize], provenance([rig])), force=force)
     if chosen is None:
         raise typer.Exit(NO_POSE)
 

@@ -296,7 +296,7 @@ def _scores_of_folders(
     from ringpose.files.rigs import read_rig
     from ringpose.measure.stream import Setup, Stream
 
-    found = []
+    scored = []
     for folder in map(Path, folders):
         if str(folder) == STDOUT or folder.is_file():
             raise UsageError("", f"{folder} is not a data set folder", "give --truth FILE to compare pose lines")
@@ -313,8 +313,8 @@ def _scores_of_folders(
                 with batch.guarded():
                     shot = read_shot(folder / "shots" / f"{truth.shot}.npz", rig=of_shots)
                     estimates += _estimates_of(shot, streams)
-            found += scores(estimates, truths, of_shots.camera)
-    return found
+            scored += scores(estimates, truths, of_shots.camera)
+    return scored
 
 
 def _require_data_set(folder: Path, rig: Path | None) -> None:

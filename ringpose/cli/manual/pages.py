@@ -28,13 +28,13 @@ class ManualPage(NamedTuple):
 
 def manual_pages() -> dict[str, ManualPage]:
     """All pages by topic: commands first, then file formats (5) and other subjects (7)."""
-    found = {}
+    pages = {}
     for path in sorted(_files(), key=lambda path: (path.suffix, path.stem)):
         topic = path.stem.removeprefix(PREFIX)
-        found[topic] = ManualPage(topic, path.suffix[1:], path)
-    if not found:
+        pages[topic] = ManualPage(topic, path.suffix[1:], path)
+    if not pages:
         raise NoInputError("", "the manual pages are not installed", "install ringpose again, with pip")
-    return found
+    return pages
 
 
 def page_of(words: Sequence[str]) -> ManualPage:

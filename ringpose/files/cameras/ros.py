@@ -198,8 +198,8 @@ def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance
     """The covariance under the optional key `covariance`; see `checked_parameters`."""
     if not parent.has("covariance"):
         return None
-    found = definition_of(ParameterCovariance).read(parent.fields("covariance"), OF_FILE)
-    return checked_parameters(parent, found, known)
+    covariance = definition_of(ParameterCovariance).read(parent.fields("covariance"), OF_FILE)
+    return checked_parameters(parent, covariance, known)
 
 
 def pinhole_camera(

@@ -136,9 +136,9 @@ def _is_padding(encoded: bytes, report: bytes) -> bool:
 
     Webcams pad the frames of motion JPEG in this way. Differing bytes may be pixels displaced by earlier damage.
     """
-    found = _EXTRANEOUS.match(report)
+    match = _EXTRANEOUS.match(report)
     end = encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda"))
-    return found is not None and len(set(encoded[max(0, end - int(found[1])) : end].rstrip(b"\xff"))) <= 1
+    return match is not None and len(set(encoded[max(0, end - int(match[1])) : end].rstrip(b"\xff"))) <= 1
 
 
 @contextmanager

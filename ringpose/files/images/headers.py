@@ -97,8 +97,8 @@ def _tiff(encoded: bytes) -> ImageHeader:
     for position in range(first, first + entries * size, size):
         tag, kind, number, value = struct.unpack_from(order + entry, encoded, position)
         if number == 1 and kind in _INTEGERS:
-            found = struct.unpack_from(order + _INTEGERS[kind], value)[0]
-            values[tag] = max(found, values.get(tag, 0))
+            stored = struct.unpack_from(order + _INTEGERS[kind], value)[0]
+            values[tag] = max(stored, values.get(tag, 0))
         elif tag == _BITS and kind == _SHORT:  # one number per channel, beside the entry if they do not fit into it
             fits = 2 * number <= len(value)
             at = 0 if fits else struct.unpack_from(order + offset, value)[0]
@@ -119,11 +119,11 @@ _INTEGERS = {3: "H", 4: "I", 16: "Q"}
 
 
 def _pgm(encoded: bytes) -> ImageHeader:
-    found = _PGM.match(encoded)
-    if found is None:
+    match = _PGM.match(encoded)
+    if match is None:
         raise ValueError("no PGM header")
-    width, height, maximum = map(int, found.groups())
-    return ImageHeader("PGM", width, height, found.end(), maximum, 1 if maximum < 256 else 2)
+    width, height, maximum = map(int, match.groups())
+    return ImageHeader("PGM", width, height, match.end(), maximum, 1 if maximum < 256 else 2)
 
 
 _PGM = re.compile(rb"P5" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,10})" + rb"\s")

@@ -103,8 +103,8 @@ class Text(Value):
         return self.key.null is REQUIRED
 
     def schema(self, definitions: Schema) -> Schema:
-        found: Schema = {"type": "string"} if self.key.blank else {"type": "string", "minLength": 1}
-        return found | ({"pattern": self.key.pattern} if self.key.pattern else {})
+        described: Schema = {"type": "string"} if self.key.blank else {"type": "string", "minLength": 1}
+        return described | ({"pattern": self.key.pattern} if self.key.pattern else {})
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ class Number(Value):
 
 
 def _limits(key: Key, least: float | int) -> Schema:
-    found: Schema = {"exclusiveMinimum": 0} if key.positive else {"minimum": least} if least > -inf else {}
-    return found | ({"maximum": key.most} if key.most < inf else {})
+    lower: Schema = {"exclusiveMinimum": 0} if key.positive else {"minimum": least} if least > -inf else {}
+    return lower | ({"maximum": key.most} if key.most < inf else {})
 
 
 @dataclass(frozen=True)
@@ -232,10 +232,10 @@ class Flags(Value):
     kind: type[IntFlag] = IntFlag
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> IntFlag:
-        known, found = flags_by_name(self.kind), self.kind(0)
+        known, flags = flags_by_name(self.kind), self.kind(0)
         for each in fields.texts(name):
-            found |= known.get(each, self.kind(0))
-        return found
+            flags |= known.get(each, self.kind(0))
+        return flags
 
     def write(self, value: IntFlag) -> list[str]:
         return [name for name, bit in self._bits if bit & int(value)]
@@ -280,14 +280,14 @@ class Numbers(Value):
     def schema(self, definitions: Schema) -> Schema:
         kind = {"Float64": "number", "Int64": "integer", "Bool": "boolean"}[self.element]
         least = max(self.key.least, 0.0) if self.key.form is Form.SIGMAS else self.key.least
-        found: Schema = {"type": [kind, "null"] if self.key.gaps else kind, **_limits(self.key, least)}
+        described: Schema = {"type": [kind, "null"] if self.key.gaps else kind, **_limits(self.key, least)}
         for axis in reversed(self.axes):
             length = fixed_length(axis)
-            found = {"type": "array", "items": found}
-            found |= {} if length is None else {"minItems": length, "maxItems": length}
+            described = {"type": "array", "items": described}
+            described |= {} if length is None else {"minItems": length, "maxItems": length}
             if axis.startswith("xy=") and self.key.null_points:
-                found = {"anyOf": [{"type": "null"}, found]}
-        return found
+                described = {"anyOf": [{"type": "null"}, described]}
+        return described
 
 
 def _all_finite(numbers: Any) -> bool:
@@ -458,14 +458,14 @@ class ByName(Value):
     """The names that there are; None if they are free. Others are of a later version and are ignored."""
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> dict[str, Any]:
-        values, found = fields.fields(name), {}
+        values, by_name = fields.fields(name), {}
         if not all(isinstance(each, str) for each in values.values):  # in YAML, `1` is a number
             values = Fields(values.file, {str(each): value for each, value in values.values.items()}, path=values.path)
         for each in values.values:
             if self.names is None or each in tuple(self.names):
                 with suppress(Unknown):
-                    found[self.names(each) if self.names else each] = self.of.read(values, each, context, {})
-        return found
+                    by_name[self.names(each) if self.names else each] = self.of.read(values, each, context, {})
+        return by_name
 
     def takes(self, value: Any) -> bool:
         return isinstance(value, Mapping)
@@ -502,14 +502,14 @@ class Slot(NamedTuple):
 
     def schema(self, definitions: Schema) -> Schema:
         """JSON Schema of a value or null."""
-        found = self.value.schema(definitions)
+        described = self.value.schema(definitions)
         if self.null is REQUIRED:
-            return found
-        if set(found) == {"enum"}:
-            return {"enum": [*found["enum"], None]}
-        if found.get("type") in ("string", "number", "integer", "boolean"):
-            return found | {"type": [found["type"], "null"]}
-        return {"anyOf": [{"type": "null"}, found]}
+            return described
+        if set(described) == {"enum"}:
+            return {"enum": [*described["enum"], None]}
+        if described.get("type") in ("string", "number", "integer", "boolean"):
+            return described | {"type": [described["type"], "null"]}
+        return {"anyOf": [{"type": "null"}, described]}
 
 
 def slot_of(annotation: Any, key: Key) -> Slot:
@@ -650,12 +650,12 @@ class Definition(Generic[T]):
                 if each.is_argument:
                     values[each.attribute] = value
         make: Callable[..., T] = getattr(self.cls, "from_record", self.cls)
-        found = make(**values)
-        contradiction: tuple[str, str] | None = getattr(found, "contradiction", None)
+        made = make(**values)
+        contradiction: tuple[str, str] | None = getattr(made, "contradiction", None)
         if contradiction is not None:
             key, finding = contradiction
             raise fields.problem(key, finding, context.unchanged)
-        return found
+        return made
 
     def kind(self, name: str) -> Value | None:
         """The kind of value of a key; None if there is no such key."""
@@ -665,20 +665,20 @@ class Definition(Generic[T]):
         """The value of one key, in another mapping that has it."""
         return next(each for each in self.attributes if each.name == name).read(fields, Context(), {})
 
-    def write(self, found: T, brief: bool = False) -> dict[str, Any]:
+    def write(self, instance: T, brief: bool = False) -> dict[str, Any]:
         """The mapping of an object; with `brief`, without the keys that are then left out."""
         record: dict[str, Any] = {}
         for attribute, name, is_omitted, write in self.brief_writers if brief else self.writers:
-            value = getattr(found, attribute)
+            value = getattr(instance, attribute)
             if is_omitted is None or not is_omitted(value):
                 record[name] = value if write is None else write(value)
         return record
 
-    def values(self, found: T) -> dict[str, Any]:
+    def values(self, instance: T) -> dict[str, Any]:
         """The values of an object by key, arrays as they are, and those of its parts as mappings."""
         record: dict[str, Any] = {}
         for each in self.attributes:
-            value, kind = getattr(found, each.attribute), each.slot.value
+            value, kind = getattr(instance, each.attribute), each.slot.value
             if isinstance(kind, Object) and value is not None:
                 value = kind.of.values(value)
             record[each.name] = kind.write(value) if isinstance(kind, Text) and value is not None else value
@@ -727,17 +727,17 @@ def definition_of(cls: type[T]) -> Definition[T]:
 
 def _attributes_of(cls: type) -> tuple[Attribute, ...]:
     """The fields and properties that are keys, in the order of the record."""
-    found = list(_fields_of(cls))
+    attributes = list(_fields_of(cls))
     for name, member in vars(cls).items():
         if isinstance(member, property):
             hint = get_type_hints(member.fget, include_extras=True).get("return")
             key = key_of(hint)
             if key is not None:
-                place = 0 if not key.after else 1 + [each.name for each in found].index(key.after)
+                place = 0 if not key.after else 1 + [each.name for each in attributes].index(key.after)
                 is_read = key.is_read or key.constant is not None
                 slot = slot_of(hint, key)
-                found.insert(place, Attribute(name, key.name or name, slot, None, is_read, key.is_read))
-    return tuple(found)
+                attributes.insert(place, Attribute(name, key.name or name, slot, None, is_read, key.is_read))
+    return tuple(attributes)
 
 
 def _fields_of(cls: type) -> Iterator[Attribute]:
@@ -781,13 +781,13 @@ class RecordType(Generic[T]):
         """All keys, among them that of the version."""
         return (self.head, *definition_of(self.cls).names)
 
-    def write(self, found: T, brief: bool = False) -> dict[str, Any]:
+    def write(self, instance: T, brief: bool = False) -> dict[str, Any]:
         """The mapping of an object; its key `software`, if it has one, names this version unless it was read."""
-        return self._with_head(definition_of(self.cls).write(found, brief))
+        return self._with_head(definition_of(self.cls).write(instance, brief))
 
-    def values(self, found: T) -> dict[str, Any]:
+    def values(self, instance: T) -> dict[str, Any]:
         """As `write`, with arrays instead of lists."""
-        return self._with_head(definition_of(self.cls).values(found))
+        return self._with_head(definition_of(self.cls).values(instance))
 
     def _with_head(self, record: dict[str, Any]) -> dict[str, Any]:
         if record.get("software", "") is None:
@@ -814,22 +814,25 @@ class RecordType(Generic[T]):
     def schema(self) -> Schema:
         """JSON Schema (draft 2020-12)."""
         name = self.version or self.cls.__name__
-        found = json_schema((self.cls,), name, self.description) | (self.rules or {})
+        described = json_schema((self.cls,), name, self.description) | (self.rules or {})
         if self.version:
-            required = [self.head, *found["required"]]
-            found |= {"required": required, "properties": {self.head: {"const": self.version}, **found["properties"]}}
-        return found
+            required = [self.head, *described["required"]]
+            described |= {
+                "required": required,
+                "properties": {self.head: {"const": self.version}, **described["properties"]},
+            }
+        return described
 
 
 def json_schema(classes: tuple[type, ...], name: str, description: str) -> Schema:
     """JSON Schema (draft 2020-12) of objects of one of some data classes."""
     definitions: Schema = {}
-    found = [definition_of(cls).schema(definitions) for cls in classes]
+    described = [definition_of(cls).schema(definitions) for cls in classes]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"urn:ringpose:{name.removeprefix('ringpose/').replace('/', ':').lower()}",
         "title": name,
         "description": description,
-        **(found[0] if len(found) == 1 else {"anyOf": found}),
+        **(described[0] if len(described) == 1 else {"anyOf": described}),
         "$defs": definitions,
     }

@@ -95,8 +95,8 @@ def _grown_grid(image: GreyImage, start: tuple[int, int], seed: int, flags: int 
     """The largest grid that OpenCV's sector-based detector grows from one of this size."""
     cv2.setRNGSeed(seed)
     flags |= cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners, squares = cv2.findChessboardCornersSBWithMeta(image, start, flags)
-    return np.asarray(corners, dtype=np.float64).reshape(*np.asarray(squares).shape[:2], 2) if found else None
+    is_found, corners, squares = cv2.findChessboardCornersSBWithMeta(image, start, flags)
+    return np.asarray(corners, dtype=np.float64).reshape(*np.asarray(squares).shape[:2], 2) if is_found else None
 
 
 def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
@@ -105,8 +105,8 @@ def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Arr
         small = reduced(image, reduction)
         for finder, flags in _FINDERS:
             cv2.setRNGSeed(_RANDOM_SEEDS[0])
-            found, corners = finder(small, (columns, rows), flags=flags)
-            if found:
+            is_found, corners = finder(small, (columns, rows), flags=flags)
+            if is_found:
                 grid = in_full_image(np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2), reduction)
                 refined = _refined_grid(image, grid)
                 if irregularity(refined) < MAX_IRREGULARITY:
@@ -175,8 +175,8 @@ def _saddle_point(
         return None
     origin = around[1][0, 0]  # of the patch, relative to the corner
     start = -origin.astype(np.float32).reshape(1, 1, 2)
-    found = cv2.cornerSubPix(normalised.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
-    return corner + origin + np.asarray(found, dtype=np.float64).reshape(2)
+    refined = cv2.cornerSubPix(normalised.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
+    return corner + origin + np.asarray(refined, dtype=np.float64).reshape(2)
 
 
 def _normalised(patch: Patch, offset: Offsets, sides: _Sides) -> Patch | None:

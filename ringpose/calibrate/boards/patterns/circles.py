@@ -81,8 +81,8 @@ def circle_centers(
 def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int) -> Centers | None:
     """OpenCV's centres of the ellipses; None if not all are found."""
     flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
-    found, centers = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
-    return np.asarray(centers, dtype=np.float64).reshape(-1, 2) if found else None
+    is_found, centers = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
+    return np.asarray(centers, dtype=np.float64).reshape(-1, 2) if is_found else None
 
 
 def brightened(grey: GreyImage) -> GreyImage:
@@ -157,8 +157,8 @@ def refined_ellipse_centers(grey: GreyImage, ellipses_px: Centers, conics: Float
 
     Each ellipse has the shape of its conic, and starts at the given centre.
     """
-    found = [_middle(grey, *one) for one in zip(ellipses_px, conics, strict=True)]
-    return np.array([start if one is None else one for start, one in zip(ellipses_px, found, strict=True)])
+    middles = [_middle(grey, *one) for one in zip(ellipses_px, conics, strict=True)]
+    return np.array([start if one is None else one for start, one in zip(ellipses_px, middles, strict=True)])
 
 
 def _middle(

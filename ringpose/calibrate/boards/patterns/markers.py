@@ -25,15 +25,15 @@ def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictio
     """All markers of the dictionary found in the image, with sub-pixel corners."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    found, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
-    return markers_of(found, ids)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
+    return markers_of(corners, ids)
 
 
-def markers_of(found: Sequence[Any] | None, ids: Any) -> Markers:
+def markers_of(quadrangles: Sequence[Any] | None, ids: Any) -> Markers:
     """OpenCV's detections, sorted by number."""
-    if found is None or ids is None or not len(ids):
+    if quadrangles is None or ids is None or not len(ids):
         return Markers(ids=np.empty(0, dtype=np.int64), corners_px=np.empty((0, 4, 2)))
-    corners = np.stack([np.asarray(one, dtype=np.float64).reshape(4, 2) for one in found])
+    corners = np.stack([np.asarray(one, dtype=np.float64).reshape(4, 2) for one in quadrangles])
     order = np.argsort(np.asarray(ids).ravel(), kind="stable")
     return Markers(ids=np.asarray(ids).ravel().astype(np.int64)[order], corners_px=corners[order])
 
@@ -96,8 +96,8 @@ def other_layout(board: Board, markers: Markers) -> str | None:
     if layout is None or layout.center_error < MAX_CENTER_ERROR:
         return None
     for other in _other_boards(board, int(markers.ids.max())):
-        found = marker_layout(other, markers)
-        if found is not None and found.center_error < MAX_CENTER_ERROR:
+        layout_on_other = marker_layout(other, markers)
+        if layout_on_other is not None and layout_on_other.center_error < MAX_CENTER_ERROR:
             legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
             return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
     return "nor with any other squares_x"

@@ -139,19 +139,19 @@ def _stripe_check(stripe: int, laser: int, board: BoardMeasurements, rig: Rig) -
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
     plane = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    found = stripe_residuals(board.data.rays[0][stripe], pose, *plane)
+    residuals = stripe_residuals(board.data.rays[0][stripe], pose, *plane)
     modes = line_modes(points_px)
     level, slope = modes
     ends = np.array([slope.min(), 0.0, slope.max()])
-    weights = (level + ends[:, None] * slope) / len(slope) * found.metres_per_pixel
-    offset_m = weights @ found.residual_px
-    variance = _variance(weights @ found.wrt_pose, board.pose_covariance)
+    weights = (level + ends[:, None] * slope) / len(slope) * residuals.metres_per_pixel
+    offset_m = weights @ residuals.residual_px
+    variance = _variance(weights @ residuals.wrt_pose, board.pose_covariance)
     variance += board.data.center_px[0][stripe] ** 2 / len(points_px) * np.sum((weights @ modes.T) ** 2, axis=1)
     if rig.covariance is not None:
         # A wrong camera displaces the board, too: by the pose that fits the corners with it.
         corners = view_equations(view.board, pose, rig.camera, 1.0)
         pose_wrt_camera = np.linalg.lstsq(corners.wrt_pose, -corners.wrt_camera)[0]
-        wrt_rig = np.hstack([found.wrt_camera + found.wrt_pose @ pose_wrt_camera, found.wrt_plane])
+        wrt_rig = np.hstack([residuals.wrt_camera + residuals.wrt_pose @ pose_wrt_camera, residuals.wrt_plane])
         names = parameter_names(rig.camera.distortion_model) + laser_parameters([name])
         variance += _variance(weights @ wrt_rig, rig.covariance.of(names))
     limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M

@@ -163,13 +163,13 @@ def stripe_lines(
     lasers: int,
 ) -> list[StripeLine]:
     """One line for each laser that is on, brightest first; fewer or more if the frame shows another number."""
-    found: list[StripeLine] = []
+    extracted: list[StripeLine] = []
     for shrinking in SHRINKINGS:
         lines = _lines_at_scale(image, dark, surface, lasers, shrinking)
         if len(lines) == lasers:
             return lines
-        found = found or lines
-    return found
+        extracted = extracted or lines
+    return extracted
 
 
 def _lines_at_scale(

@@ -216,12 +216,12 @@ def _permutations(lasers: int) -> list[tuple[int, ...]]:
     For three lasers these are all; for eight they are 37 of 40320.
     """
     identity = tuple(range(lasers))
-    found = [identity[shift:] + identity[:shift] for shift in identity] + [identity[::-1]]
+    permutations = [identity[shift:] + identity[:shift] for shift in identity] + [identity[::-1]]
     for first, second in combinations(identity, 2):
         swapped = list(identity)
         swapped[first], swapped[second] = second, first
-        found.append(tuple(swapped))
-    return list(dict.fromkeys(found))
+        permutations.append(tuple(swapped))
+    return list(dict.fromkeys(permutations))
 
 
 def _plane(points: Float64[Array, "n xyz=3"]) -> Float64[Array, "4"]:
