@@ -14,6 +14,8 @@ from ringpose.types.target import MATERIAL_NAMES, MATERIALS, Box, Foil, Material
 _ABOVE_M = 1e-5
 """Distance of the underside of an obstacle from the face: a ray from the face towards the camera enters it there."""
 
+_ANGLE = "Angle of its middle, or of the first head, from the target frame's x axis towards y."
+
 BLANKET_M = 0.002
 """Thickness of a blanket."""
 
@@ -32,7 +34,7 @@ class Heads:
     angle_rad: Annotated[
         float,
         Key(
-            "Angle of the first one, from the target frame's x axis towards y.",
+            _ANGLE,
             plausible=ANGLE_RAD,
             presence=Presence.IF_KNOWN,
         ),
@@ -40,7 +42,7 @@ class Heads:
     count: Annotated[
         int | None, Key("Number of them; all around the ring without it.", least=1, presence=Presence.IF_KNOWN)
     ] = None
-    material: Annotated[Material, Key("Their material.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)] = MATERIALS[
+    material: Annotated[Material, Key("Its material.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)] = MATERIALS[
         "metal"
     ]
 
@@ -66,9 +68,7 @@ class Cable:
     """A straight cable that lies on the middle of the ring's face."""
 
     kind: Annotated[Literal["cable"], Key()]
-    angle_rad: Annotated[
-        float, Key("Angle of its middle, from the target frame's x axis towards y.", plausible=ANGLE_RAD)
-    ]
+    angle_rad: Annotated[float, Key(_ANGLE, plausible=ANGLE_RAD)]
     direction_rad: Annotated[
         float,
         Key(
@@ -106,9 +106,7 @@ class Blanket:
     """Foil that covers the outer edge of the ring's face on a part of the ring."""
 
     kind: Annotated[Literal["blanket"], Key()]
-    angle_rad: Annotated[
-        float, Key("Angle of its middle, from the target frame's x axis towards y.", plausible=ANGLE_RAD)
-    ]
+    angle_rad: Annotated[float, Key(_ANGLE, plausible=ANGLE_RAD)]
     length_m: Annotated[float, Key("Length along the ring.", plausible=PART_M, positive=True)]
     overlap_m: Annotated[
         float,
