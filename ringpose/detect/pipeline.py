@@ -8,6 +8,7 @@ would triangulate behind the camera are rejected: the images are upside down, mi
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from ringpose.detect.difference_images import (
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.stripes import find_stripes, stripe_line_segments
+from ringpose.detect.stripes import find_stripes, stripe_line_segments, without_ghosts
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
@@ -34,6 +35,7 @@ from ringpose.types.detection import (
     BreakPointFlag,
     BreakPoints,
     Detection,
+    Ghost,
     JudgedRing,
     NoBreakPoints,
     Rejection,
@@ -71,6 +73,8 @@ class Prior:
     stripes_of: Callable[[LaserImage], Stripes | None] | None = None
     """The stripes of a whole frame, if they were found before the shot was complete; those of the turned frame if the
     stripes run along columns."""
+    ghosts: tuple[Ghost, ...] = ()
+    """Ghosts of stripes that earlier shots had."""
 
 
 NOTHING_KNOWN = Prior()
@@ -95,6 +99,8 @@ class View:
     camera: CameraMotion | None
     still: bool
     """Whether the ring cannot move in the images."""
+    ghosts: tuple[Ghost, ...] = ()
+    """Ghosts of the stripes: first those of earlier shots, then those that were subtracted from the frames."""
 
     @property
     def saturation_dn(self) -> int:
@@ -125,7 +131,8 @@ def detect(
     if not view.images:
         return blank
     found = ring_near_prediction(view, prior) or ring_in_whole_frames(view, prior, source)
-    seen = replace(blank, stripes=found.stripes, segments=found.segments)
+    view = found.view
+    seen = replace(blank, stripes=found.stripes, segments=found.segments, ghosts=view.ghosts)
     try:
         named, visible, missing = visible_edges(found.judged(), found, view, source, wanted=edges)
         clear = confirmed(named, visible, view)
@@ -168,6 +175,7 @@ def shot_view(shot: Shot, rig: Rig, prior: Prior) -> View:
         assumptions=assumptions,
         camera=prior.camera,
         still=assumptions.motion is None and prior.camera is None,
+        ghosts=prior.ghosts,
     )
 
 
@@ -192,6 +200,8 @@ def blank_detection(view: View) -> Detection:
 class RingSearch:
     """The stripes of a shot, and the break points on those of them that agree with one ring."""
 
+    view: View
+    """The shot with the frames in which they were found, from which ghosts are subtracted."""
     stripes: Stripes
     segments: Segments | None = None
     """The line segments that the stripes were made from, if any."""
@@ -212,10 +222,10 @@ class RingSearch:
 def ring_near_prediction(view: View, prior: Prior) -> RingSearch | None:
     """The ring by the stripes in windows about the predicted ones; None without all of the predicted break points."""
     predicted = prior.predicted
-    stripes = None if predicted is None else _predicted_stripes(view.images, predicted, view.rig)
-    if predicted is None or stripes is None:
+    searched = None if predicted is None else _predicted_stripes(view, predicted)
+    if predicted is None or searched is None:
         return None
-    search = _ring_search(stripes, view, [] if predicted.labelled else view.unlabelled_lasers())
+    search = _ring_search(*searched, [] if predicted.labelled else view.unlabelled_lasers())
     points = search.break_points
     if isinstance(points, NoBreakPoints) or (predicted.seen & np.isnan(points.position_px[..., 0])).any():
         return None
@@ -224,19 +234,19 @@ def ring_near_prediction(view: View, prior: Prior) -> RingSearch | None:
 
 def ring_in_whole_frames(view: View, prior: Prior, source: StripeSource) -> RingSearch:
     """The ring by the stripes in the whole frames."""
-    stripes, segments = _all_stripes(view.images, source, prior.stripes_of)
-    return replace(_ring_search(stripes, view, view.unlabelled_lasers()), segments=segments)
+    view, stripes, segments = _all_stripes(view, source, prior.stripes_of)
+    return replace(_ring_search(view, stripes, view.unlabelled_lasers()), segments=segments)
 
 
-def _ring_search(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> RingSearch:
+def _ring_search(view: View, stripes: Stripes, unlabelled: Sequence[int]) -> RingSearch:
     """The break points on the stripes that lie on one ring; `unlabelled`: lasers whose stripes are not assigned."""
     try:
-        return _judged_ring(stripes, view, unlabelled)
+        return _judged_ring(view, stripes, unlabelled)
     except Stop as stop:
-        return RingSearch(stripes=stripes, break_points=stop.reason)
+        return RingSearch(view=view, stripes=stripes, break_points=stop.reason)
 
 
-def _judged_ring(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> RingSearch:
+def _judged_ring(view: View, stripes: Stripes, unlabelled: Sequence[int]) -> RingSearch:
     """Face, ends, and the outlier test by one ring.
 
     The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
@@ -256,6 +266,7 @@ def _judged_ring(stripes: Stripes, view: View, unlabelled: Sequence[int]) -> Rin
     judged = without_outliers(ends, rig, view.assumptions, view.camera)
     displaced = [rig.lasers.names[laser] for laser in face.displaced]
     return RingSearch(
+        view=view,
         stripes=stripes,
         break_points=judged.break_points,
         rejected=(*judged.rejected, *(Rejection(what="stripe", laser=name) for name in displaced)),
@@ -300,18 +311,32 @@ def confirmed(points: BreakPoints, visible: RingEdgePoints | None, view: View) -
 # Stripes
 
 
-def _predicted_stripes(images: Sequence[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
-    """The stripes in windows about the predicted ones; None if none is predicted."""
-    parts = []
-    for image in images:
+def _predicted_stripes(view: View, predicted: BreakPoints) -> tuple[View, Stripes] | None:
+    """The stripes in windows about the predicted ones, without ghosts; None if none is predicted."""
+    rig = view.rig
+
+    def near_predicted(image: LaserImage) -> Stripes:
         bands = predicted_bands(predicted, image.lasers, rig.camera)
-        if bands is not None:
-            part = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
-            part = _labelled(part, image)
-            parts.append(
-                part if image.label != UNLABELLED or not predicted.labelled else _assigned(part, predicted, image, rig)
-            )
-    return _joined(parts) if parts else None
+        return _stripes_in(image, np.zeros((0, 4), dtype=np.int32) if bands is None else bands)
+
+    if all(predicted_bands(predicted, image.lasers, rig.camera) is None for image in view.images):
+        return None
+    view, parts = _without_ghosts(view, [near_predicted(image) for image in view.images], near_predicted)
+    parts = [
+        part if image.label != UNLABELLED or not predicted.labelled else _assigned(part, predicted, image, rig)
+        for part, image in zip(parts, view.images, strict=True)
+    ]
+    return view, _joined(parts)
+
+
+def _without_ghosts(
+    view: View, parts: Sequence[Stripes], stripes_of: Callable[[LaserImage], Stripes]
+) -> tuple[View, list[Stripes]]:
+    """Frames and their stripes without ghosts and reflections, assigned to the lasers of frames with one."""
+    images, clean, ghosts = without_ghosts(view.images, parts, view.ghosts, stripes_of)
+    return replace(view, images=images, ghosts=ghosts), [
+        _labelled(part, image) for part, image in zip(clean, images, strict=True)
+    ]
 
 
 ON_PREDICTED_SIGMAS, ON_PREDICTED_PX = 4.0, 2.0
@@ -338,17 +363,20 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
 
 
 def _all_stripes(
-    images: Sequence[LaserImage], source: StripeSource, searched: Callable[[LaserImage], Stripes | None] | None
-) -> tuple[Stripes, Segments | None]:
-    """The stripes of all frames in one record, and the line segments that they were made from, if any."""
+    view: View, source: StripeSource, searched: Callable[[LaserImage], Stripes | None] | None
+) -> tuple[View, Stripes, Segments | None]:
+    """The stripes of all frames in one record, without ghosts, and the line segments they were made from, if any."""
     if source is StripeSource.SEGMENTS:
-        return _stripes_between_segments(images)
-    early = [None if searched is None else searched(image) for image in images]
-    parts = [
-        part or find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
-        for part, image in zip(early, images, strict=True)
-    ]
-    return _joined([_labelled(part, image) for part, image in zip(parts, images, strict=True)]), None
+        return replace(view, ghosts=()), *_stripes_between_segments(view.images)
+    early = [None if searched is None else searched(image) for image in view.images]
+    parts = [part or _stripes_in(image) for part, image in zip(early, view.images, strict=True)]
+    view, parts = _without_ghosts(view, parts, _stripes_in)
+    return view, _joined(parts), None
+
+
+def _stripes_in(image: LaserImage, bands: Int32[Array, "band side=4"] | None = None) -> Stripes:
+    """The stripes of a frame, in some windows or everywhere."""
+    return find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
 
 
 def _stripes_between_segments(images: Sequence[LaserImage]) -> tuple[Stripes, Segments]:
@@ -399,7 +427,8 @@ def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = 
     if image is None or bands is None:
         return found
     image = image if motion is None else _without_moved_background(image, motion)
-    stripes = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
+    search = partial(_stripes_in, bands=bands)
+    (image,), (stripes,), _ = without_ghosts([image], [search(image)], view.ghosts, search)
     if not len(stripes.piece):
         return found
     stripes = replace(stripes, laser=_nearest_lasers(stripes, found, image.lasers, rig.camera))

@@ -8,23 +8,29 @@ The intersection of a light plane with a planar surface is a straight line. Piec
 across gaps, in the undistorted image: the stripe on the ring's face is one such segment, and walls or foil
 behind it add segments of other directions or offsets.
 
+A ghost is a fainter copy of all laser light in a frame, some rows beside it: light that is reflected twice, between the
+surfaces of lens, filter and sensor. Offset and ratio are the same along the whole image, and the copy has the same
+speckle, from column to column, which light of another laser or on another surface does not have.
+
 The centres are computed in kernels/stripes: stripe_search.c (noise, coarse search, ridges), stripe_patches.c (image
 patches and their derivatives), stripe_links.c (ridges linked into pieces), stripe_centers.c (sub-pixel centres) and
 stripe_sigmas.c (standard deviations).
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.detect.difference_images import LaserImage
 from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, SegmentParams
 from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
-from ringpose.types.detection import UNLABELLED, Stripes
+from ringpose.types.detection import UNLABELLED, Ghost, Stripes
 from ringpose.types.image import full_scale_dn
 from ringpose.types.rig import Camera
 
@@ -227,3 +233,191 @@ def lens(camera: Camera) -> Lens:
 
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """OpenCV's order of the distortion coefficients; a camera has the first five or all of them."""
+
+
+# Ghosts
+
+MAX_GHOST_ROWS = 60
+"""Largest offset of a ghost that is sought: twice that of a reflection between a sensor and its cover glass. With half
+of it those of filters before the lens are missed, with twice as much more stripes of other lasers are compared."""
+
+MAX_GHOST_RATIO = 0.5
+"""Largest brightness of a ghost, as a share of the light that it copies: two reflections at coated or bare glass give
+up to 0.35. It says which of two stripes is the copy: twice as much would leave that open, half would miss some."""
+
+GHOST_ROWS = 0.75
+"""Largest deviation of a pair of centres from the offset of a ghost: three standard deviations of a centre in speckle.
+Half of it loses centres in strong light, and twice as much admits neighbouring stripes, whose distance varies."""
+
+SAME_SPECKLE = 0.5
+"""Correlation, from column to column, of the brightness of a stripe and of its ghost. Copies in 69 rendered frames have
+0.6 to 0.98, different stripes in 249 frames at most 0.45; with 0.25 these are taken for ghosts, with 1 none is."""
+
+MIN_GHOST_COLUMNS = 30
+"""Columns of a ghost from which that correlation is known: its error is 0.13."""
+
+GHOST_SIGMAS = 5.0
+"""Ratio over its standard deviation from which a ghost is removed from a frame that does not show it by itself."""
+
+
+def without_ghosts(
+    images: Sequence[LaserImage],
+    parts: Sequence[Stripes],
+    known: Sequence[Ghost],
+    stripes_of: Callable[[LaserImage], Stripes],
+) -> tuple[list[LaserImage], list[Stripes], tuple[Ghost, ...]]:
+    """Frames and their stripes without ghosts, and without reflections in frames of one laser; and the ghosts.
+
+    A frame that does not show a ghost by itself is searched for those of the others, and for known ones. `stripes_of`
+    finds the stripes of a frame from which one was subtracted.
+    """
+    own_px = [_ghost_offset_px(part) for part in parts]
+    others_px = [*own_px, *(ghost.offset_px for ghost in known)]
+    clean_images, clean_parts, ghosts = [], [], []
+    for image, part, offset_px in zip(images, parts, own_px, strict=True):
+        ghost = _ghost_at(image, part, [each for each in (offset_px, *others_px) if each is not None])
+        clean = image if ghost is None else _without_ghost(image, ghost)
+        stripes = part if ghost is None else stripes_of(clean)
+        clean_images.append(clean)
+        clean_parts.append(_without_reflections(stripes, clean, ghost))
+        ghosts += [] if ghost is None else [ghost]
+    return clean_images, clean_parts, tuple(ghosts)
+
+
+def _ghost_offset_px(stripes: Stripes) -> float | None:
+    """Row of the copy less that of the light, of a ghost that the stripes of one frame show; None if they show none.
+
+    The most frequent offset in rows between two centres of a column, of which one is fainter, is that of a ghost if the
+    brightness of both has the same speckle.
+    """
+    column, row = stripes.position_px.T
+    peak_dn = stripes.peak_dn
+    light, copy = _pairs_in_columns(stripes, MAX_GHOST_ROWS)
+    fainter = peak_dn[copy] < MAX_GHOST_RATIO * peak_dn[light]
+    light, copy = light[fainter], copy[fainter]
+    offset_px = row[copy] - row[light]
+    if len(offset_px) < MIN_GHOST_COLUMNS:
+        return None
+    count = np.convolve(np.bincount(np.rint(2.0 * (offset_px + MAX_GHOST_ROWS)).astype(np.int64)), np.ones(3), "same")
+    near = np.abs(offset_px - (0.5 * float(count.argmax()) - MAX_GHOST_ROWS)) < GHOST_ROWS
+    near = np.abs(offset_px - np.median(offset_px[near])) < GHOST_ROWS
+    light, copy = light[near], copy[near]
+    is_copy = _speckle_correlation(column[light], peak_dn[light], peak_dn[copy]) > SAME_SPECKLE
+    return float(np.median(offset_px[near])) if is_copy else None
+
+
+def _pairs_in_columns(stripes: Stripes, rows: int) -> tuple[Int64[Array, "pair"], Int64[Array, "pair"]]:
+    """Pairs of centres in one column within some rows, the brighter one first."""
+    column, row = stripes.position_px.T
+    order = np.lexsort((row, column))
+    column, row = column[order], row[order]
+    pairs, lag = [np.zeros((0, 2), dtype=np.int64)], 1
+    while lag < len(column) and (same := column[lag:] == column[:-lag]).any():
+        upper = np.flatnonzero(same & (row[lag:] - row[:-lag] <= rows))
+        pairs.append(np.stack([order[upper], order[upper + lag]], axis=1))
+        lag += 1
+    upper, lower = np.concatenate(pairs).T
+    is_upper = stripes.peak_dn[upper] > stripes.peak_dn[lower]
+    return np.where(is_upper, upper, lower), np.where(is_upper, lower, upper)
+
+
+def _speckle_correlation(
+    column: Float64[Array, "pair"], light_dn: Float64[Array, "pair"], copy_dn: Float64[Array, "pair"]
+) -> float:
+    """Correlation of the changes of log brightness from column to column; 0 for too few columns.
+
+    Changes are limited to twice their scatter: the ends of all stripes on a face are in nearly the same columns.
+    """
+    order = np.argsort(column, kind="stable")
+    neighbours = np.diff(column[order]) == 1.0
+    if np.count_nonzero(neighbours) < MIN_GHOST_COLUMNS:
+        return 0.0
+    changes = [np.diff(np.log(each[order]))[neighbours] for each in (light_dn, copy_dn)]
+    limits = [2.0 * 1.4826 * float(np.median(np.abs(change))) for change in changes]
+    if min(limits) == 0.0:
+        return 0.0
+    light, copy = (np.clip(change, -limit, limit) for change, limit in zip(changes, limits, strict=True))
+    return float(np.corrcoef(light, copy)[0, 1])
+
+
+GHOST_REACH = np.arange(-3, 4)
+"""Rows about a centre over which the light of a stripe and of its ghost is summed: twice the width of a stripe."""
+
+
+def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) -> Ghost | None:
+    """The ghost at the first of some offsets at which a frame shows one; None if it does at none of them.
+
+    Its ratio is the median, over the brighter half of the stripes' centres that are not saturated, of the light there
+    less that on the other side of the stripe, which is the stripe's own, over the light at the stripe.
+    """
+    if not offsets_px or len(stripes.piece) < MIN_GHOST_COLUMNS:
+        return None
+    light = _laser_light(image)
+    column, row = np.rint(stripes.position_px).astype(np.int64).T
+    bright = (image.lit[row, column] < image.saturation_dn) & (stripes.peak_dn >= np.median(stripes.peak_dn))
+    for offset_px in offsets_px:
+        reach = math.ceil(abs(offset_px)) + GHOST_REACH[-1]
+        inside = bright & (row >= reach) & (row < len(light) - reach)
+        if np.count_nonzero(inside) < MIN_GHOST_COLUMNS:
+            continue
+        at, beside, opposite = (
+            light[(row[inside] + round(step_px))[:, None] + GHOST_REACH, column[inside, None]].sum(axis=1)
+            for step_px in (0.0, offset_px, -offset_px)
+        )
+        is_light = opposite < at  # a copy has its light on the other side
+        if not is_light.any():
+            continue
+        ratios = (beside - opposite)[is_light] / np.maximum(at[is_light], 1.0)
+        ratio = float(np.median(ratios))
+        sigma = 1.2533 * 1.4826 * float(np.median(np.abs(ratios - ratio))) / math.sqrt(len(ratios))
+        if GHOST_SIGMAS * sigma < ratio < MAX_GHOST_RATIO:
+            return Ghost(offset_px=offset_px, ratio=ratio)
+    return None
+
+
+def _without_ghost(image: LaserImage, ghost: Ghost) -> LaserImage:
+    """The image less the ghost of its laser light (of all light without a background), to the third order of the ratio.
+
+    The light itself is what is seen, less its ghost; the background has the ghost of the ambient light in both frames.
+    """
+    seen = _laser_light(image)
+    light = seen - np.float32(ghost.ratio) * _moved_rows(seen, ghost.offset_px)
+    copy = np.float32(ghost.ratio) * _moved_rows(light, ghost.offset_px)
+    clean = np.rint(image.lit - np.maximum(copy, 0.0)).clip(0.0)
+    return replace(image, lit=clean.astype(image.lit.dtype))
+
+
+def _laser_light(image: LaserImage) -> Float32[Array, "row column"]:
+    """The light of the lasers, or all light without a background."""
+    return image.lit.astype(np.float32) if image.dark is None else np.subtract(image.lit, image.dark, dtype=np.float32)
+
+
+def _moved_rows(image: Float32[Array, "row column"], rows: float) -> Float32[Array, "row column"]:
+    """The image moved down by a number of rows, which need not be whole; 0 where nothing is moved to."""
+    whole = math.floor(rows)
+    share = np.float32(rows - whole)
+    moved = np.zeros_like(image)
+    for step, weight in ((whole, 1 - share), (whole + 1, share)):
+        height = max(len(image) - abs(step), 0)
+        moved[max(step, 0) :][:height] += weight * image[max(-step, 0) :][:height]
+    return moved
+
+
+def _without_reflections(stripes: Stripes, image: LaserImage, ghost: Ghost | None) -> Stripes:
+    """The stripes less pieces of which most columns have a brighter centre: elsewhere, or at the light of a ghost.
+
+    A column of a frame with one laser is nearly one ray of its light sheet, which meets one surface: what is fainter is
+    a reflection. (Face and body are lit in the same columns over the parallax between projector and lens only.) In a
+    frame with several lasers, what is left of a ghost after its subtraction is a copy of light that was saturated.
+    """
+    if image.label == UNLABELLED and ghost is None:
+        return stripes
+    light, copy = _pairs_in_columns(stripes, len(image.lit) if image.label != UNLABELLED else MAX_GHOST_ROWS)
+    if image.label == UNLABELLED and ghost is not None:
+        row = stripes.position_px[:, 1]
+        copy = copy[np.abs(row[copy] - row[light] - ghost.offset_px) < GHOST_ROWS]
+    is_copy = np.zeros(len(stripes.piece), dtype=bool)
+    is_copy[copy] = True
+    count = len(stripes.laser)
+    dropped = 2 * np.bincount(stripes.piece[is_copy], minlength=count) > np.bincount(stripes.piece, minlength=count)
+    return stripes.without_pieces(dropped) if dropped.any() else stripes

@@ -251,6 +251,15 @@ RULES = (
         meaning="The ring's edges are rounded or chamfered.",
         remedy="Nothing is needed: the errors of the break points include it.",
     ),
+    FlagRule(
+        flag=PoseFlag.GHOST_REMOVED,
+        findings=Finding.GHOST_REMOVED,
+        meaning=(
+            "Each stripe is seen a second time, fainter and at a constant offset, by a reflection inside the camera; "
+            "the copies were subtracted from the frames. `ghosts` of the detection has their offset and ratio."
+        ),
+        remedy="Nothing is needed; filter, cover glass or lens cause it.",
+    ),
 )
 """One row for each flag, in the order of `PoseFlag`."""
 
@@ -301,6 +310,8 @@ CONTRADICTED = (
 def findings_of(detection: Detection, rejected: Sequence[Rejection] = ()) -> Finding:
     """What a detection shows by itself, and what was rejected by detector and estimator together."""
     findings = Finding.AMBIENT_CHANGED if detection.ambient_changed else NOTHING
+    if detection.ghosts:
+        findings |= Finding.GHOST_REMOVED
     if detection.break_points in CONTRADICTED:
         findings |= Finding.WRONG_LASERS
     if rejected and edges_missing(detection.rejected):

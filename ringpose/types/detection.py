@@ -214,6 +214,19 @@ class Stripes:
             return None
         return "piece", f"has an index out of range: there are {len(self.laser)} pieces"
 
+    def without_pieces(self, dropped: Bool[Array, "piece"]) -> "Stripes":
+        """The stripes without some pieces."""
+        kept = ~dropped[self.piece]
+        return replace(
+            self,
+            position_px=self.position_px[kept],
+            sigma_px=self.sigma_px[kept],
+            peak_dn=self.peak_dn[kept],
+            piece=(np.cumsum(~dropped) - 1)[self.piece[kept]],
+            laser=self.laser[~dropped],
+            stamp_s=None if self.stamp_s is None else self.stamp_s[~dropped],
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Segments:
@@ -258,6 +271,14 @@ class Rejection:
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ghost:
+    """A fainter copy of the laser light of a frame, some rows beside it, that was subtracted."""
+
+    offset_px: Annotated[float, Key("Row of the copy less that of the light.")]
+    ratio: Annotated[float, Key("Brightness of the copy over that of the light.", least=0.0, most=1.0)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detection:
     """Everything that was detected in one shot."""
@@ -296,6 +317,10 @@ class Detection:
     rejected: Annotated[
         tuple[Rejection, ...],
         Key("Measurements that contradict the others and were not used, as in the pose line."),
+    ] = ()
+    ghosts: Annotated[
+        tuple[Ghost, ...],
+        Key("Fainter copies of the stripes that were subtracted from the frames, one for each frame.", added=True),
     ] = ()
     rig: Annotated[
         str,

@@ -71,6 +71,8 @@ class Finding(IntFlag):
     """The stripes fade over more columns at the edges than the optical blur explains."""
 
     AMBIENT_CHANGED = auto()
+    GHOST_REMOVED = auto()
+    """Fainter copies of the stripes were subtracted from the frames."""
 
     # What a stream of shots has shown
     PLANE_MOVED = auto()

@@ -78,9 +78,11 @@ class PoseFlag(IntFlag):
     """A break point that should be in view could not be measured, as its stripe is cut off by the image's border."""
     BLUNT_EDGE = 1 << 21
     """The ring's edges are rounded or chamfered: the stripes fade over more columns than the optical blur explains."""
+    GHOST_REMOVED = 1 << 22
+    """Fainter copies of the stripes, by reflection inside the camera, were subtracted."""
 
 
-HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
+HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED | PoseFlag.GHOST_REMOVED
 """Flags that a pose with the status `ok` may have."""
 
 
@@ -564,8 +566,8 @@ class PoseLine:
         Status,
         Key(
             "`none`: no pose; `ok`: a pose for which every stripe, break point and visible edge that should be in "
-            "view was used and agreed, with no flag but `radius_unverified` and `rig_unchecked`; `degraded`: any "
-            "other pose.",
+            "view was used and agreed, with no flag but `radius_unverified`, `rig_unchecked` and `ghost_removed`; "
+            "`degraded`: any other pose.",
             after="frame",
         ),
     ]:

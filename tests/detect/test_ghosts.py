@@ -1,0 +1,96 @@
+"""Ghosts: a fainter copy of the laser light in rendered shots, moved by some rows (tests/data, ../shared/data)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.detect.pipeline import detect
+from ringpose.files.images.shots import read_shot
+from ringpose.files.rigs import read_rig
+from ringpose.measure.stream import Setup
+from ringpose.types.pose import PoseFlag
+
+SHOTS = ("B_z0500_p01_dim", "B_z0500_p01_normal", "V03_occl_B500_dim")
+
+
+def moved(image, rows):
+    """The image moved down by a number of rows, by linear interpolation."""
+    at = np.arange(len(image)) - rows
+    first = np.floor(at).astype(int)
+    share = (at - first)[:, None]
+    padded = np.pad(image, ((100, 100), (0, 0)))
+    return (1 - share) * padded[first + 100] + share * padded[first + 101]
+
+
+def with_ghost(shot, ratio, rows):
+    """The shot with a copy of the laser light in each frame with lasers on, of all light without a background."""
+    dark = shot.images[0].astype(np.float64) if shot.lasers[0] == 0 else 0.0
+    frames = [
+        image if mask == 0 else np.clip(np.rint(image + ratio * moved(image - dark, rows)), 0, 255).astype(np.uint8)
+        for image, mask in zip(shot.images, shot.lasers.tolist(), strict=True)
+    ]
+    return replace(shot, images=np.stack(frames))
+
+
+def carried_shot(carried_data, name):
+    folder = carried_data / "rig_b"
+    return read_shot(folder / "shots" / f"{name}.npz"), read_rig(folder / "rig.yaml")
+
+
+@pytest.mark.parametrize(("ratio", "rows"), [(0.1, -15.0), (0.35, -8.0), (0.2, 30.0)])
+def test_the_ghost_of_a_frame_has_the_offset_and_the_ratio_that_it_was_made_with(carried_data, ratio, rows):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    ghosts = detect(with_ghost(shot, ratio, rows), rig).ghosts
+    assert ghosts
+    for ghost in ghosts:
+        assert ghost.offset_px == pytest.approx(rows, abs=0.3)
+        assert ghost.ratio == pytest.approx(ratio, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["B_z0500_p01_dim", "V03_occl_B500_dim"])
+def test_a_shot_with_a_ghost_has_the_pose_that_it_has_without(carried_data, name):
+    shot, rig = carried_shot(carried_data, name)
+    setup = Setup(rig=rig)
+    without, line = setup.measure(shot), setup.measure(with_ghost(shot, 0.1, -15.0))
+    assert (line.status, line.flags) == (without.status, without.flags | PoseFlag.GHOST_REMOVED)
+    change_m = line.pose.grasp_m - without.pose.grasp_m
+    assert change_m @ np.linalg.solve(without.pose.covariance_grasp_m2, change_m) < 1.0
+
+
+@pytest.mark.parametrize("name", SHOTS)
+def test_a_shot_without_a_ghost_is_not_changed(carried_data, name):
+    shot, rig = carried_shot(carried_data, name)
+    assert detect(shot, rig).ghosts == ()
+
+
+def test_stripes_of_equal_brightness_at_a_constant_distance_are_not_ghosts(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    other = replace(shot, images=shot.images[:, :, ::-1])  # the same stripes with the speckle of other places
+    dark = shot.images[0].astype(np.float64)
+    frames = [
+        np.clip(np.rint(image + 0.3 * moved(another - dark, -15.0)), 0, 255).astype(np.uint8) if mask else image
+        for image, another, mask in zip(shot.images, other.images, shot.lasers.tolist(), strict=True)
+    ]
+    assert detect(replace(shot, images=np.stack(frames)), rig).ghosts == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ratio", "rows"), [(0.1, -15.0), (0.2, 8.0)])
+def test_rendered_shots_keep_their_poses_with_a_ghost_and_none_is_wrong(shared_data, ratio, rows):
+    kept = total = 0
+    for name in ("rig_a", "rig_b", "variants_a", "variants_b"):
+        folder = shared_data / "rendered" / name
+        setup = Setup(rig=read_rig(folder / "rig.yaml"))
+        for path in sorted((folder / "shots").glob("*.npz")):
+            shot = read_shot(path)
+            without = setup.measure(shot).pose
+            line = setup.measure(with_ghost(shot, ratio, rows))
+            if without is None:
+                continue
+            total, kept = total + 1, kept + (line.pose is not None)
+            if line.status == "ok":
+                change_m = line.pose.grasp_m - without.grasp_m
+                assert change_m @ np.linalg.solve(line.pose.covariance_grasp_m2, change_m) < 25.0
+    assert total == 43
+    assert kept >= 40
