@@ -35,13 +35,13 @@ from ringpose.types.detection import (
     BreakPointFlag,
     BreakPoints,
     Detection,
-    Ghost,
     JudgedRing,
     NoBreakPoints,
     Rejection,
     RingEdgePoints,
     Segments,
     Stripes,
+    SubtractedGhost,
     joined_stripes,
     stamps_of,
 )
@@ -73,7 +73,7 @@ class Prior:
     stripes_of: Callable[[LaserImage], Stripes | None] | None = None
     """The stripes of a whole frame, if they were found before the shot was complete; those of the turned frame if the
     stripes run along columns."""
-    ghosts: tuple[Ghost, ...] = ()
+    ghosts: tuple[SubtractedGhost, ...] = ()
     """Ghosts of stripes that earlier shots had."""
 
 
@@ -99,7 +99,7 @@ class View:
     camera: CameraMotion | None
     still: bool
     """Whether the ring cannot move in the images."""
-    ghosts: tuple[Ghost, ...] = ()
+    ghosts: tuple[SubtractedGhost, ...] = ()
     """Ghosts of the stripes: first those of earlier shots, then those that were subtracted from the frames."""
 
     @property

@@ -30,7 +30,7 @@ from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, SegmentParams
 from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
-from ringpose.types.detection import UNLABELLED, Ghost, Stripes
+from ringpose.types.detection import UNLABELLED, Stripes, SubtractedGhost
 from ringpose.types.image import full_scale_dn
 from ringpose.types.rig import Camera
 
@@ -263,9 +263,9 @@ GHOST_SIGMAS = 5.0
 def without_ghosts(
     images: Sequence[LaserImage],
     parts: Sequence[Stripes],
-    known: Sequence[Ghost],
+    known: Sequence[SubtractedGhost],
     stripes_of: Callable[[LaserImage], Stripes],
-) -> tuple[list[LaserImage], list[Stripes], tuple[Ghost, ...]]:
+) -> tuple[list[LaserImage], list[Stripes], tuple[SubtractedGhost, ...]]:
     """Frames and their stripes without ghosts, and without reflections in frames of one laser; and the ghosts.
 
     A frame that does not show a ghost by itself is searched for those of the others, and for known ones. `stripes_of`
@@ -344,7 +344,7 @@ GHOST_REACH = np.arange(-3, 4)
 """Rows about a centre over which the light of a stripe and of its ghost is summed: twice the width of a stripe."""
 
 
-def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) -> Ghost | None:
+def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) -> SubtractedGhost | None:
     """The ghost at the first of some offsets at which a frame shows one; None if it does at none of them.
 
     Its ratio is the median, over the brighter half of the stripes' centres that are not saturated, of the light there
@@ -371,11 +371,11 @@ def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) 
         ratio = float(np.median(ratios))
         sigma = 1.2533 * 1.4826 * float(np.median(np.abs(ratios - ratio))) / math.sqrt(len(ratios))
         if GHOST_SIGMAS * sigma < ratio < MAX_GHOST_RATIO:
-            return Ghost(offset_px=offset_px, ratio=ratio)
+            return SubtractedGhost(offset_px=offset_px, ratio=ratio)
     return None
 
 
-def _without_ghost(image: LaserImage, ghost: Ghost) -> LaserImage:
+def _without_ghost(image: LaserImage, ghost: SubtractedGhost) -> LaserImage:
     """The image less the ghost of its laser light (of all light without a background), to the third order of the ratio.
 
     The light itself is what is seen, less its ghost; the background has the ghost of the ambient light in both frames.
@@ -403,7 +403,7 @@ def _moved_rows(image: Float32[Array, "row column"], rows: float) -> Float32[Arr
     return moved
 
 
-def _without_reflections(stripes: Stripes, image: LaserImage, ghost: Ghost | None) -> Stripes:
+def _without_reflections(stripes: Stripes, image: LaserImage, ghost: SubtractedGhost | None) -> Stripes:
     """The stripes less pieces of which most columns have a brighter centre: elsewhere, or at the light of a ghost.
 
     A column of a frame with one laser is nearly one ray of its light sheet, which meets one surface: what is fainter is

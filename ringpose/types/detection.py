@@ -272,7 +272,7 @@ class Rejection:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ghost:
+class SubtractedGhost:
     """A fainter copy of the laser light of a frame, some rows beside it, that was subtracted."""
 
     offset_px: Annotated[float, Key("Row of the copy less that of the light.")]
@@ -319,7 +319,7 @@ class Detection:
         Key("Measurements that contradict the others and were not used, as in the pose line."),
     ] = ()
     ghosts: Annotated[
-        tuple[Ghost, ...],
+        tuple[SubtractedGhost, ...],
         Key("Fainter copies of the stripes that were subtracted from the frames, one for each frame.", added=True),
     ] = ()
     rig: Annotated[
