@@ -24,7 +24,7 @@ from ringpose.detect.difference_images import (
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.stripes import find_stripes, stripe_line_segments, without_ghosts
+from ringpose.detect.stripes import BLOCK, MAX_GAP, find_stripes, stripe_line_segments, without_ghosts
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
@@ -375,8 +375,9 @@ def _all_stripes(
 
 
 def _stripes_in(image: LaserImage, bands: Int32[Array, "band side=4"] | None = None) -> Stripes:
-    """The stripes of a frame, in some windows or everywhere."""
-    return find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
+    """The stripes of a frame, everywhere or in some windows, without the pieces that go on beyond these."""
+    stripes = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
+    return stripes if bands is None else _within_bands(stripes, bands, image.lit.shape[1])
 
 
 def _stripes_between_segments(images: Sequence[LaserImage]) -> tuple[Stripes, Segments]:
@@ -621,6 +622,31 @@ def predicted_bands(
         top, bottom = _search_range(y, other_y, BAND_PX, camera.image_height)
         bands.append((left, right, top, bottom))
     return np.array(bands, dtype=np.int32)
+
+
+def _within_bands(stripes: Stripes, bands: Int32[Array, "band side=4"], image_width: int) -> Stripes:
+    """The stripes in search windows, without the pieces that go on beyond the left or right side of a window.
+
+    Cut off there, a stripe on the body behind the ring would look like one on a face.
+    """
+    left, right = bands[:, 0] // BLOCK * BLOCK, -(-bands[:, 1] // BLOCK) * BLOCK  # as they are searched
+
+    def searched(x: Float64[Array, "center"], y: Float64[Array, "center"]) -> Bool[Array, "center"]:
+        of_band = (x[:, None] >= left) & (x[:, None] < right) & (y[:, None] >= bands[:, 2]) & (y[:, None] < bands[:, 3])
+        inside: Bool[Array, "center"] = np.any(of_band, axis=1) | (x < 0) | (x >= image_width)
+        return inside
+
+    x, y = stripes.position_px.T
+    at_side = searched(x, y) & ~(searched(x - MAX_GAP - 1, y) & searched(x + MAX_GAP + 1, y))
+    cut_off = np.bincount(stripes.piece, weights=at_side, minlength=len(stripes.laser)) > 0
+    kept, number = ~cut_off[stripes.piece], np.cumsum(~cut_off) - 1
+    return Stripes(
+        position_px=stripes.position_px[kept],
+        sigma_px=stripes.sigma_px[kept],
+        peak_dn=stripes.peak_dn[kept],
+        piece=number[stripes.piece[kept]],
+        laser=stripes.laser[~cut_off],
+    )
 
 
 def _search_range(one: float, other: float, beyond: int, size: int) -> tuple[int, int]:

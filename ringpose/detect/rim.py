@@ -23,7 +23,6 @@ from ringpose.kernels.lines import (
     CENTERS,
     CLIPPED,
     DEPTH_RANGE_M,
-    FACE_LENGTH_M,
     LASER,
     MIDDLE_X,
     MIDDLE_Y,
@@ -88,9 +87,6 @@ With one of the selected stripes 10 px beside its place (0.5 m, lasers at 10 deg
 MOVED_RAD = math.radians(0.6)
 """Largest turn of a light plane since the calibration that is considered, seen from the camera."""
 
-BODY_RANGE_M = (0.15, 1.5)
-"""Range of the depth of the body behind a ring."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Face:
@@ -101,7 +97,7 @@ class Face:
     """One for each of these lasers; columns as in `SEGMENT_COLUMNS`."""
     score: float
     ambiguous: bool
-    """Another assignment explains the same segments about as well, or explains them as stripes on the body."""
+    """Another assignment explains the same segments about as well."""
     behind: bool = False
     """Another segment is on a flat surface in front of these, which may be the face."""
     displaced: tuple[int, ...] = ()
@@ -153,8 +149,7 @@ def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[in
         lasers=best.lasers,
         segments=chosen,
         score=best.score,
-        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.segments)]
-        or (len(best.segments) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
+        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.segments)],
         displaced=() if beside is None else (beside,),
     )
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
@@ -313,26 +308,6 @@ def _turn_rad(segments: Float64[Array, "segment=3 column=11"], lasers: Sequence[
         plane = _plane_of(segments[others], [lasers[each] for each in others], rig)
         off_px.append(_off_plane_px(segments[number].tolist(), laser, plane.origin_m, plane.normal, rig))
     return min(off_px) / lens(rig.camera).fy
-
-
-def may_be_background(
-    segments: Float64[Array, "segment column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
-) -> bool:
-    """Whether a segment could be a stripe on the body behind the ring, drawn by another of these lasers.
-
-    On the light plane of that laser, the segment is longer than any stripe on a face, and farther away than on the
-    plane of its own laser, within range.
-    """
-    own_m = _ends_m(segments, own, rig)[..., 2]
-    for other in lasers:
-        ends_m = _ends_m(segments, [other] * len(segments), rig)
-        depth_m = ends_m[..., 2]
-        farther = (depth_m.min(axis=1) > own_m.min(axis=1)) & (depth_m.max(axis=1) > own_m.max(axis=1))
-        in_range = (depth_m.min(axis=1) > BODY_RANGE_M[0]) & (depth_m.max(axis=1) < BODY_RANGE_M[1])
-        possible = (segments[:, LASER] == UNLABELLED) & (np.array(own) != other)
-        if bool((possible & farther & in_range & (_lengths_m(ends_m) > FACE_LENGTH_M[1])).any()):
-            return True
-    return False
 
 
 class _Plane(NamedTuple):

@@ -53,6 +53,7 @@ from ringpose.types.detection import (
 )
 from ringpose.types.finding import Finding
 from ringpose.types.image import Shot
+from ringpose.types.plausible import RING_RADIUS_M
 from ringpose.types.rig import Rig
 
 REACH_PX = 2
@@ -81,9 +82,9 @@ class FoundEdges(NamedTuple):
     """The ring fitted to these steps and the stripes."""
 
 
-MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 0.65, 3.0
-"""Curvature of the largest ring that is looked for (a radius of 1.5 m; the largest in launcher manuals has 1.3 m), and
-the standard deviations by which a measured one must be smaller for its edges to count as straight."""
+MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 1 / RING_RADIUS_M.highest, 3.0
+"""Curvature of the largest ring that a file may state, and the standard deviations by which a measured one must be
+smaller for its edges to count as straight."""
 
 
 def straight(curvature: float, sd: float) -> bool:

@@ -57,6 +57,9 @@ filter is selected for each piece."""
 MIN_COLUMNS = 8
 """Minimum length of a piece: noise may link over a few columns by chance."""
 
+MAX_GAP = 2
+"""Largest number of missing columns inside a piece."""
+
 
 def find_stripes(
     image: UInt[Array, "row column"],
@@ -103,8 +106,7 @@ class StripeParams:
     """Response over its noise (clutter included) that at least `shortest` columns of a piece must have."""
     continue_sigmas: float = 4.0
     """Response over its noise that every column must have."""
-    gap: int = 2
-    """Largest number of missing columns inside a piece."""
+    gap: int = MAX_GAP
     shortest: int = MIN_COLUMNS
     reach_sigmas: float = REACH_SIGMAS
     max_speckle: float = MAX_SPECKLE

@@ -50,6 +50,7 @@ from ringpose.geometry.ring import (
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import JudgedRing
+from ringpose.types.plausible import RING_RADIUS_M
 
 HUBER_SIGMAS = 3.0
 """Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
@@ -78,8 +79,8 @@ STRIPES_OF_A_PLANE = 2
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
 """Bounds of the plane's distance; beyond them the iteration has diverged."""
 
-MAX_CURVATURE = 20.0
-"""Bound in 1/m; beyond it the iteration has diverged."""
+MAX_CURVATURE = 1 / RING_RADIUS_M.lowest
+"""Bound in 1/m, of the smallest ring that a file may state; beyond it the iteration has diverged."""
 
 MAX_TILT_RAD = 0.7
 """Largest tilt in one iteration."""

@@ -8,7 +8,7 @@ from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 from ring_scenes import break_points_of, line_of_face, make_scene, with_lines
 
 from ringpose.detect.break_points import without_outliers
-from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, may_be_background, ring_face
+from ringpose.detect.rim import Group, best_hypothesis, displaced_lasers, ring_face
 from ringpose.geometry.rays import intersect, nearest_plane, undistorted_pixels
 from ringpose.geometry.rotations import tilted
 from ringpose.kernels.lines import SEGMENT_COLUMNS
@@ -78,24 +78,23 @@ def test_two_pieces_less_like_a_face_than_another_are_the_body_behind_it(pair, s
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_stripe_on_the_body_is_no_face_of_a_nearer_laser(seed):
-    segments = np.array([row(*body_ends(seed, 2))])
+def test_a_stripe_on_the_body_alone_may_be_of_another_laser(seed):
+    face = ring_face(np.array([row(*body_ends(seed, 2))]), ALL, RIG)
 
-    assert may_be_background(segments, (0,), ALL, RIG)
+    assert face is None or face.ambiguous
 
 
-@pytest.mark.parametrize("laser", ALL)
 @pytest.mark.parametrize("seed", range(4))
-def test_a_stripe_on_the_face_is_not_taken_for_the_bodys(seed, laser):
-    segments = np.array([row(*face_ends(seed)[laser])])
+def test_the_body_beside_the_ring_has_no_face_however_long_and_straight_its_stripes_are(seed):
+    rows = [
+        row(*ends(seed, laser), laser)
+        for laser in ALL
+        for ends in (lambda seed, laser: face_ends(seed)[laser], body_ends)
+    ]
 
-    assert not may_be_background(segments, (laser,), ALL, RIG)
+    face = ring_face(np.array(rows), (), RIG)
 
-
-def test_a_labelled_stripe_is_not_assigned_to_another_laser():
-    segments = np.array([row(*body_ends(0, 2), laser=0)])
-
-    assert not may_be_background(segments, (0,), ALL, RIG)
+    np.testing.assert_array_equal(face.segments, rows[::2])
 
 
 def five_lasers(labelled):

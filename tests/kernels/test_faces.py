@@ -80,7 +80,7 @@ def exact_score(segments, params):
     return ring_faces(segments, ANY, planes(), *params).groups[2].score
 
 
-def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
+def test_an_end_beyond_the_border_is_not_observed_and_may_lie_off_the_circles(rng):
     params, ends = with_rules(**rules_of(drawn_rig())), true_ends(rng)
     moved = ends.copy()
     moved[:, 0] += 0.03 * (ends[:, 1] - ends[:, 0]) * np.array([[1.0], [-1.0], [2.0]])
@@ -90,7 +90,30 @@ def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
     exact = exact_score(tracks_between(ends[:, 0], ends[:, 1]), params)
     found = exact_score(tracks_between(moved[:, 0], moved[:, 1]), cut)
 
-    assert found == pytest.approx(exact, abs=0.01)
+    assert found == pytest.approx(exact - 3 * params.candidates.cut_penalty, abs=0.01)
+
+
+def test_a_stripe_of_which_the_border_cuts_off_both_ends_shows_no_face(rng):
+    params, ends = with_rules(**rules_of(drawn_rig())), true_ends(rng)
+    inside = (
+        np.array([ends[1, :, 0].min() + 1, ends[1, :, 0].max() - 1]) - params.ring.principal_x
+    ) / params.ring.focal_x
+    cut = params._replace(ring=replace(params.ring, left_x=float(inside[0]), right_x=float(inside[1])))
+
+    assert exact_score(tracks_between(ends[1:2, 0], ends[1:2, 1]), cut) == -np.inf
+    assert ring_faces(tracks_between(ends[1:2, 0], ends[1:2, 1]), ANY, planes(), *cut).groups[0].lasers == (-1,)
+
+
+@pytest.mark.parametrize(("nearer_px", "penalised"), [(30.0, True), (-30.0, False)])
+def test_an_end_at_a_nearer_surface_is_not_the_stripes_own(rng, nearer_px, penalised):
+    params, ends = with_rules(**rules_of(drawn_rig())), true_ends(rng)
+    beside = ends[0, 1] + [[2.0, 0.0], [62.0, 0.0]] + np.array([0.0, nearer_px * np.sign(planes()[0, 1])])
+    segments = [np.concatenate(each) for each in ((ends[:, 0], beside[:1]), (ends[:, 1], beside[1:]))]
+
+    alone = exact_score(tracks_between(ends[:, 0], ends[:, 1], laser=np.arange(3.0)), params)
+    found = exact_score(tracks_between(*segments, laser=np.array([0.0, 1.0, 2.0, 0.0])), params)
+
+    assert found == pytest.approx(alone - penalised * params.candidates.covered_penalty, abs=0.01)
 
 
 def test_the_true_ring_wins_under_its_true_labels(rng):

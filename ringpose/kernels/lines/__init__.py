@@ -85,10 +85,6 @@ class UnionParams:
 DEPTH_RANGE_M = (0.05, 3.0)
 """Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""
 
-FACE_LENGTH_M = (0.003, 0.1)
-"""Range of the length of a stripe on the face: the faces of adapter rings are 20 to 60 mm wide, and stripes cross them
-at 45 degrees or more."""
-
 
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,8 +93,6 @@ class CandidateParams:
 
     min_depth_m: float = DEPTH_RANGE_M[0]
     max_depth_m: float = DEPTH_RANGE_M[1]
-    min_length_m: float = FACE_LENGTH_M[0]
-    max_length_m: float = FACE_LENGTH_M[1]
     typical_scatter_px: float = 0.3
     """Scatter of a stripe's centres about its line, on metal. The merit of a segment is 2 log(columns) -
     (scatter / typical_scatter)^2 / 2, less the penalties below."""
@@ -113,8 +107,12 @@ class CandidateParams:
     max_behind_m: float = 0.3
     """... a distance in this range behind it: light planes are nearly parallel, so that one face in five has another
     laser's stripe on its line."""
-    clipped_penalty: float = 4.0
-    """Penalty of a segment that is truncated by the image border: its end was not observed."""
+    adjacent_px: float = 8.0
+    """Distance from an end within which another piece of the stripe belongs to it."""
+    cut_penalty: float = 4.0
+    """Penalty of an end at the image border, which was not observed."""
+    covered_penalty: float = 3.0
+    """Penalty of an end at a nearer surface, which hides where the stripe ends."""
     union_penalty: float = 3.0
     """Penalty of a merged segment: merging also favours the body's stripes, which shadows and glints break."""
     max_candidates: int = 20
@@ -147,10 +145,6 @@ class RingParams:
     """Penalty of each laser whose stripe is missing where the plane predicts it: occluded, or this is not the rim."""
     max_tilt_rad: float = math.radians(75)
     """Maximum tilt: beyond, a face is too oblique to show a stripe of usable length."""
-    min_radius_m: float = 0.2
-    """Minimum radius; that of the smallest adapter rings is 1.5 times as large."""
-    min_band_m: float = 0.003
-    """Minimum width of a face; narrower bands are edges."""
     left_x: float = -math.inf
     """Ends to the left of this normalised x, ..."""
     right_x: float = math.inf

@@ -78,8 +78,6 @@ double outside_arc(const Arcs *arcs, const ArcPoint *point) {
     return residual / fmax(hypot(2 * arcs->bend * x + 1, 2 * arcs->bend * y + arcs->lean), 1e-9);
 }
 
-double arcs_band(const Arcs *arcs) { return fabs(arcs->level[1] - arcs->level[0]) / sqrt(1 + arcs->lean * arcs->lean); }
-
 TABLE(Arcs, ARCS_COLUMNS);
 
 PyObject *call_arcs(PyObject *module, PyObject *tuple) {

@@ -23,7 +23,4 @@ int fit_arcs(const ArcPoint *point, int count, double min_radius, Arcs *arcs);
 /* Distance of a point from its arc, positive towards positive x. */
 double outside_arc(const Arcs *arcs, const ArcPoint *point);
 
-/* Distance of the arcs from each other. */
-double arcs_band(const Arcs *arcs);
-
 #endif

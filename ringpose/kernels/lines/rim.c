@@ -28,15 +28,15 @@ RECORD(UnionParams, UNION_PARAMS);
 #define CANDIDATE_PARAMS(REAL, COUNT)                                                                               \
     REAL(min_depth_m, POSITIVE)                                                                                     \
     REAL(max_depth_m, POSITIVE)                                                                                     \
-    REAL(min_length_m, NOT_NEGATIVE)                                                                                \
-    REAL(max_length_m, POSITIVE)                                                                                    \
     REAL(typical_scatter_px, POSITIVE)                                                                              \
     COUNT(max_counted_columns, 1, INT32_MAX)                                                                        \
     REAL(spill_penalty, FINITE)                                                                                     \
     REAL(coincidence_penalty, FINITE)                                                                               \
     REAL(min_behind_m, FINITE)                                                                                      \
     REAL(max_behind_m, FINITE)                                                                                      \
-    REAL(clipped_penalty, FINITE)                                                                                   \
+    REAL(adjacent_px, NOT_NEGATIVE)                                                                                 \
+    REAL(cut_penalty, FINITE)                                                                                       \
+    REAL(covered_penalty, FINITE)                                                                                   \
     REAL(union_penalty, FINITE)                                                                                     \
     COUNT(max_candidates, 1, 1000)
 RECORD_STRUCT(CandidateParams, CANDIDATE_PARAMS);
@@ -56,8 +56,6 @@ RECORD(CandidateParams, CANDIDATE_PARAMS);
     REAL(dropped_end_penalty, FINITE)                                                                               \
     REAL(unseen_penalty, FINITE)                                                                                    \
     REAL(max_tilt_rad, FINITE)                                                                                      \
-    REAL(min_radius_m, POSITIVE)                                                                                    \
-    REAL(min_band_m, NOT_NEGATIVE)                                                                                  \
     REAL(left_x, -INFINITY, INFINITY)                                                                               \
     REAL(right_x, -INFINITY, INFINITY)                                                                              \
     REAL(top_y, -INFINITY, INFINITY)                                                                                \
@@ -70,6 +68,7 @@ typedef struct {
     int32_t segment, laser;
     double x[2], y[2];       /* normalised image coordinates of its start and end */
     double inverse_depth[2]; /* 1/z there, 1/m */
+    int own[2];              /* whether the stripe itself ends there: neither at the border nor at something that hides it */
     double merit;
     double coincidence_bonus; /* what a group of three adds to the merit */
     double normal_matrix[6], right_side[3], square; /* of the weighted plane equations: upper triangle, sums */
@@ -172,20 +171,19 @@ static void place(const Segment *segment, const RingParams *ring, Candidate *can
     }
 }
 
-/* True if the segment, on that light plane, is within the depth range and has the length of a stripe on the rim; fills in
-   the inverse depths, 1/z = light . (x, y, 1). */
+/* True where the image shows whether a stripe ends. */
+static int in_view(double x, double y, const RingParams *ring) {
+    return !(x < ring->left_x || x > ring->right_x || y < ring->top_y || y > ring->bottom_y);
+}
+
+/* True if the segment, on that light plane, is within the depth range; fills in the inverse depths, 1/z = light . (x, y, 1). */
 static int possible(const double light[3], const CandidateParams *params, Candidate *candidate) {
-    double point[2][3], length = 0;
     for (int side = 0; side < 2; side++) {
-        double x = candidate->x[side], y = candidate->y[side], w = light[0] * x + light[1] * y + light[2];
+        double w = light[0] * candidate->x[side] + light[1] * candidate->y[side] + light[2];
         if (!(w > 1 / params->max_depth_m && w < 1 / params->min_depth_m)) return 0;
         candidate->inverse_depth[side] = w;
-        point[side][0] = x * (1 / w);
-        point[side][1] = y * (1 / w);
-        point[side][2] = 1 / w;
     }
-    for (int k = 0; k < 3; k++) length += (point[1][k] - point[0][k]) * (point[1][k] - point[0][k]);
-    return length > params->min_length_m * params->min_length_m && length < params->max_length_m * params->max_length_m;
+    return 1;
 }
 
 /* True if centres on an unlabelled segment's line may be another laser's stripe on the body behind. */
@@ -211,8 +209,7 @@ static void rate(const Segment *segment, int is_union, const Scene *scene, Candi
     double scatter = segment->scatter / params->typical_scatter_px;
     double straight = 2 * log(fmin(segment->centers, params->max_counted_columns)) - 0.5 * scatter * scatter;
     double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
-    candidate->merit = straight - beyond_ends - params->clipped_penalty * segment->clipped -
-                       params->union_penalty * is_union;
+    candidate->merit = straight - beyond_ends - params->union_penalty * is_union;
     candidate->coincidence_bonus = excess > 0 && may_be_other_laser(segment, candidate, scene) ? excess : 0;
 }
 
@@ -241,6 +238,40 @@ static int rank(const Candidate *candidate, Candidate *own, int count, int maxim
     return count < maximum ? count + 1 : maximum;
 }
 
+/* True if another piece of the same laser, on a nearer surface, hides what is beyond that end: the segment reaches from the
+   edge of that surface, or of its shadow, to the foot of a wall below that edge, which has the same lateral position. */
+static int hidden_beyond(const Segment *segment, int side, const Segment *other, const Scene *scene, const double light[3]) {
+    const RingParams *ring = scene->ring;
+    double adjacent = scene->candidates->adjacent_px, sign = side ? 1 : -1;
+    double end = side ? segment->x_end : segment->x_start, near = side ? other->x_start : other->x_end;
+    double far = side ? other->x_end : other->x_start, at[2] = {line_y(segment, near), line_y(other, near)}, depth[2];
+    if (!(sign * (near - end) > -adjacent && sign * (far - end) > 0)) return 0;
+    for (int i = 0; i < 2; i++)
+        depth[i] = 1 / (light[0] * (near - ring->principal_x) / ring->focal_x +
+                        light[1] * (at[i] - ring->principal_y) / ring->focal_y + light[2]);
+    if (!(depth[1] > 0 && depth[1] < depth[0] && fabs(at[1] - at[0]) > adjacent)) return 0;
+    double foot = ring->principal_x + (near - ring->principal_x) * depth[1] / depth[0];
+    return end > fmin(near, foot) - adjacent && end < fmax(near, foot) + adjacent &&
+           fabs(end - near) < other->x_end - other->x_start;
+}
+
+/* Which ends are the stripe's own; returns the penalty of the others, infinite if the image's border cuts both off. */
+static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, Candidate *candidate) {
+    const Segment *segment = &all[candidate->segment];
+    const CandidateParams *params = scene->candidates;
+    double penalty = 0;
+    for (int side = 0; side < 2; side++) {
+        candidate->own[side] = in_view(candidate->x[side], candidate->y[side], scene->ring);
+        if (!candidate->own[side]) penalty += params->cut_penalty;
+        for (size_t i = 0; candidate->own[side] && segment->laser >= 0 && i < pieces; i++)
+            if (all[i].laser == segment->laser && hidden_beyond(segment, side, &all[i], scene, scene->plane[candidate->laser])) {
+                candidate->own[side] = 0;
+                penalty += params->covered_penalty;
+            }
+    }
+    return penalty < 2 * params->cut_penalty ? penalty : INFINITY;
+}
+
 /* The best segments for each laser, sorted by laser; `all` has room for the largest number of each. Returns how many. */
 static int find_candidates(const Segment *segment, size_t count, size_t unions, const Scene *scene, Candidate *all) {
     int found = 0;
@@ -253,6 +284,8 @@ static int find_candidates(const Segment *segment, size_t count, size_t unions, 
             place(&segment[i], scene->ring, &candidate);
             if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
             rate(&segment[i], i >= count - unions, scene, &candidate);
+            candidate.merit -= judge_ends(segment, count - unions, scene, &candidate);
+            if (candidate.merit == -INFINITY) continue;
             own = rank(&candidate, all + found, own, (int)scene->candidates->max_candidates);
         }
         for (int i = 0; i < own; i++) complete(scene->plane[laser], scene->ring, &all[found + i]);
@@ -309,23 +342,27 @@ static int count_unseen_lasers(const Candidate *const member[], int size, const 
     return unseen_penalty;
 }
 
-/* Half the chi-square of two concentric arcs through the used ends; infinite if the rim is too narrow. */
-static double arcs_cost(const ArcPoint *end, int ends, double sigma, const RingParams *params) {
+/* Half the chi-square of two concentric arcs through the used ends, which are at most two radii apart. */
+static double arcs_cost(const ArcPoint *end, int ends, double sigma) {
     Arcs arcs;
-    double cost = 0;
-    if (!fit_arcs(end, ends, params->min_radius_m, &arcs)) return 0; /* all ends of one edge are truncated by the border: nothing to test */
+    double cost = 0, first = INFINITY, last = -INFINITY;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            first = fmin(first, end[k].y);
+            last = fmax(last, end[k].y);
+        }
+    if (!fit_arcs(end, ends, (last - first) / 2, &arcs)) return 0; /* all ends of one edge are truncated by the border: nothing to test */
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             double outside = outside_arc(&arcs, &end[k]) / sigma;
-            cost += 0.5 * outside * outside;
+            cost += 2 * arcs.bend * end[k].x + 1 > 0 ? 0.5 * outside * outside : INFINITY; /* beyond the centre the face is on the other side */
         }
-    return arcs_band(&arcs) < params->min_band_m ? INFINITY : cost;
+    return cost;
 }
 
-/* Coordinates of a group's ends in their plane, x along the stripes; ends truncated by the border are marked as unused.
+/* Coordinates of a group's ends in their plane, x along the stripes; those that are not the stripe's own are marked as unused.
    Returns the mean depth. */
-static double flat_ends(const Candidate *const member[], int size, const double plane[3], const RingParams *params,
-                        ArcPoint *end) {
+static double flat_ends(const Candidate *const member[], int size, const double plane[3], ArcPoint *end) {
     double point[2 * MAX_MEMBERS][3], middle[3] = {0}, along[3] = {0};
     for (int i = 0; i < size; i++)
         for (int side = 0; side < 2; side++) {
@@ -348,10 +385,9 @@ static double flat_ends(const Candidate *const member[], int size, const double 
                         n[0] * along[1] - n[1] * along[0]};
     for (int e = 0; e < 2 * size; e++) {
         double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
-        double x = member[e / 2]->x[e % 2], y = member[e / 2]->y[e % 2];
         end[e] = (ArcPoint){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
                        d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
-                       !(x < params->left_x || x > params->right_x || y < params->top_y || y > params->bottom_y)};
+                       member[e / 2]->own[e % 2]};
     }
     return middle[2];
 }
@@ -359,13 +395,13 @@ static double flat_ends(const Candidate *const member[], int size, const double 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     ArcPoint end[2 * MAX_MEMBERS] = {{0}};
     const RingParams *params = scene->ring;
-    double sigma = params->along_sigma_px * flat_ends(member, size, plane, params, end) / params->focal_x;
-    double best = arcs_cost(end, 2 * size, sigma, params);
+    double sigma = params->along_sigma_px * flat_ends(member, size, plane, end) / params->focal_x;
+    double best = arcs_cost(end, 2 * size, sigma);
     if (size < 3 || best < params->dropped_end_penalty) return best;
     for (int e = 0; e < 2 * size; e++) {
         if (!end[e].used) continue;
         end[e].used = 0;
-        best = fmin(best, arcs_cost(end, 2 * size, sigma, params) + params->dropped_end_penalty);
+        best = fmin(best, arcs_cost(end, 2 * size, sigma) + params->dropped_end_penalty);
         end[e].used = 1;
     }
     return best;
