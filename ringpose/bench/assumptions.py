@@ -62,6 +62,7 @@ def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
         radii=radii,
         ring_tolerance_m=assumed.ring_tolerance_m,
         stability=assumed.stability,
+        face_slope_rad=assumed.face_slope_rad,
     )
 
 
@@ -89,7 +90,10 @@ def assumptions_text(assumptions: StatedAssumptions) -> str:
         tilt_mrad, distance_mm = 1e3 * stability.plane_tilt_rad, 1e3 * stability.plane_distance_m
         rig = f"rig stability plane tilt {tilt_mrad:g} mrad, plane distance {distance_mm:g} mm, "
         rig += f"focal ratio {stability.focal_ratio:g}"
-    return f"{target}, {rings}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
+    form = f"ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm"
+    if assumptions.face_slope_rad:
+        form += f", slope of its face {degrees(assumptions.face_slope_rad):.3g} deg"
+    return f"{target}, {rings}, {form}, {rig}"
 
 
 def assumption_lines(assumptions: Sequence[StatedAssumptions | None]) -> list[str]:

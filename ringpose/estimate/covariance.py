@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FORM_PARAMETERS, rig_errors
+from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, rig_errors
 from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate, Prior
 from ringpose.estimate.solver import rig_jacobian
 from ringpose.geometry.ring import (
@@ -316,12 +316,15 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
     empty = np.zeros((rows, 0))
     wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
     wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
+    wrt_slope = empty if estimate.fixed.slope is None else estimate.fixed.slope[:rows, None]
     wrt_camera = estimate.fixed.camera[:rows]
     own = estimate.fixed.columns[:rows, estimate.fixed.columns.shape[1] - estimate.fixed.edge_errors :]
     residual = estimate.residuals.residual[:rows]
 
     # z - h(x) = r falls by -J dx: the derivative of the prediction h is minus that of the residual
-    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, wrt_form, wrt_camera, -residual[:, None]], axis=1)
+    columns = np.concatenate(
+        [own, jacobian, wrt_rates, wrt_rig, wrt_form, wrt_slope, wrt_camera, -residual[:, None]], axis=1
+    )
     whitened = -columns * np.sqrt(estimate.weights[:rows])[:, None]
     count = own.shape[1]
     prior = np.eye(count, whitened.shape[1])
@@ -338,6 +341,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
         nuisance_parameters=(
             *(() if errors is None else errors.parameters),
             *(() if estimate.fixed.form is None else FORM_PARAMETERS),
+            *(() if estimate.fixed.slope is None else (FACE_SLOPE,)),
             *(() if measured.camera is None else measured.camera.mount.uncertain),
         ),
         square_root=np.asarray(triangle)[count:, count:],

@@ -38,6 +38,9 @@ FORM_PARAMETERS = tuple(
 """Amplitudes in metres: radial deviation of each edge and axial deviation of the face, a_k cos(k phi) + b_k sin(k phi),
 with the angle phi from the middle of the arc that was seen."""
 
+FACE_SLOPE = "face.slope"
+"""Angle between the face and the ring's plane, positive where the face rises outwards: a flange may be conical."""
+
 FORM_SHARE = 1.0 / sqrt(len(FORM_ORDERS))
 """Standard deviation of each amplitude over the tolerance, so that the deviation at any angle has the tolerance as its
 own."""

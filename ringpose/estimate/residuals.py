@@ -121,6 +121,8 @@ class FixedColumns(NamedTuple):
     """Derivatives by the rig's parameters, in their own units; None if the rig counts as exact."""
     form: Float64[Array, "row amplitude"] | None
     """Derivatives by the amplitudes of the ring's form, in metres; None for a perfect ring."""
+    slope: Float64[Array, "row"] | None
+    """Derivatives by the slope of the face; None if it is flat."""
     camera: Float64[Array, "row parameter"]
     """Derivatives by the mount's parameters, in their own units."""
     mean_ray_wrt_rig: Float64[Array, "xy=2 error"]

@@ -45,6 +45,7 @@ from ringpose.geometry.ring import (
     MovingRing,
     Rates,
     RingArcs,
+    edge_distances,
     polar_angles,
     predicted_view,
 )
@@ -604,7 +605,7 @@ WALL_SD_M = 0.03
 def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior) -> FixedColumns:
     """Derivatives of the residuals with respect to the errors of rig, form, mount and visible edges."""
     measured = observations.measured
-    wrt_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
+    wrt_rig, form, slope, columns = None, None, None, [np.zeros((len(residuals.residual), 0))]
     mean_ray = np.zeros((2, 0))
     errors = rig_errors(measured.rig, prior.assumptions.stability)
     if errors is not None:
@@ -614,13 +615,16 @@ def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior
     if prior.assumptions.ring_tolerance_m > 0.0:
         form = form_jacobian(residuals, measured)
         columns.append(FORM_SHARE * prior.assumptions.ring_tolerance_m * form)
+    if prior.assumptions.face_slope_rad > 0.0:
+        slope = slope_jacobian(residuals, observations)
+        columns.append(prior.assumptions.face_slope_rad * slope[:, None])
     if residuals.wrt_camera.shape[1] and measured.camera is not None:
         variance = measured.camera.mount.covariance
         uncertain = np.diag(variance) > 0
         columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
     columns.append(edge_jacobian(residuals, observations, prior))
     return FixedColumns(
-        wrt_rig, form, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
+        wrt_rig, form, slope, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
     )
 
 
@@ -673,6 +677,21 @@ def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array
     deviation = np.concatenate([outward, residuals.jacobian[:data_rows, LIFT, None]], axis=1)  # inner, outer, axial
     jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
     jacobian[:data_rows] = (deviation[:, :, None] * shape[:, None]).reshape(data_rows, -1)
+    return jacobian
+
+
+def slope_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row"]:
+    """Derivatives of the residuals with respect to the slope of the face, Eq. (12.3).
+
+    The face rises outwards by the slope times the distance from its middle, and acts there like an offset of the plane.
+    """
+    arcs, stripes, ends, data_rows = residuals.arcs, residuals.stripes, residuals.ends, residuals.data_rows
+    points, edges = observations.measured.points, observations.measured.edges
+    of_lines_m = edge_distances(arcs, stripes.rays[:ends], np.zeros(ends)).distance_m
+    of_edges = np.concatenate([points.edge, points.edge[points.isolated], edges.edge])
+    jacobian = np.zeros(len(residuals.residual))
+    jacobian[:ends] = -observations.whitening @ (of_lines_m * stripes.y_wrt_step[:ends, LIFT])
+    jacobian[ends:data_rows] = arcs.half_band_m * (2.0 * of_edges - 1.0) * residuals.jacobian[ends:data_rows, LIFT]
     return jacobian
 
 

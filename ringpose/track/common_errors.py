@@ -66,9 +66,9 @@ def common_errors(
     assumed = priors.assumptions
     tolerance_m = max(assumed.ring_tolerance_m, form_tolerance_m or 0.0)
     if priors.moved_planes:  # of the following shots; they change when another plane has moved
-        found = _common_errors(names, assumed.stability, tolerance_m, rig, priors.moved_planes)
+        found = _common_errors(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig, priors.moved_planes)
     else:
-        found = _common_errors_of_stream(names, assumed.stability, tolerance_m, rig)
+        found = _common_errors_of_stream(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig)
     if isinstance(found, str):
         remedy = "give the output of ringpose pose unchanged"
         raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior", remedy)
@@ -95,6 +95,7 @@ def _common_errors(
     names: tuple[str, ...],
     stability: RigStability,
     ring_tolerance_m: float,
+    face_slope_rad: float,
     rig: Rig | None,
     moved_planes: Mapping[str, PlaneCorrection] = MappingProxyType({}),
 ) -> CommonErrors | str:
@@ -106,6 +107,7 @@ def _common_errors(
         "tilt_2": stability.plane_tilt_rad,
         "distance": stability.plane_distance_m,
         "focal_ratio": stability.focal_ratio,
+        "slope": face_slope_rad,
     }
     for index, name in enumerate(names):
         form, what = name.startswith("form."), name.rpartition(".")[2]

@@ -62,6 +62,8 @@ class Assumptions:
     """None if the target is assumed to be still within a shot."""
     ring_tolerance_m: Annotated[float, Key("As `priors` of a pose line.", needed=True, least=0.0)] = 0.0
     stability: Annotated[RigStability, Key("As `priors.rig` of a pose line.", needed=True)] = RigStability()
+    face_slope_rad: Annotated[float, Key("As `priors` of a pose line.", added=True, least=0.0)] = 0.0
+    """Of the angle between the face, which may be conical, and the ring's plane."""
 
 
 IDEAL = Assumptions()
@@ -80,6 +82,8 @@ class AssumptionOptions:
     ring_tolerance_m: float | None = None
     rig_stability: float = 1.0
     """Factor on the stability of the rig."""
+    face_slope_deg: float = 0.0
+    """Standard deviation of the slope of the ring's face."""
 
     def about_shot(self, stability: RigStability, *, still: bool) -> Assumptions:
         """The assumptions about a shot by a rig of this stability; `still`: whether the shot states that it was."""
@@ -91,7 +95,12 @@ class AssumptionOptions:
                 MAX_RATE_DEG_S if self.max_rate_deg_s is None else self.max_rate_deg_s,
             )
         tolerance_m = RING_TOLERANCE_M if self.ring_tolerance_m is None else self.ring_tolerance_m
-        return Assumptions(motion=motion, ring_tolerance_m=tolerance_m, stability=stability.scaled(self.rig_stability))
+        return Assumptions(
+            motion=motion,
+            ring_tolerance_m=tolerance_m,
+            stability=stability.scaled(self.rig_stability),
+            face_slope_rad=radians(self.face_slope_deg),
+        )
 
 
 USUAL = AssumptionOptions()

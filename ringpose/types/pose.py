@@ -258,7 +258,8 @@ class RingMeasurement:
         Key(
             "Names of the n errors q that shots have in common, in their own units: parameters of the rig, and the "
             "amplitudes of the ring's form `form.inner.a2` to `form.axial.b4` in metres (a of the cosine, b of the "
-            "sine of the order, with the angle from the middle of the arc that was seen); with robot poses also "
+            "sine of the order, with the angle from the middle of the arc that was seen); with `--face-slope` also "
+            "`face.slope` in radians, positive where the face rises outwards; with robot poses also "
             "`mount.rotation_x` to `mount.translation_z` and `mount.delay`, those that have a variance.",
             form=Form.DISTINCT,
         ),
@@ -363,9 +364,13 @@ class Priors:
     ] = None
 
     @classmethod
-    def from_record(cls, motion: MotionPrior | None, ring_tolerance_m: float, rig: RigPriors, **keys: Any) -> "Priors":
+    def from_record(
+        cls, motion: MotionPrior | None, ring_tolerance_m: float, rig: RigPriors, face_slope_rad: float, **keys: Any
+    ) -> "Priors":
         """The priors of a record."""
-        assumptions = Assumptions(motion=motion, ring_tolerance_m=ring_tolerance_m, stability=rig.stability)
+        assumptions = Assumptions(
+            motion=motion, ring_tolerance_m=ring_tolerance_m, stability=rig.stability, face_slope_rad=face_slope_rad
+        )
         return cls(assumptions=assumptions, rig_covariance=rig.covariance, moved_planes=rig.moved, **keys)
 
     @property
@@ -386,9 +391,26 @@ class Priors:
         return self.assumptions.ring_tolerance_m
 
     @property
+    def face_slope_rad(
+        self,
+    ) -> Annotated[
+        float,
+        Key(
+            "Standard deviation of the slope of the ring's face, which may be conical.",
+            after="ring_tolerance_m",
+            is_read=True,
+            added=True,
+            null=0.0,
+            least=0.0,
+        ),
+    ]:
+        """Standard deviation of the angle between the face and the ring's plane."""
+        return self.assumptions.face_slope_rad
+
+    @property
     def rig(
         self,
-    ) -> Annotated[RigPriors, Key("What is assumed about the rig.", after="ring_tolerance_m", is_read=True)]:
+    ) -> Annotated[RigPriors, Key("What is assumed about the rig.", after="face_slope_rad", is_read=True)]:
         """What is assumed about the rig."""
         return RigPriors(covariance=self.rig_covariance, stability=self.assumptions.stability, moved=self.moved_planes)
 

@@ -22,6 +22,7 @@ from ringpose.geometry.rotations import tilt_basis
 from ringpose.measure.stream import pose_line, pose_result
 from ringpose.simulate.features import drawn_features
 from ringpose.types.assumptions import (
+    IDEAL,
     NOISE_ONLY,
     TYPICAL_STABILITY,
     USUAL,
@@ -433,3 +434,42 @@ def test_a_frame_with_all_lasers_measures_the_velocity_and_never_the_ring_better
     assert mahalanobis_squared(error, twice.velocity.covariance[:3, :3]) < 16.3  # 99.9 %
     assert np.trace(twice.velocity.covariance[:3, :3]) < 0.5 * np.trace(once.velocity.covariance[:3, :3])
     assert np.linalg.eigvalsh(twice.pose.covariance - 0.9 * still.pose.covariance)[0] > -1e-9
+
+
+def conical_scene(slope_rad, **pose):
+    """A ring whose face rises outwards: its edges lie in two parallel planes, as far apart as the slope makes them."""
+    scene = make_scene("B", **pose)
+    inner_m, outer_m = scene.ring.radius_m
+    rise_m = 0.5 * np.tan(slope_rad) * (outer_m - inner_m) * scene.ring.normal
+    points_m = np.stack(
+        [
+            replace(scene.ring, center_m=scene.ring.center_m + sign * rise_m).break_points_m(scene.rig.lasers)[:, edge]
+            for edge, sign in enumerate((-1.0, 1.0))
+        ],
+        axis=1,
+    )
+    return scene_of(scene.rig, scene.ring, points_m)
+
+
+@DRAWS
+def test_errors_on_sloping_faces_are_as_large_as_reported_if_the_slope_is_assumed(draws):
+    """The slopes are drawn from the prior that is stated."""
+    rng = np.random.default_rng(17)
+    options = replace(NOISE_ONLY, face_slope_deg=1.5)
+    errors = {"normal": [], "grasp": [], "center": []}
+    for _ in range(draws):
+        scene = conical_scene(np.radians(1.5) * rng.normal(), tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
+        points = face_points_of(scene, 0.3, 0.05, rng)
+        assumed = options.about_shot(scene.rig.stability, still=True)
+        pose = pose_result(points, scene.rig, assumptions=assumed).pose
+        for name, value in nees(pose, scene.ring).items():
+            errors[name].append(value)
+    assert_calibrated(errors["normal"], 2)
+    assert_calibrated(errors["grasp"], 2)
+    assert_calibrated(errors["center"], 3)
+
+
+def test_a_sloping_face_turns_the_normal_if_no_slope_is_assumed():
+    scene = conical_scene(np.radians(1.5))
+    pose = pose_result(face_points_of(scene, 0.15, 0.02), scene.rig, assumptions=IDEAL).pose
+    assert 2.0 * nees(pose, scene.ring)["normal"] > 25.0

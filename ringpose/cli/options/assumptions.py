@@ -8,7 +8,7 @@ import typer
 from ringpose.cli.app import check_plausible
 from ringpose.errors import UsageError
 from ringpose.types.assumptions import AssumptionOptions
-from ringpose.types.plausible import MAX_RATE_DEG_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR
+from ringpose.types.plausible import FACE_SLOPE_DEG, MAX_RATE_DEG_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR
 
 MaxSpeed = Annotated[
     float | None,
@@ -52,6 +52,15 @@ class Assumed:
         ),
     ] = 1.0
 
+    face_slope: Annotated[
+        float,
+        typer.Option(
+            "--face-slope",
+            metavar="DEG",
+            help="Standard deviation of the slope of the ring's face, which may be conical.",
+        ),
+    ] = 0.0
+
     @property
     def options(self) -> AssumptionOptions:
         """The options, checked."""
@@ -62,10 +71,12 @@ class Assumed:
         check_plausible("--max-rate", self.max_rate, MAX_RATE_DEG_S)
         check_plausible("--ring-tolerance", self.ring_tolerance, RING_TOLERANCE_M)
         check_plausible("--rig-stability", self.rig_stability, STABILITY_FACTOR)
+        check_plausible("--face-slope", self.face_slope, FACE_SLOPE_DEG)
         return AssumptionOptions(
             still=self.still,
             max_speed_m_s=self.max_speed,
             max_rate_deg_s=self.max_rate,
             ring_tolerance_m=self.ring_tolerance,
             rig_stability=self.rig_stability,
+            face_slope_deg=self.face_slope,
         )
