@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -178,7 +179,7 @@ class PlaneCorrection:
     ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
     """The calibrated measurement system."""
 
@@ -200,7 +201,7 @@ class Rig:
         """The camera's pose in the tool frame; None without a mount."""
         return None if self.mount is None else self.mount.tool_from_camera
 
-    @property
+    @cached_property
     def stripes_along_columns(self) -> bool:
         """Whether its stripes run along the columns of the image rather than along its rows, on surfaces facing it."""
         across = np.abs(self.lasers.normal[:, :2]).sum(axis=0) / np.diag(self.camera.camera_matrix)[:2]
