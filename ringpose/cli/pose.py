@@ -54,7 +54,10 @@ LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
 ]
 
-Frame = Annotated[PoseFrame, typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount.")]
+Frame = Annotated[
+    PoseFrame,
+    typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount, base also --robot-poses."),
+]
 
 Track = Annotated[
     bool, typer.Option("--track", help="Track the ring: write track records, and use the track in the next shots.")
@@ -102,8 +105,9 @@ def pose(
     _check_track(track, method, frame, settings)
     known = known_ring(ring, method, assumed.ring_tolerance)
     batch, loaded_rig = Batch(), read_rig(rig)
-    if frame is PoseFrame.TOOL:
+    if frame is not PoseFrame.CAMERA:
         require_mount(loaded_rig, rig)
+    _check_base(frame, robot_poses, pictures=overlay is not None or report is not None)
     is_live_robot = camera is not None and robot_poses == STDIN
     setup = Setup(
         rig=loaded_rig,
@@ -180,6 +184,16 @@ def _check_method(method: Method, assumed: Assumed, robot_poses: str | None) -> 
     for option, value in given.items():
         if method is not Method.ML and value:
             raise UsageError(option, f"is not used by --method {method.value}", "leave it out, or use --method ml")
+
+
+def _check_base(frame: PoseFrame, robot_poses: str | None, *, pictures: bool) -> None:
+    """Poses in the robot's base frame need the robot's poses, and are not drawn."""
+    if frame is not PoseFrame.BASE:
+        return
+    if robot_poses is None:
+        raise UsageError("--frame", "base needs the poses of the robot", "give them with --robot-poses")
+    if pictures:
+        raise UsageError("--frame", "base excludes --overlay and --report, which draw poses as the camera sees them")
 
 
 def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackSettings) -> None:

@@ -33,6 +33,13 @@ class CameraState(NamedTuple):
     displacement_root: Float64[Array, "6 error"]
     """What independent errors of unit variance move the camera by: rotation vector (rad), translation (m)."""
 
+    @property
+    def base_from_camera(self) -> Float64[Array, "4 4"]:
+        """The camera's pose in the base frame."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.origin_m
+        return matrix
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraMotion:

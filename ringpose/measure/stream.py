@@ -26,7 +26,7 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.measure import status
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.pose.rig_monitor import DriftMonitor, FormMonitor
-from ringpose.types.arrays import Array, Bool
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import (
     IDEAL,
     MAX_RATE_DEG_S,
@@ -279,13 +279,13 @@ def pose_line(
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
     `known` are the ring's radii, or the catalogue that it belongs to. `options` state what is assumed. The frame `tool`
-    needs the rig's mount; without it vectors and record are in the camera frame. `camera`: its motion by the poses of
-    the robot that carries it, which is removed within the shot; velocity and assumptions about the motion are then
-    relative to the robot's base. None for a camera that counts as inertial. `assumptions`: what is assumed, if it has
-    been derived from the options already.
+    needs the rig's mount, `base` the camera's motion; without it vectors and record are in the camera frame. `camera`:
+    its motion by the poses of the robot that carries it, which is removed within the shot; velocity and assumptions
+    about the motion are then relative to the robot's base. None for a camera that counts as inertial. `assumptions`:
+    what is assumed, if it has been derived from the options already.
     """
     assumptions = assumptions or assumptions_about(source, rig, known, options)
-    if frame is PoseFrame.TOOL and rig.tool_from_camera is None:
+    if (frame is PoseFrame.TOOL and rig.mount is None) or (frame is PoseFrame.BASE and camera is None):
         frame = PoseFrame.CAMERA
     start_s = perf_counter()
     points = source.break_points
@@ -316,11 +316,12 @@ def pose_line(
     )
     rejected = result.rejected or source.rejected
     pose, velocity = result.pose, result.velocity
-    if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.mount is not None:
-        from ringpose.pose.transform import pose_in_frame, velocity_in_frame, with_mount_error
+    if isinstance(pose, RingPose) and frame is not PoseFrame.CAMERA:
+        from ringpose.pose.transform import pose_in_frame, velocity_in_frame, with_camera_error
 
-        velocity = None if velocity is None else velocity_in_frame(velocity, pose, rig.mount.tool_from_camera)
-        pose = with_mount_error(pose_in_frame(pose, rig.mount.tool_from_camera), rig.mount)
+        frame_from_camera, root = _camera_in(frame, rig, camera, result.stamp_s)
+        velocity = None if velocity is None else velocity_in_frame(velocity, pose, frame_from_camera)
+        pose = with_camera_error(pose_in_frame(pose, frame_from_camera), frame_from_camera[:3, 3], root)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
@@ -340,6 +341,17 @@ def pose_line(
         stage_s={"pose": end_s - start_s},
         rig=rig.sha256,
     )
+
+
+def _camera_in(
+    frame: PoseFrame, rig: Rig, camera: CameraMotion | None, stamp_s: float
+) -> tuple[Float64[Array, "4 4"], Float64[Array, "6 error"]]:
+    """The camera's pose in the tool's or the base frame, and the square root of its covariance."""
+    if frame is PoseFrame.TOOL and rig.mount is not None:
+        return rig.mount.tool_from_camera, rig.mount.root
+    state = None if camera is None else camera.at(stamp_s)
+    assert state is not None  # a ring that was estimated at a stamp without a pose of the robot has no pose
+    return state.base_from_camera, state.displacement_root
 
 
 def estimate_pose(

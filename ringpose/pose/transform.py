@@ -8,7 +8,6 @@ from ringpose.geometry.ring import normal_and_center, plane_and_center
 from ringpose.geometry.rotations import skew, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import RingPose, RingVelocity
-from ringpose.types.rig import Mount
 
 
 def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> RingPose:
@@ -30,15 +29,15 @@ def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> R
     )
 
 
-def with_mount_error(pose: RingPose, mount: Mount) -> RingPose:
-    """A pose in the tool's frame with the error of the mount added to its covariances.
+def with_camera_error(pose: RingPose, camera_m: Float64[Array, "xyz=3"], root: Float64[Array, "6 error"]) -> RingPose:
+    """A pose in the tool's or the base frame with the error of the camera's pose there added to its covariances.
 
-    The error turns the camera by a small vector w and moves it by d, both in the tool frame (`Mount.root`): a point p
-    moves by w x (p - t) + d, where t is the camera's place, and the normal by w x n.
+    The error turns the camera by a small vector w and moves it by d, with the covariance R R^T of both (`root`): a
+    point p moves by w x (p - t) + d, where t is the camera's place `camera_m`, and the normal by w x n.
     """
-    if not mount.root.any():
+    if not root.any():
         return pose
-    covariance, lever_m = mount.root @ mount.root.T, mount.tool_from_camera[:3, 3]
+    covariance, lever_m = root @ root.T, camera_m
     parameters = pose.covariance
     if parameters is not None and bool(np.isfinite(pose.normal).all()):
         known = bool(np.isfinite(pose.center_m).all())

@@ -18,6 +18,8 @@ class PoseFrame(StrEnum):
 
     CAMERA = "camera"
     TOOL = "tool"
+    BASE = "base"
+    """That of the robot that carries the camera."""
 
 
 class SegmentMethod(StrEnum):

@@ -169,6 +169,8 @@ def test_verbose_reports_what_became_of_each_shot(pose):
         ("--predict-for 1", "--track"),
         ("--track --method paper", "--method"),
         ("--track --frame tool", "--frame"),
+        ("--frame base", "--robot-poses"),
+        ("--frame base --robot-poses poses.jsonl --overlay pictures", "--overlay"),
         ("--track --max-speed 0", "--max-speed"),
         ("--track --lost-after 1", "--lost-after"),
         ("--track --gripper-tilt-deg 1", "--gripper-radial-m"),

@@ -107,11 +107,15 @@ def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_ba
     (alone,) = run("pose", shots, "--rig", rig).records
 
     (record,) = run("pose", shots, "--rig", rig, "--robot-poses", robot).records
+    (in_base,) = run("pose", shots, "--rig", rig, "--robot-poses", robot, "--frame", "base").records
     (track,) = run("pose", shots, "--rig", rig, "--robot-poses", robot, "--track").records
 
     assert record["measurement"]["camera_motion"] == "robot_poses"
     assert "mount.delay" in record["measurement"]["nuisance_parameters"]
     np.testing.assert_allclose(record["pose"]["grasp_m"], alone["pose"]["grasp_m"], atol=1e-4)
+    assert in_base["frame"] == "base"
+    moved_m = np.add(record["pose"]["grasp_m"], [1.0, 0.2, 0.3])
+    np.testing.assert_allclose(in_base["pose"]["grasp_m"], moved_m, atol=1e-9)
     assert (track["frame"], track["camera"]) == ("base", "robot_poses")
     away_m = np.array(track["grasp"]["point_m"]) - [1.0, 0.2, 0.3] - alone["pose"]["grasp_m"]
     assert np.abs(away_m[[0, 2]]).max() < 5e-4  # y runs along the face, on which the point is chosen anew
