@@ -174,14 +174,18 @@ def _random_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
 def _random_ring_pose(
     scene: Scene, approach: Approach, distance_m: float, generator: np.random.Generator
 ) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
-    """Normal and centre such that a point of the mean circle of the rim lies near the optical axis at this depth."""
+    """Normal and centre such that a point of the mean circle of the rim lies near the optical axis at this depth.
+
+    With `whole` that point is the centre.
+    """
     pitch_rad, yaw_rad = generator.uniform(-1, 1, 2) * approach.tilt_rad
     normal = facing_normal(pitch_rad, yaw_rad)
     side, clock_rad = generator.choice([-1.0, 1.0]), generator.uniform(-1, 1) * approach.clock_rad
     point_m = distance_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
     axes = ring_rotation(normal, 0.0)
     outward = side * (np.cos(clock_rad) * axes[:, 0] + np.sin(clock_rad) * axes[:, 1])
-    return normal, point_m - (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2 * outward
+    radius_m = 0.0 if approach.whole else (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2
+    return normal, point_m - radius_m * outward
 
 
 def image_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, "xyz=3"]:

@@ -304,6 +304,14 @@ class Approach:
             presence=Presence.IF_KNOWN,
         ),
     ] = 0.1
+    whole: Annotated[
+        bool,
+        Key(
+            "Whether that point is the centre of the ring, so that the whole ring is in view if it is small or far "
+            "enough; else it is on the face.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = False
     name: Annotated[
         str,
         Key("Beginning of the shots' names.", form=Form.FILE_NAME, presence=Presence.IF_KNOWN),

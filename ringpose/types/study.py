@@ -84,11 +84,27 @@ class Factors:
         _Shown,
         Key("`ring`, or `body` for the satellite without it.", presence=Presence.IF_KNOWN),
     ] = None
-    radius_outer_m: Annotated[
+    ring_radius_outer_m: Annotated[
         _Number,
         Key(
             "Outer radius of the ring; its cross-section stays the same.",
             plausible=plausible.RING_RADIUS_M,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    whole: Annotated[
+        _Switch,
+        Key(
+            "Whether the middle of the image shows the centre of the ring, not a section of its face, as in the random "
+            "views of a scene.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    baseline_m: Annotated[
+        _Number,
+        Key(
+            "Mean distance of the lasers' projectors from the optical axis.",
+            plausible=plausible.BASELINE_M,
             presence=Presence.IF_KNOWN,
         ),
     ] = None
@@ -196,8 +212,8 @@ CASE = "case"
 TEXTS = ("light", "sequence", "target")
 """The factors that are texts: a light of the scene, the laser steps of a shot, and `ring` or `body`."""
 
-SWITCHES = ("rig_errors",)
-"""The factors that are true or false: whether the true rig is drawn from the covariance of the rig file."""
+SWITCHES = ("whole", "rig_errors")
+"""The factors that are true or false."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -175,7 +175,7 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("[ml, paper]", "[ml, papr]", "papr"),
         ("light: dim", "light: dim, rig_errors: true", "covariance"),
         ("light: dim", "light: dim, missing_share: 1.5", "missing_share"),
-        ("light: dim", "light: dim, radius_outer_m: 0.02", "radius_outer_m"),
+        ("light: dim", "light: dim, ring_radius_outer_m: 0.02", "ring_radius_outer_m"),
         ("light: dim", "light: dim, sequence: 'off,9'", "sequence"),
         ("light: dim", "light: dim, wavelength: 1", "wavelength"),
         ("methods:", "limits: {max_center: 1}\nmethods:", "max_center"),

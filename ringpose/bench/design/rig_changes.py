@@ -45,7 +45,7 @@ CHANGES: Mapping[str, Callable[[Scene, Any], Scene]] = {
     "baseline_m": lambda scene, value: replace(scene, rig=with_baseline(scene.rig, value)),
     "focal_px": lambda scene, value: replace(scene, rig=with_focal_length(scene.rig, value)),
     "laser_angle_rad": lambda scene, value: replace(scene, rig=with_laser_angle(scene.rig, value)),
-    "radius_outer_m": _with_radius,
+    "ring_radius_outer_m": _with_radius,
     "sequence": _with_sequence,
     "stripe_dn": lambda scene, value: replace(scene, stripe_dn=value),
     "blur_px": lambda scene, value: replace(scene, lens=replace(scene.lens, blur_px=value)),

@@ -153,7 +153,7 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
         seed=0,
         name=f"s{index:06d}_z",
         target="body" if setting.get("target") == "body" else "ring",
-        **{name: numbers[name] for name in ("tilt_rad", "clock_rad", "offset") if name in setting},
+        **{name: numbers[name] for name in ("tilt_rad", "clock_rad", "offset", "whole") if name in setting},
     )
     scene = replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
     # as a view of its own, whose appearance is then computed once for the shot and its bound

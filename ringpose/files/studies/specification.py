@@ -393,7 +393,7 @@ def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> Non
         largest_dn = max(cast(tuple[float, ...], given))
         if largest_dn > 2**scene.sensor.bits - 1:
             raise fields.problem(key, f"has {largest_dn:g}; drawn features do not saturate", "give level: images")
-    if factor.name == "radius_outer_m":
+    if factor.name == "ring_radius_outer_m":
         smallest_m = min(cast(tuple[float, ...], given))
         inward_m = scene.ring.radius_outer_m - float(scene.ring.profile_m[:, 0].min())
         if smallest_m <= inward_m:

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.study.shots import scene_of, setting_of, study_rows, study_shot, with_run
+from ringpose.bench.study.shots import ERROR, scene_of, setting_of, study_rows, study_shot, with_run
 from ringpose.bench.study.table import exceeded_limits, finding, study_text, summarized, worst_shots
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import read_study, study_path
+from ringpose.geometry.rays import project
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import AssumptionOptions, MotionPrior, RigStability
 from ringpose.types.study import TIMES, Factor, ShotRun, Study, StudyMethod, columns
@@ -186,7 +187,8 @@ def test_a_shot_with_a_pose_is_never_reported_as_one_without(study):
 @pytest.mark.parametrize(
     ("name", "value", "found"),
     [
-        ("radius_outer_m", 0.8, lambda scene: scene.ring.radius_outer_m),
+        ("ring_radius_outer_m", 0.8, lambda scene: scene.ring.radius_outer_m),
+        ("baseline_m", 0.2, lambda scene: np.hypot(*scene.rig.lasers.projector_m[:, :2].T).mean()),
         ("blur_px", 1.5, lambda scene: scene.lens.blur_px),
         ("dark_noise_e", 20.0, lambda scene: scene.sensor.temporal_dark_noise_e),
         ("speckle_contrast", 0.1, lambda scene: scene.speckle.contrast),
@@ -197,6 +199,28 @@ def test_a_factor_changes_what_it_names(study, name, value, found):
     scene = scene_of(study, 0, {"distance_m": 0.5, name: value})
 
     assert found(scene) == pytest.approx(value)
+
+
+def test_a_whole_ring_has_its_centre_in_the_middle_of_the_image(study):
+    scene = scene_of(study, 0, {"distance_m": 0.8, "whole": True, "offset": 0.0})
+    camera, (view,) = scene.rig.camera, scene.views
+
+    middle_px = project(view.center_m, camera)
+
+    np.testing.assert_allclose(middle_px, [(camera.image_width - 1) / 2, (camera.image_height - 1) / 2], atol=1e-6)
+    assert view.center_m[2] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("name", ["sizes", "sizes-rendered"])
+def test_the_radius_of_a_ring_and_its_error_are_columns_of_their_own(name):
+    study = replace(read_study(study_path(name)), level="features", methods=(StudyMethod.ML,))
+
+    for index in range(0, study.cells, max(study.cells // 12, 1)):
+        (row,) = study_rows(study, index)
+
+        assert row["outcome"] != ERROR, row["reason"]
+        assert row["ring_radius_outer_m"] == setting_of(study, index)["ring_radius_outer_m"]
+        assert row["radius_outer_m"] is None or abs(row["radius_outer_m"]) < 1.0
 
 
 def test_the_laser_angle_turns_the_outer_planes_about_their_projectors(study):
