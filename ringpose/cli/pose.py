@@ -28,6 +28,7 @@ from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.options.known_ring import RingOptions, known_ring
+from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
     Format,
     Newest,
@@ -82,6 +83,8 @@ def pose(
     track: Track = False,
     settings: TrackSettings,
     robot_poses: RobotPosesFile = None,
+    robot_convention: RobotConvention = None,
+    robot_columns: RobotColumns = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
     brief: Brief = False,
@@ -109,13 +112,16 @@ def pose(
         require_mount(loaded_rig, rig)
     _check_base(frame, robot_poses, pictures=overlay is not None or report is not None)
     is_live_robot = camera is not None and robot_poses == STDIN
+    if is_live_robot and (robot_convention or robot_columns):
+        raise UsageError("--robot-convention", "is of no use for poses that arrive as JSON lines", "leave it out")
+    motion = None if is_live_robot else camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
     setup = Setup(
         rig=loaded_rig,
         method=method,
         frame=frame,
         known=known,
         options=assumed.options,
-        camera=None if is_live_robot else camera_motion(robot_poses, rig, inputs),
+        camera=motion,
     )
     in_stream = partial(Stream, setup, settings.options(assumed.options) if track else None, clock=time)
     lines: AbstractContextManager[Iterator[Measured]]

@@ -12,6 +12,7 @@ from ringpose.cli import messages
 from ringpose.cli.app import Quiet, Verbose, app, file_option, number_option, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
+from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
     Format,
     Newest,
@@ -55,6 +56,8 @@ def track(
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
     robot_poses: RobotPosesFile = None,
+    robot_convention: RobotConvention = None,
+    robot_columns: RobotColumns = None,
     output_format: OutputFormat = Format.RINGPOSE,
     newest: Newest = False,
     brief: Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")] = False,
@@ -67,7 +70,8 @@ def track(
     from ringpose.files.rigs import read_rig
     from ringpose.track.pipeline import Tracker
 
-    assumed, motion = Assumed(max_speed=max_speed, max_rate=max_rate).options, camera_motion(robot_poses, rig, inputs)
+    assumed = Assumed(max_speed=max_speed, max_rate=max_rate).options
+    motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
     tracker = Tracker(read_rig(rig) if rig is not None else None, settings.options(assumed), motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))

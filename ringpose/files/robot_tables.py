@@ -19,6 +19,7 @@ from ringpose.geometry.robot_conventions import PoseConvention, convention_named
 from ringpose.geometry.rotations import rotation_of
 from ringpose.types.options import STDIN
 from ringpose.types.plausible import REACH_M, STAMP_S
+from ringpose.types.rig import RobotPoses
 from ringpose.types.robot import ReportedPose, ReportedPoses
 
 FAR_M = 20.0
@@ -58,6 +59,25 @@ def read_tool_poses(
         raise DataError(location, "holds no pose", "give one pose a line")
     _check_distances(read, location, convention)
     return _without_repeats(read)
+
+
+def motion_of(reported: ReportedPoses, location: str) -> RobotPoses:
+    """The motion of the tool by poses in any order, each of which must have a stamp."""
+    stamps_s = [pose.stamp_s for pose in reported.poses]
+    for pose in reported.poses:
+        if pose.stamp_s is None:
+            remedy = "name the column of the time stamp_s, by a line with names or --robot-columns"
+            raise DataError(pose.location, "has no stamp, by which the pose belongs to a frame", remedy)
+    if len(stamps_s) < 2:
+        raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
+    stamp_s = np.array(stamps_s, dtype=np.float64)
+    order = np.argsort(stamp_s, kind="stable")
+    return RobotPoses(
+        stamp_s=stamp_s[order],
+        position_m=np.array([pose.position_m for pose in reported.poses])[order],
+        rotation=np.array([pose.rotation for pose in reported.poses])[order],
+        repeats=reported.repeats,
+    )
 
 
 def _files(folder: Path) -> list[Path]:

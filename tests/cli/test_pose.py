@@ -170,6 +170,7 @@ def test_verbose_reports_what_became_of_each_shot(pose):
         ("--track --method paper", "--method"),
         ("--track --frame tool", "--frame"),
         ("--frame base", "--robot-poses"),
+        ("--robot-convention kuka", "--robot-poses"),
         ("--frame base --robot-poses poses.jsonl --overlay pictures", "--overlay"),
         ("--track --max-speed 0", "--max-speed"),
         ("--track --lost-after 1", "--lost-after"),

@@ -1,6 +1,7 @@
 """`ringpose pose --track`: shots in, track records out; the track chooses the lasers of a live camera."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,33 @@ def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_ba
     assert (track["frame"], track["camera"]) == ("base", "robot_poses")
     away_m = np.array(track["grasp"]["point_m"]) - [1.0, 0.2, 0.3] - alone["pose"]["grasp_m"]
     assert np.abs(away_m[[0, 2]]).max() < 5e-4  # y runs along the face, on which the point is chosen anew
+
+
+def test_poses_of_a_robots_own_table_are_those_of_records(mounted, tmp_path, run):
+    rig, shots = mounted
+    pose = {"position_m": [1.0, 0.2, 0.3], "orientation_xyzw": [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]}
+    records, table = tmp_path / "robot.jsonl", tmp_path / "robot.csv"
+    stamps_s = (1.7e9 + np.arange(-1.0, 1.0, 0.1)).tolist()
+    records.write_text("".join(json.dumps({"stamp_s": each, "base_from_tool": pose}) + "\n" for each in stamps_s))
+    table.write_text("stamp_s,x,y,z,a,b,c\n" + "".join(f"{each!r},1000,200,300,90,0,0\n" for each in stamps_s))
+    words = ("pose", shots, "--rig", rig, "--frame", "base", "--robot-poses")
+
+    (expected,) = run(*words, records).records
+    (record,) = run(*words, table, "--robot-convention", "kuka").records
+
+    np.testing.assert_allclose(record["pose"]["grasp_m"], expected["pose"]["grasp_m"], atol=1e-9)
+    np.testing.assert_allclose(record["pose"]["normal"], expected["pose"]["normal"], atol=1e-9)
+
+
+def test_a_table_of_robot_poses_without_stamps_is_named_with_its_line(mounted, tmp_path, run):
+    rig, shots = mounted
+    table = tmp_path / "robot.csv"
+    table.write_text("x,y,z,a,b,c\n1000,200,300,0,0,0\n")
+
+    found = run("pose", shots, "--rig", rig, "--robot-poses", table, "--robot-convention", "kuka")
+
+    assert found.status == 65
+    assert "robot.csv:2: has no stamp" in found.messages[0]
 
 
 def test_a_shot_that_the_robot_poses_do_not_cover_has_no_pose_and_a_reason(mounted, tmp_path, run):

@@ -13,6 +13,7 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.app import check_plausible, number_option
 from ringpose.cli.batch import Batch
+from ringpose.cli.options.robot import tool_poses
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN
 from ringpose.types.plausible import GRIPPER_M
@@ -99,13 +100,24 @@ class TrackSettings:
         return Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg))
 
 
-def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
+def camera_motion(
+    robot_poses: str | None,
+    rig: Path | None,
+    inputs: list[str] | None,
+    convention: str | None = None,
+    columns: str | None = None,
+) -> "CameraMotion | None":
     """The motion of the camera, from robot poses that are all read first.
 
-    `inputs` are the arguments of which only one may be `-` together with `robot_poses`.
+    `inputs` are the arguments of which only one may be `-` together with `robot_poses`. `convention` and `columns` say
+    how the poses of a table are stated.
     """
     if robot_poses is None:
+        for option, given in (("--robot-convention", convention), ("--robot-columns", columns)):
+            if given is not None:
+                raise UsageError(option, "is of no use without --robot-poses", "leave it out, or give the poses")
         return None
+    from ringpose.files.inputs import holds_records
     from ringpose.files.records.robot_poses import read_robot_poses
     from ringpose.files.rigs import read_mount
     from ringpose.geometry.camera_motion import CameraMotion
@@ -115,8 +127,14 @@ def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] |
     if robot_poses == STDIN and STDIN in (inputs or ()):
         raise UsageError("--robot-poses", "and the input are both standard input", "give one of them as a file")
     mount = read_mount(rig)
-    poses = read_robot_poses(robot_poses)
-    report_repeats(robot_poses, poses.repeats, poses.repeats + len(poses.stamp_s))
+    if convention is None and columns is None and (robot_poses == STDIN or holds_records(Path(robot_poses))):
+        poses = read_robot_poses(robot_poses)
+        report_repeats(robot_poses, poses.repeats, poses.repeats + len(poses.stamp_s))
+    else:
+        from ringpose.files.robot_tables import motion_of
+
+        reported, _ = tool_poses(robot_poses, convention, columns)
+        poses = motion_of(reported, robot_poses)
     return CameraMotion(poses=poses, mount=mount)
 
 
