@@ -367,7 +367,7 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
     residuals, weights = estimate.residuals, estimate.weights
     form = estimate.fixed.form
     if form is None:
-        form = form_jacobian(residuals, solved.hypothesis.measured)
+        form = form_jacobian(residuals, solved.hypothesis.measured.observations)
     form = FORM_SHARE * deviation_m * form  # by amplitudes in units of s
     weighted = form.T * weights
     cross_information = weighted @ np.concatenate([residuals.jacobian, estimate.nuisance], axis=1)

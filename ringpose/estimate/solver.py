@@ -613,7 +613,7 @@ def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior
         mean_ray = mean_ray @ errors.root
         columns.append(wrt_rig @ errors.root)
     if prior.assumptions.ring_tolerance_m > 0.0:
-        form = form_jacobian(residuals, measured)
+        form = form_jacobian(residuals, observations)
         columns.append(FORM_SHARE * prior.assumptions.ring_tolerance_m * form)
     if prior.assumptions.face_slope_rad > 0.0:
         slope = slope_jacobian(residuals, observations)
@@ -660,23 +660,25 @@ def rig_jacobian(
     return np.concatenate(blocks), mean_ray
 
 
-def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row amplitude=18"]:
+def form_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row amplitude=18"]:
     """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
 
     An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
     angle of the row.
     """
-    points, edges, data_rows = measured.points, measured.edges, residuals.data_rows
-    rays = residuals.stripes.rays
-    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][points.isolated], edges.ray]))
-    of_edge = np.concatenate([np.full(residuals.ends, -1), points.edge, points.edge[points.isolated], edges.edge])
+    points, edges = observations.measured.points, observations.measured.edges
+    ends, data_rows, rays = residuals.ends, residuals.data_rows, residuals.stripes.rays
+    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[ends:][points.isolated], edges.ray]))
+    of_edge = np.concatenate([np.full(ends, -1), points.edge, points.edge[points.isolated], edges.edge])
     phase = angle[:, None] * FORM_ORDERS
     shape = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(angle), -1)
     # the increment HALF_BAND moves the outer edge outward, the inner one inward
     outward = residuals.jacobian[:data_rows, HALF_BAND, None] * EDGE_SIGN * (of_edge[:, None] == range(len(EDGE_SIGN)))
-    deviation = np.concatenate([outward, residuals.jacobian[:data_rows, LIFT, None]], axis=1)  # inner, outer, axial
+    axial = np.concatenate([-residuals.stripes.y_wrt_step[:ends, LIFT], residuals.jacobian[ends:data_rows, LIFT]])
+    deviation = np.concatenate([outward, axial[:, None]], axis=1)  # inner, outer, axial
     jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
     jacobian[:data_rows] = (deviation[:, :, None] * shape[:, None]).reshape(data_rows, -1)
+    jacobian[:ends] = observations.whitening @ jacobian[:ends]  # the two ends of a line are at different angles
     return jacobian
 
 
