@@ -111,6 +111,7 @@ def _reject_what_images_show(scene: Scene) -> None:
         "lasers.bow_per_rad": scene.lasers.bow_per_rad != 0.0,
         "ring.slope_rad": bool(np.ptp(scene.ring.edge_heights_m)),
         "obstacles": bool(scene.obstacles),
+        "rig (stripes along columns)": scene.rig.stripes_along_columns,
     }
     for key, given in shown.items():
         if given:

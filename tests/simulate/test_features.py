@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from turned_cameras import turned_rig
 
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FORM_ORDERS
@@ -30,6 +31,13 @@ def switched(scene):
 def found(drawn) -> BreakPoints:
     assert isinstance(drawn.detection.break_points, BreakPoints)
     return drawn.detection.break_points
+
+
+def test_features_of_stripes_along_columns_are_refused(switched):
+    upright = replace(switched, rig=turned_rig(switched.rig))
+
+    with pytest.raises(DataError, match=r"rig \(stripes along columns\): has no model"):
+        next(drawn_features(upright))
 
 
 def test_features_without_noise_give_the_exact_pose(switched, view, rng):
