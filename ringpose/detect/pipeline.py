@@ -513,13 +513,13 @@ UNEXPLAINED = (
 
 def explained(reason: NoBreakPoints, stripes: Stripes, view: View) -> NoBreakPoints:
     """The reason, or one for which the shot has evidence: exchanged frames, an image upside down."""
-    if reason not in UNEXPLAINED:
+    if reason not in (*UNEXPLAINED, NoBreakPoints.NO_RING):
         return reason
     rig = view.rig
     with_dark = [image for image in view.images if image.dark is not None]
     if with_dark and all(_dark_frame_lit(image) for image in with_dark):
         return NoBreakPoints.DARK_FRAME_LIT
-    if reason is NoBreakPoints.HIDDEN_BY_SATURATION:
+    if reason in (NoBreakPoints.HIDDEN_BY_SATURATION, NoBreakPoints.NO_RING):
         return reason
     x, y = stripes.position_px.T
     turned_px = np.stack([x, rig.camera.image_height - 1 - y], axis=1)
