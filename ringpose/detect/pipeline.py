@@ -317,7 +317,7 @@ def _predicted_stripes(view: View, predicted: BreakPoints) -> tuple[View, Stripe
 
     def near_predicted(image: LaserImage) -> Stripes:
         bands = predicted_bands(predicted, image.lasers, rig.camera)
-        return _stripes_in(image, np.zeros((0, 4), dtype=np.int32) if bands is None else bands)
+        return _stripes_in(image, rig.camera, np.zeros((0, 4), dtype=np.int32) if bands is None else bands)
 
     if all(predicted_bands(predicted, image.lasers, rig.camera) is None for image in view.images):
         return None
@@ -369,15 +369,16 @@ def _all_stripes(
     if source is StripeSource.SEGMENTS:
         return replace(view, ghosts=()), *_stripes_between_segments(view.images)
     early = [None if searched is None else searched(image) for image in view.images]
-    parts = [part or _stripes_in(image) for part, image in zip(early, view.images, strict=True)]
-    view, parts = _without_ghosts(view, parts, _stripes_in)
+    search = partial(_stripes_in, camera=view.rig.camera)
+    parts = [part or search(image) for part, image in zip(early, view.images, strict=True)]
+    view, parts = _without_ghosts(view, parts, search)
     return view, _joined(parts), None
 
 
-def _stripes_in(image: LaserImage, bands: Int32[Array, "band side=4"] | None = None) -> Stripes:
-    """The stripes of a frame, everywhere or in some windows, without the pieces that go on beyond these."""
+def _stripes_in(image: LaserImage, camera: Camera, bands: Int32[Array, "band side=4"] | None = None) -> Stripes:
+    """The stripes of a frame, everywhere or in some windows, without what goes on beyond these."""
     stripes = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
-    return stripes if bands is None else _within_bands(stripes, bands, image.lit.shape[1])
+    return stripes if bands is None else _within_bands(stripes, bands, camera)
 
 
 def _stripes_between_segments(images: Sequence[LaserImage]) -> tuple[Stripes, Segments]:
@@ -428,7 +429,7 @@ def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = 
     if image is None or bands is None:
         return found
     image = image if motion is None else _without_moved_background(image, motion)
-    search = partial(_stripes_in, bands=bands)
+    search = partial(_stripes_in, camera=rig.camera, bands=bands)
     (image,), (stripes,), _ = without_ghosts([image], [search(image)], view.ghosts, search)
     if not len(stripes.piece):
         return found
@@ -624,28 +625,40 @@ def predicted_bands(
     return np.array(bands, dtype=np.int32)
 
 
-def _within_bands(stripes: Stripes, bands: Int32[Array, "band side=4"], image_width: int) -> Stripes:
-    """The stripes in search windows, without the pieces that go on beyond the left or right side of a window.
+SAME_STRIPE_PX = 3.0
+"""Largest distance of a centre from the line of its segment: half of that at which two stripes are told apart."""
+
+
+def _within_bands(stripes: Stripes, bands: Int32[Array, "band side=4"], camera: Camera) -> Stripes:
+    """The stripes in search windows, without straight parts that go on beyond the left or right side of a window.
 
     Cut off there, a stripe on the body behind the ring would look like one on a face.
     """
     left, right = bands[:, 0] // BLOCK * BLOCK, -(-bands[:, 1] // BLOCK) * BLOCK  # as they are searched
 
-    def searched(x: Float64[Array, "center"], y: Float64[Array, "center"]) -> Bool[Array, "center"]:
-        of_band = (x[:, None] >= left) & (x[:, None] < right) & (y[:, None] >= bands[:, 2]) & (y[:, None] < bands[:, 3])
-        inside: Bool[Array, "center"] = np.any(of_band, axis=1) | (x < 0) | (x >= image_width)
+    def searched(x: Float64[Array, "*shape"], y: Float64[Array, "*shape"]) -> Bool[Array, "*shape"]:
+        row, column = y[..., None], x[..., None]
+        of_band = (column >= left) & (column < right) & (row >= bands[:, 2]) & (row < bands[:, 3])
+        inside: Bool[Array, "*shape"] = np.any(of_band, axis=-1) | (x < 0) | (x >= camera.image_width)
         return inside
 
+    segments = stripe_line_segments(stripes, camera)
+    x_px = segments[:, [X_START, X_END]]
+    y_px = segments[:, [MIDDLE_Y]] + segments[:, [SLOPE]] * (x_px - segments[:, [MIDDLE_X]])
+    ends = project(undistorted_rays(np.stack([x_px, y_px], axis=-1), camera), camera)
+    goes_on = ~searched(ends[..., 0] + (MAX_GAP + 1) * np.array([-1.0, 1.0]), ends[..., 1])
     x, y = stripes.position_px.T
-    at_side = searched(x, y) & ~(searched(x - MAX_GAP - 1, y) & searched(x + MAX_GAP + 1, y))
-    cut_off = np.bincount(stripes.piece, weights=at_side, minlength=len(stripes.laser)) > 0
-    kept, number = ~cut_off[stripes.piece], np.cumsum(~cut_off) - 1
+    dropped = np.zeros(len(x), dtype=bool)
+    for (start_x, start_y), (end_x, end_y) in ends[goes_on.any(axis=1)].tolist():
+        line_y = np.interp(x, [start_x, end_x], [start_y, end_y])
+        dropped |= (x > start_x - 1.0) & (x < end_x + 1.0) & (np.abs(y - line_y) < SAME_STRIPE_PX)
+    pieces, piece = np.unique(stripes.piece[~dropped], return_inverse=True)
     return Stripes(
-        position_px=stripes.position_px[kept],
-        sigma_px=stripes.sigma_px[kept],
-        peak_dn=stripes.peak_dn[kept],
-        piece=number[stripes.piece[kept]],
-        laser=stripes.laser[~cut_off],
+        position_px=stripes.position_px[~dropped],
+        sigma_px=stripes.sigma_px[~dropped],
+        peak_dn=stripes.peak_dn[~dropped],
+        piece=piece,
+        laser=stripes.laser[pieces],
     )
 
 

@@ -110,7 +110,7 @@ RING_FORM_M = _metres("deviation of a ring's form", -0.01, 0.01)
 PART_M = _metres("size or position of a part of the target, each axis", -50, 50)
 DETAIL_M = _metres("body, foil or grid of the target", -5, 5)
 ANGLE_RAD = _radians("angle of a part, a gap or a roll", -7, 7)
-FACE_SLOPE_DEG = Range(quantity="slope of a ring's face", lowest=0, highest=20, unit="degrees")
+FACE_SLOPE_DEG = Range(quantity="standard deviation of the slope of a face", lowest=0, highest=20, unit="degrees")
 SLOPE_RAD = _radians("slope of a ring's face", -0.5, 0.5)
 
 # Where the target is, and how it moves
