@@ -12,7 +12,7 @@ from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import motion_px, predicted_ring, predicted_stripes
 from ringpose.types.arrays import Array, Bool
-from ringpose.types.detection import BreakPoints, Detection
+from ringpose.types.detection import BreakPoints, Detection, SubtractedGhost
 from ringpose.types.image import Frame, Shot
 from ringpose.types.pose import PoseLine
 from ringpose.types.rig import Rig
@@ -48,6 +48,8 @@ class WarmStart:
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None
         """Break points that the last shot with a pose showed."""
+        self._ghosts: tuple[SubtractedGhost, ...] = ()
+        """Ghosts of the last shot that had some: they are a property of the camera."""
         self._sharing = 0
         """Number of shots with the newest background so far, if it was subtracted from the last one, else 0."""
         self._used = 0
@@ -58,13 +60,15 @@ class WarmStart:
 
     def before(self, shot: Shot, rig: Rig) -> Prior:
         """What is known about a shot before its detection."""
-        return Prior(predicted=self.prediction(shot, rig), background=self._usable_background(shot, rig))
+        background = self._usable_background(shot, rig)
+        return Prior(predicted=self.prediction(shot, rig), background=background, ghosts=self._ghosts)
 
     def after(self, shot: Shot, detection: Detection, prior: Prior) -> None:
         """Keep what the detection of a shot shows about the following ones."""
         points = detection.break_points
         if isinstance(points, BreakPoints):
             self._seen = points.seen
+        self._ghosts = detection.ghosts or self._ghosts
         dark = np.flatnonzero(shot.lasers == 0)
         if len(dark):
             self._background, self._used = list(shot.frames)[int(dark[-1])], 0

@@ -275,7 +275,7 @@ class Rejection:
 class SubtractedGhost:
     """A fainter copy of the laser light of a frame, some rows beside it, that was subtracted."""
 
-    offset_px: Annotated[float, Key("Row of the copy less that of the light.")]
+    offset_px: Annotated[float, Key("Row of the copy less that of the light; column where stripes run along columns.")]
     ratio: Annotated[float, Key("Brightness of the copy over that of the light.", least=0.0, most=1.0)]
 
 

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.detect.pipeline import detect
+from ringpose.detect.pipeline import Prior, detect
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
 from ringpose.measure.stream import Setup
+from ringpose.measure.warm_start import WarmStart
+from ringpose.track.pipeline import Tracker
+from ringpose.types.detection import SubtractedGhost
 from ringpose.types.pose import PoseFlag
 
 SHOTS = ("B_z0500_p01_dim", "B_z0500_p01_normal", "V03_occl_B500_dim")
@@ -56,6 +59,26 @@ def test_a_shot_with_a_ghost_has_the_pose_that_it_has_without(carried_data, name
     assert (line.status, line.flags) == (without.status, without.flags | PoseFlag.GHOST_REMOVED)
     change_m = line.pose.grasp_m - without.pose.grasp_m
     assert change_m @ np.linalg.solve(without.pose.covariance_grasp_m2, change_m) < 1.0
+
+
+def test_a_ghost_that_is_too_faint_to_be_found_is_subtracted_where_earlier_shots_had_it(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    faint = with_ghost(shot, 0.01, -15.0)
+    known = Prior(ghosts=(SubtractedGhost(offset_px=-15.0, ratio=0.1),))
+
+    assert detect(faint, rig).ghosts == ()
+    assert [ghost.ratio for ghost in detect(faint, rig, known).ghosts] == pytest.approx([0.01], rel=0.2)
+    assert detect(shot, rig, known).ghosts == ()
+
+
+def test_a_track_remembers_the_ghosts_of_its_camera(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    start = WarmStart(Tracker(rig))
+
+    seen = detect(with_ghost(shot, 0.1, -15.0), rig, start.before(shot, rig))
+    start.after(shot, seen, start.before(shot, rig))
+
+    assert start.before(shot, rig).ghosts == seen.ghosts != ()
 
 
 @pytest.mark.parametrize("name", SHOTS)
