@@ -262,7 +262,8 @@ static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, 
     double penalty = 0;
     for (int side = 0; side < 2; side++) {
         candidate->own[side] = in_view(candidate->x[side], candidate->y[side], scene->ring);
-        if (!candidate->own[side]) penalty += params->cut_penalty;
+        if (candidate->x[side] < scene->ring->left_x || candidate->x[side] > scene->ring->right_x)
+            penalty += params->cut_penalty; /* not above or below, where the stripe leaves the image along its whole length */
         for (size_t i = 0; candidate->own[side] && segment->laser >= 0 && i < pieces; i++)
             if (all[i].laser == segment->laser && hidden_beyond(segment, side, &all[i], scene, scene->plane[candidate->laser])) {
                 candidate->own[side] = 0;
