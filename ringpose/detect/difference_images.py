@@ -1,4 +1,4 @@
-"""The frames of a shot by laser, their background, ghosts of the stripes, and where ambient light saturates.
+"""The frames of a shot by laser, their background, and where ambient light saturates.
 
 Each laser has its own frame if they were switched one by one, else those that were on together share one. Stripes that
 are themselves saturated are measured on their flanks and at the foot of their ends (`break_points`).

@@ -314,13 +314,14 @@ def confirmed(points: BreakPoints, visible: RingEdgePoints | None, view: View) -
 def _predicted_stripes(view: View, predicted: BreakPoints) -> tuple[View, Stripes] | None:
     """The stripes in windows about the predicted ones, without ghosts; None if none is predicted."""
     rig = view.rig
+    bands = {image.lasers: predicted_bands(predicted, image.lasers, rig.camera) for image in view.images}
+    if all(each is None for each in bands.values()):
+        return None
 
     def near_predicted(image: LaserImage) -> Stripes:
-        bands = predicted_bands(predicted, image.lasers, rig.camera)
-        return _stripes_in(image, rig.camera, np.zeros((0, 4), dtype=np.int32) if bands is None else bands)
+        of_image = bands[image.lasers]
+        return _stripes_in(image, rig.camera, np.zeros((0, 4), dtype=np.int32) if of_image is None else of_image)
 
-    if all(predicted_bands(predicted, image.lasers, rig.camera) is None for image in view.images):
-        return None
     view, parts = _without_ghosts(view, [near_predicted(image) for image in view.images], near_predicted)
     parts = [
         part if image.label != UNLABELLED or not predicted.labelled else _assigned(part, predicted, image, rig)
@@ -503,25 +504,25 @@ def select_face(segments: Float64[Array, "segment column=11"], unlabelled: Seque
     return face
 
 
-UNEXPLAINED = (
-    NoBreakPoints.HIDDEN_BY_SATURATION,
+AS_IF_TURNED = (
     NoBreakPoints.CONTRADICTED_MASKS,
     NoBreakPoints.CONTRADICTED_RIG,
     NoBreakPoints.AMBIGUOUS_LABELS,
 )
-"""Reasons that frames in another order or images upside down have as well: these are looked for."""
+"""Reasons that images upside down have as well: this is looked for ..."""
+
+AS_IF_EXCHANGED = (*AS_IF_TURNED, NoBreakPoints.HIDDEN_BY_SATURATION, NoBreakPoints.NO_RING)
+"""... as frames in another order are with these."""
 
 
 def explained(reason: NoBreakPoints, stripes: Stripes, view: View) -> NoBreakPoints:
     """The reason, or one for which the shot has evidence: exchanged frames, an image upside down."""
-    if reason not in (*UNEXPLAINED, NoBreakPoints.NO_RING):
+    with_dark = [image for image in view.images if image.dark is not None]
+    if reason in AS_IF_EXCHANGED and with_dark and all(_dark_frame_lit(image) for image in with_dark):
+        return NoBreakPoints.DARK_FRAME_LIT
+    if reason not in AS_IF_TURNED:
         return reason
     rig = view.rig
-    with_dark = [image for image in view.images if image.dark is not None]
-    if with_dark and all(_dark_frame_lit(image) for image in with_dark):
-        return NoBreakPoints.DARK_FRAME_LIT
-    if reason in (NoBreakPoints.HIDDEN_BY_SATURATION, NoBreakPoints.NO_RING):
-        return reason
     x, y = stripes.position_px.T
     turned_px = np.stack([x, rig.camera.image_height - 1 - y], axis=1)
     segments = stripe_line_segments(replace(stripes, position_px=turned_px), rig.camera)
@@ -588,13 +589,19 @@ def stripes_behind_camera(segments: Float64[Array, "segment column=11"], rig: Ri
 
 def _possible(segments: Float64[Array, "segment column=11"], rig: Rig) -> Bool[Array, "segment laser"]:
     """For each segment and laser, whether part of the segment has a possible depth on the laser's light plane."""
-    x_px = segments[:, [X_START, X_END]]
-    y_px = segments[:, [MIDDLE_Y]] + segments[:, [SLOPE]] * (x_px - segments[:, [MIDDLE_X]])
-    per_m = undistorted_rays(np.stack([x_px, y_px], axis=-1), rig.camera) @ planes_per_m(rig).T
+    per_m = undistorted_rays(_ends_undistorted_px(segments), rig.camera) @ planes_per_m(rig).T
     possible: Bool[Array, "segment laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
         per_m.min(axis=1) < POSSIBLE_PER_M[1]
     )
     return possible
+
+
+def _ends_undistorted_px(segments: Float64[Array, "segment column=11"]) -> Float64[Array, "segment end=2 xy=2"]:
+    """The ends of segments, in undistorted pixels."""
+    x_px = segments[:, [X_START, X_END]]
+    y_px = segments[:, [MIDDLE_Y]] + segments[:, [SLOPE]] * (x_px - segments[:, [MIDDLE_X]])
+    ends_px: Float64[Array, "segment end=2 xy=2"] = np.stack([x_px, y_px], axis=-1)
+    return ends_px
 
 
 BAND_PX = 24
@@ -642,24 +649,14 @@ def _within_bands(stripes: Stripes, bands: Int32[Array, "band side=4"], camera: 
         inside: Bool[Array, "*shape"] = np.any(of_band, axis=-1) | (x < 0) | (x >= camera.image_width)
         return inside
 
-    segments = stripe_line_segments(stripes, camera)
-    x_px = segments[:, [X_START, X_END]]
-    y_px = segments[:, [MIDDLE_Y]] + segments[:, [SLOPE]] * (x_px - segments[:, [MIDDLE_X]])
-    ends = project(undistorted_rays(np.stack([x_px, y_px], axis=-1), camera), camera)
+    ends = project(undistorted_rays(_ends_undistorted_px(stripe_line_segments(stripes, camera)), camera), camera)
     goes_on = ~searched(ends[..., 0] + (MAX_GAP + 1) * np.array([-1.0, 1.0]), ends[..., 1])
     x, y = stripes.position_px.T
     dropped = np.zeros(len(x), dtype=bool)
     for (start_x, start_y), (end_x, end_y) in ends[goes_on.any(axis=1)].tolist():
         line_y = np.interp(x, [start_x, end_x], [start_y, end_y])
         dropped |= (x > start_x - 1.0) & (x < end_x + 1.0) & (np.abs(y - line_y) < SAME_STRIPE_PX)
-    pieces, piece = np.unique(stripes.piece[~dropped], return_inverse=True)
-    return Stripes(
-        position_px=stripes.position_px[~dropped],
-        sigma_px=stripes.sigma_px[~dropped],
-        peak_dn=stripes.peak_dn[~dropped],
-        piece=piece,
-        laser=stripes.laser[pieces],
-    )
+    return stripes.without(dropped)
 
 
 def _search_range(one: float, other: float, beyond: int, size: int) -> tuple[int, int]:

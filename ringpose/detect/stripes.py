@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
+from ringpose.geometry.least_squares import STD_PER_MAD, robust_std
 from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, SegmentParams
 from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
@@ -273,20 +274,31 @@ def without_ghosts(
     A frame that does not show a ghost by itself is searched for those of the others, and for known ones. `stripes_of`
     finds the stripes of a frame from which one was subtracted.
     """
-    own_px = [_ghost_offset_px(part) for part in parts]
+    pairs = [_pairs_in_columns(part) for part in parts]
+    own_px = [_ghost_offset_px(part, of_part) for part, of_part in zip(parts, pairs, strict=True)]
     others_px = [*own_px, *(ghost.offset_px for ghost in known)]
     clean_images, clean_parts, ghosts = [], [], []
-    for image, part, offset_px in zip(images, parts, own_px, strict=True):
+    for image, part, of_part, offset_px in zip(images, parts, pairs, own_px, strict=True):
         ghost = _ghost_at(image, part, [each for each in (offset_px, *others_px) if each is not None])
-        clean = image if ghost is None else _without_ghost(image, ghost)
-        stripes = part if ghost is None else stripes_of(clean)
+        clean, stripes, of_stripes = image, part, of_part
+        if ghost is not None:
+            ghosts.append(ghost)
+            clean = _without_ghost(image, ghost)
+            stripes = stripes_of(clean)
+            of_stripes = _pairs_in_columns(stripes)
         clean_images.append(clean)
-        clean_parts.append(_without_reflections(stripes, clean, ghost))
-        ghosts += [] if ghost is None else [ghost]
+        clean_parts.append(_without_reflections(stripes, of_stripes, image.label, ghost))
     return clean_images, clean_parts, tuple(ghosts)
 
 
-def _ghost_offset_px(stripes: Stripes) -> float | None:
+class Pairs(NamedTuple):
+    """Indices of two centres in one column."""
+
+    brighter: Int64[Array, "pair"]
+    fainter: Int64[Array, "pair"]
+
+
+def _ghost_offset_px(stripes: Stripes, pairs: Pairs) -> float | None:
     """Row of the copy less that of the light, of a ghost that the stripes of one frame show; None if they show none.
 
     The most frequent offset in rows between two centres of a column, of which one is fainter, is that of a ghost if the
@@ -294,10 +306,10 @@ def _ghost_offset_px(stripes: Stripes) -> float | None:
     """
     column, row = stripes.position_px.T
     peak_dn = stripes.peak_dn
-    light, copy = _pairs_in_columns(stripes, MAX_GHOST_ROWS)
-    fainter = peak_dn[copy] < MAX_GHOST_RATIO * peak_dn[light]
-    light, copy = light[fainter], copy[fainter]
+    light, copy = pairs
     offset_px = row[copy] - row[light]
+    possible = (peak_dn[copy] < MAX_GHOST_RATIO * peak_dn[light]) & (np.abs(offset_px) <= MAX_GHOST_ROWS)
+    light, copy, offset_px = light[possible], copy[possible], offset_px[possible]
     if len(offset_px) < MIN_GHOST_COLUMNS:
         return None
     count = np.convolve(np.bincount(np.rint(2.0 * (offset_px + MAX_GHOST_ROWS)).astype(np.int64)), np.ones(3), "same")
@@ -308,19 +320,18 @@ def _ghost_offset_px(stripes: Stripes) -> float | None:
     return float(np.median(offset_px[near])) if is_copy else None
 
 
-def _pairs_in_columns(stripes: Stripes, rows: int) -> tuple[Int64[Array, "pair"], Int64[Array, "pair"]]:
-    """Pairs of centres in one column within some rows, the brighter one first."""
-    column, row = stripes.position_px.T
-    order = np.lexsort((row, column))
-    column, row = column[order], row[order]
+def _pairs_in_columns(stripes: Stripes) -> Pairs:
+    """All pairs of centres in one column."""
+    order = np.argsort(stripes.position_px[:, 0], kind="stable")
+    column = stripes.position_px[order, 0]
     pairs, lag = [np.zeros((0, 2), dtype=np.int64)], 1
     while lag < len(column) and (same := column[lag:] == column[:-lag]).any():
-        upper = np.flatnonzero(same & (row[lag:] - row[:-lag] <= rows))
-        pairs.append(np.stack([order[upper], order[upper + lag]], axis=1))
+        first = np.flatnonzero(same)
+        pairs.append(np.stack([order[first], order[first + lag]], axis=1))
         lag += 1
-    upper, lower = np.concatenate(pairs).T
-    is_upper = stripes.peak_dn[upper] > stripes.peak_dn[lower]
-    return np.where(is_upper, upper, lower), np.where(is_upper, lower, upper)
+    first, second = np.concatenate(pairs).T
+    is_first = stripes.peak_dn[first] > stripes.peak_dn[second]
+    return Pairs(np.where(is_first, first, second), np.where(is_first, second, first))
 
 
 def _speckle_correlation(
@@ -335,7 +346,7 @@ def _speckle_correlation(
     if np.count_nonzero(neighbours) < MIN_GHOST_COLUMNS:
         return 0.0
     changes = [np.diff(np.log(each[order]))[neighbours] for each in (light_dn, copy_dn)]
-    limits = [2.0 * 1.4826 * float(np.median(np.abs(change))) for change in changes]
+    limits = [2.0 * STD_PER_MAD * float(np.median(np.abs(change))) for change in changes]
     if min(limits) == 0.0:
         return 0.0
     light, copy = (np.clip(change, -limit, limit) for change, limit in zip(changes, limits, strict=True))
@@ -363,7 +374,9 @@ def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) 
         if np.count_nonzero(inside) < MIN_GHOST_COLUMNS:
             continue
         at, beside, opposite = (
-            light[(row[inside] + round(step_px))[:, None] + GHOST_REACH, column[inside, None]].sum(axis=1)
+            light[(row[inside] + round(step_px))[:, None] + GHOST_REACH, column[inside, None]].sum(
+                axis=1, dtype=np.float64
+            )
             for step_px in (0.0, offset_px, -offset_px)
         )
         is_light = opposite < at  # a copy has its light on the other side
@@ -371,7 +384,7 @@ def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) 
             continue
         ratios = (beside - opposite)[is_light] / np.maximum(at[is_light], 1.0)
         ratio = float(np.median(ratios))
-        sigma = 1.2533 * 1.4826 * float(np.median(np.abs(ratios - ratio))) / math.sqrt(len(ratios))
+        sigma = math.sqrt(math.pi / 2) * robust_std(ratios - ratio) / math.sqrt(len(ratios))  # of a median
         if GHOST_SIGMAS * sigma < ratio < MAX_GHOST_RATIO:
             return SubtractedGhost(offset_px=offset_px, ratio=ratio)
     return None
@@ -405,21 +418,19 @@ def _moved_rows(image: Float32[Array, "row column"], rows: float) -> Float32[Arr
     return moved
 
 
-def _without_reflections(stripes: Stripes, image: LaserImage, ghost: SubtractedGhost | None) -> Stripes:
+def _without_reflections(stripes: Stripes, pairs: Pairs, label: int, ghost: SubtractedGhost | None) -> Stripes:
     """The stripes less pieces of which most columns have a brighter centre: elsewhere, or at the light of a ghost.
 
     A column of a frame with one laser is nearly one ray of its light sheet, which meets one surface: what is fainter is
     a reflection. (Face and body are lit in the same columns over the parallax between projector and lens only.) In a
     frame with several lasers, what is left of a ghost after its subtraction is a copy of light that was saturated.
     """
-    if image.label == UNLABELLED and ghost is None:
-        return stripes
-    light, copy = _pairs_in_columns(stripes, len(image.lit) if image.label != UNLABELLED else MAX_GHOST_ROWS)
-    if image.label == UNLABELLED and ghost is not None:
-        row = stripes.position_px[:, 1]
-        copy = copy[np.abs(row[copy] - row[light] - ghost.offset_px) < GHOST_ROWS]
+    light, copy = pairs
+    if label == UNLABELLED:
+        row, offset_px = stripes.position_px[:, 1], math.nan if ghost is None else ghost.offset_px
+        copy = copy[np.abs(row[copy] - row[light] - offset_px) < GHOST_ROWS]  # none without a ghost
     is_copy = np.zeros(len(stripes.piece), dtype=bool)
     is_copy[copy] = True
     count = len(stripes.laser)
     dropped = 2 * np.bincount(stripes.piece[is_copy], minlength=count) > np.bincount(stripes.piece, minlength=count)
-    return stripes.without_pieces(dropped) if dropped.any() else stripes
+    return stripes.without(dropped[stripes.piece]) if dropped.any() else stripes

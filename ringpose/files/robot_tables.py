@@ -63,14 +63,13 @@ def read_tool_poses(
 
 def motion_of(reported: ReportedPoses, location: str) -> RobotPoses:
     """The motion of the tool by poses in any order, each of which must have a stamp."""
-    stamps_s = [pose.stamp_s for pose in reported.poses]
     for pose in reported.poses:
         if pose.stamp_s is None:
             remedy = "name the column of the time stamp_s, by a line with names or --robot-columns"
             raise DataError(pose.location, "has no stamp, by which the pose belongs to a frame", remedy)
-    if len(stamps_s) < 2:
+    if len(reported.poses) < 2:
         raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
-    stamp_s = np.array(stamps_s, dtype=np.float64)
+    stamp_s = np.array([pose.stamp_s for pose in reported.poses], dtype=np.float64)
     order = np.argsort(stamp_s, kind="stable")
     return RobotPoses(
         stamp_s=stamp_s[order],

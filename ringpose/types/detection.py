@@ -214,17 +214,17 @@ class Stripes:
             return None
         return "piece", f"has an index out of range: there are {len(self.laser)} pieces"
 
-    def without_pieces(self, dropped: Bool[Array, "piece"]) -> "Stripes":
-        """The stripes without some pieces."""
-        kept = ~dropped[self.piece]
+    def without(self, dropped: Bool[Array, "center"]) -> "Stripes":
+        """The stripes without some centres, and without the pieces of which none is left."""
+        pieces, piece = np.unique(self.piece[~dropped], return_inverse=True)
         return replace(
             self,
-            position_px=self.position_px[kept],
-            sigma_px=self.sigma_px[kept],
-            peak_dn=self.peak_dn[kept],
-            piece=(np.cumsum(~dropped) - 1)[self.piece[kept]],
-            laser=self.laser[~dropped],
-            stamp_s=None if self.stamp_s is None else self.stamp_s[~dropped],
+            position_px=self.position_px[~dropped],
+            sigma_px=self.sigma_px[~dropped],
+            peak_dn=self.peak_dn[~dropped],
+            piece=piece,
+            laser=self.laser[pieces],
+            stamp_s=None if self.stamp_s is None else self.stamp_s[pieces],
         )
 
 
