@@ -66,15 +66,15 @@ def common_errors(
     assumed = priors.assumptions
     tolerance_m = max(assumed.ring_tolerance_m, form_tolerance_m or 0.0)
     if priors.moved_planes:  # of the following shots; they change when another plane has moved
-        found = _common_errors(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig, priors.moved_planes)
+        common = _common_errors(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig, priors.moved_planes)
     else:
-        found = _common_errors_of_stream(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig)
-    if isinstance(found, str):
+        common = _common_errors_of_stream(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig)
+    if isinstance(common, str):
         remedy = "give the output of ringpose pose unchanged"
-        raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior", remedy)
+        raise DataError(line.shot, f"has the nuisance parameter {common!r}, for which it states no prior", remedy)
     if mount is None and measurement.camera_motion == "robot_poses":
         raise DataError(line.shot, "was measured with robot poses", "give --robot-poses, and --rig with its mount")
-    return found if mount is None or not of_mount else _with_mount(found, (*names, *of_mount), mount)
+    return common if mount is None or not of_mount else _with_mount(common, (*names, *of_mount), mount)
 
 
 def _with_mount(others: CommonErrors, names: tuple[str, ...], mount: Mount) -> CommonErrors:

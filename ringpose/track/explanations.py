@@ -191,19 +191,19 @@ def _predict_and_update(
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        after, found = (
+        after, innovations = (
             predict_and_update(bank, seen)
             if pushed_with is None
             else predict_and_update_pushed(bank, seen, pushed_with)
         )
-        ratios.append(test_ratio(bank, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
+        ratios.append(test_ratio(bank, innovations) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
         banks.append(after)
     interval_s = observed.stamp_s - track.stamp_s
     after_all = replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)
     return _pruned(after_all), min(ratios)
 
 
-def test_ratio(bank: Bank, found: Innovation) -> float:
+def test_ratio(bank: Bank, innovations: Innovation) -> float:
     """Chi-squared of an innovation over the limit of the gate; above 1 the measurement is rejected.
 
     The p-value is the weighted mean over the probable motion models, and the ratio is that of the chi-squared with this
@@ -211,11 +211,11 @@ def test_ratio(bank: Bank, found: Innovation) -> float:
     """
     from scipy.special import chdtrc, chdtri
 
-    dof, weights = max(found.degrees_of_freedom, 1), bank.weights
+    dof, weights = max(innovations.degrees_of_freedom, 1), bank.weights
     tested = weights >= MIN_TESTED_MODEL_SHARE * weights.max()
-    probability = float(weights[tested] @ chdtrc(dof, found.chi2[tested]) / weights[tested].sum())
+    probability = float(weights[tested] @ chdtrc(dof, innovations.chi2[tested]) / weights[tested].sum())
     if probability < MIN_PROBABILITY:
-        return float(found.chi2[tested].min()) / gate(dof)
+        return float(innovations.chi2[tested].min()) / gate(dof)
     return float(chdtri(dof, min(probability, 1.0))) / gate(dof)
 
 

@@ -239,14 +239,14 @@ def predict_and_update(bank: Bank, observed: Observation) -> tuple[Bank, Innovat
     corrected by the measurement (iterated smoothing over one interval, Jazwinski 1970, section 8.3).
     """
     bank = _with_common_errors_of(bank, observed)
-    at, transition, found = _linearize(bank, observed, None)
-    first = found
+    at, transition, innovations = _linearize(bank, observed, None)
+    first = innovations
     for _ in range(SMOOTHED if bank.measurements < ITERATED_UNTIL else 0):
-        found = _relinearize(at, observed, found)
-        gain = schmidt_gain(bank.own, bank.common, found._replace(jacobian=found.jacobian @ transition))
-        about = bank.coordinates + (gain @ found.remaining[..., None])[..., 0]
-        at, transition, found = _linearize(bank, observed, about)
-    return update(at, observed, found), first
+        innovations = _relinearize(at, observed, innovations)
+        gain = schmidt_gain(bank.own, bank.common, innovations._replace(jacobian=innovations.jacobian @ transition))
+        about = bank.coordinates + (gain @ innovations.remaining[..., None])[..., 0]
+        at, transition, innovations = _linearize(bank, observed, about)
+    return update(at, observed, innovations), first
 
 
 def predict_and_update_pushed(bank: Bank, observed: Observation, motion: MotionPrior) -> tuple[Bank, Innovation]:
@@ -262,7 +262,7 @@ def predict_and_update_pushed(bank: Bank, observed: Observation, motion: MotionP
         rate_noise=bank.models.rate_noise + 2.0 * motion.rate_sd_rad_s**2 / interval_s,
     )
     steady, _ = predict_and_update(bank, observed)
-    after, found = predict_and_update(replace(bank, models=models), observed)
+    after, innovations = predict_and_update(replace(bank, models=models), observed)
     evidence = after.log_evidence + PUSH_LOG_ODDS
     keep = steady.log_evidence > evidence
     either = replace(
@@ -272,7 +272,7 @@ def predict_and_update_pushed(bank: Bank, observed: Observation, motion: MotionP
         common=np.where(keep[:, None, None], steady.common, after.common),
         log_evidence=np.maximum(steady.log_evidence, evidence),
     )
-    return either, found
+    return either, innovations
 
 
 def _linearize(
@@ -284,11 +284,11 @@ def _linearize(
     coordinates.
     """
     prediction = _predict(bank, observed.stamp_s, observed.chart, about)
-    count, found, leader_of = len(bank.coordinates), prediction.found, prediction.leader_of
-    rates = step_rates(observed.chart, found)
+    count, local, leader_of = len(bank.coordinates), prediction.local, prediction.leader_of
+    rates = step_rates(observed.chart, local)
     rates_wrt = jacobians(rates[count:])
     rates_wrt = np.linalg.solve(prediction.transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
-    step = None if about is None else found.coordinates[:count] - prediction.bank.coordinates
+    step = None if about is None else local.coordinates[:count] - prediction.bank.coordinates
     predicted_by = innovation(prediction.bank, observed, rates[:count], rates_wrt[leader_of], step)
     return prediction.bank, prediction.transition[leader_of], predicted_by
 
@@ -312,7 +312,7 @@ def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
 
 class _Prediction(NamedTuple):
     bank: Bank
-    found: LocalCoordinates
+    local: LocalCoordinates
     """The filters' states, and those perturbed by `perturbed` of the leaders."""
     transition: Float64[Array, "leader error=14 error=14"]
     leader_of: Int64[Array, "filter"]
@@ -329,9 +329,9 @@ def _predict(
     if chart is None:
         best = slice(bank.best, bank.best + 1)
         chart = RingStates(*(part[best] for part in states))._replace(motion=np.zeros((1, len(MOTION))))
-    found = local_coordinates(chart, states)
-    by_leader = jacobians(found.coordinates[count:])
-    transition, coordinates = by_leader[leader_of], found.coordinates[:count]
+    local = local_coordinates(chart, states)
+    by_leader = jacobians(local.coordinates[count:])
+    transition, coordinates = by_leader[leader_of], local.coordinates[:count]
     if about is not None:
         coordinates = coordinates + (transition @ (bank.coordinates - about)[..., None])[..., 0]
     noise = process_noise(bank.models, chart, coordinates, transition, time_s)
@@ -343,7 +343,7 @@ def _predict(
         own=transition @ bank.own @ transition.swapaxes(1, 2) + noise,
         common=transition @ bank.common,
     )
-    return _Prediction(moved_bank, found, by_leader, leader_of)
+    return _Prediction(moved_bank, local, by_leader, leader_of)
 
 
 def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:
@@ -410,32 +410,32 @@ def innovation_covariance(
     return covariance
 
 
-def _relinearize(bank: Bank, observed: Observation, found: Innovation) -> Innovation:
+def _relinearize(bank: Bank, observed: Observation, innovations: Innovation) -> Innovation:
     """The innovation linearised where the measurement moves the states to (iterated filter).
 
     Only the first measurements of a bank are iterated.
     """
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
-        gain = schmidt_gain(bank.own, bank.common, found)
-        step = (gain @ found.remaining[..., None])[..., 0]
-        found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
-    return found
+        gain = schmidt_gain(bank.own, bank.common, innovations)
+        step = (gain @ innovations.remaining[..., None])[..., 0]
+        innovations = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
+    return innovations
 
 
-def update(bank: Bank, observed: Observation, found: Innovation) -> Bank:
+def update(bank: Bank, observed: Observation, innovations: Innovation) -> Bank:
     """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation."""
-    found = _relinearize(bank, observed, found)
-    gain = schmidt_gain(bank.own, bank.common, found)
-    own, common = covariances_after(bank.own, bank.common, gain, found)
-    _, log_determinant = np.linalg.slogdet(found.covariance)
-    chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
-    log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
+    innovations = _relinearize(bank, observed, innovations)
+    gain = schmidt_gain(bank.own, bank.common, innovations)
+    own, common = covariances_after(bank.own, bank.common, gain, innovations)
+    _, log_determinant = np.linalg.slogdet(innovations.covariance)
+    chi2 = (innovations.remaining[:, None] @ innovations.precision @ innovations.remaining[..., None])[:, 0, 0]
+    log_likelihood = -0.5 * (chi2 + log_determinant + innovations.remaining.shape[1] * np.log(2.0 * pi))
     after = replace(
         bank,
-        coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
+        coordinates=bank.coordinates + (gain @ innovations.remaining[..., None])[..., 0],
         own=own,
         common=common,
-        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
+        log_evidence=bank.log_evidence + np.where(np.isfinite(innovations.chi2), log_likelihood, LOST),
         measurements=bank.measurements + 1,
     )
     missing = after.penalized_evidence.max() - MAX_LOG_ODDS - after.penalized_evidence
@@ -443,11 +443,11 @@ def update(bank: Bank, observed: Observation, found: Innovation) -> Bank:
 
 
 def schmidt_gain(
-    own: Float64[Array, "filter error error"], common: Float64[Array, "filter error source"], found: Innovation
+    own: Float64[Array, "filter error error"], common: Float64[Array, "filter error source"], innovations: Innovation
 ) -> Float64[Array, "filter error row"]:
     """The gain with the least covariance: K = (P H^T + B (H B + H_q)^T) S^-1, Eq. (10.4)."""
-    cross = own @ found.jacobian.swapaxes(1, 2) + common @ found.wrt_common.swapaxes(1, 2)
-    gain: Float64[Array, "filter error row"] = cross @ found.precision
+    cross = own @ innovations.jacobian.swapaxes(1, 2) + common @ innovations.wrt_common.swapaxes(1, 2)
+    gain: Float64[Array, "filter error row"] = cross @ innovations.precision
     return gain
 
 
@@ -455,9 +455,9 @@ def covariances_after(
     own: Float64[Array, "filter error error"],
     common: Float64[Array, "filter error source"],
     gain: Float64[Array, "filter error row"],
-    found: Innovation,
+    innovations: Innovation,
 ) -> tuple[Float64[Array, "filter error error"], Float64[Array, "filter error source"]]:
     """P and B after an update with any gain: (1 - K H) P (1 - K H)^T + K K^T, and B - K (H B + H_q), Eq. (10.5)."""
-    kept = np.eye(own.shape[1]) - gain @ found.jacobian
+    kept = np.eye(own.shape[1]) - gain @ innovations.jacobian
     updated_own = kept @ own @ kept.swapaxes(1, 2) + gain @ gain.swapaxes(1, 2)
-    return 0.5 * (updated_own + updated_own.swapaxes(1, 2)), common - gain @ found.wrt_common
+    return 0.5 * (updated_own + updated_own.swapaxes(1, 2)), common - gain @ innovations.wrt_common
