@@ -123,10 +123,10 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
         for image, mask in zip(images, shot.lasers, strict=True)
     ]
     alone = {int(mask).bit_length() - 1: frame for frame, mask in enumerate(shot.lasers) if int(mask).bit_count() == 1}
-    pixels = {laser: found for laser, frame in alone.items() if (found := by_frame[frame]) is not None}
+    pixels = {laser: lit for laser, frame in alone.items() if (lit := by_frame[frame]) is not None}
     own = sum(1 << laser for laser in alone)
     seen = [
-        sum(1 << laser for laser, found in pixels.items() if found.are_lit_in(image))
+        sum(1 << laser for laser, lit in pixels.items() if lit.are_lit_in(image))
         | (int(mask) & ~own if by_frame[frame] is not None else 0)
         for frame, (image, mask) in enumerate(zip(images, shot.lasers, strict=True))
     ]
@@ -176,14 +176,14 @@ def lasers_out_of_sequence(
     for frame in np.flatnonzero([int(mask).bit_count() == 1 for mask in shot.lasers]):
         others = np.flatnonzero(same_light[frame] & ((shot.lasers & shot.lasers[frame]) == 0))
         without = [shot.images[other] for other in others]
-        found = lit_pixels(shot.images[frame], without, shot.saturation_dn) if without else None
-        if found is not None:
-            pixels[int(shot.lasers[frame]).bit_length() - 1] = found
+        lit = lit_pixels(shot.images[frame], without, shot.saturation_dn) if without else None
+        if lit is not None:
+            pixels[int(shot.lasers[frame]).bit_length() - 1] = lit
     frames = list(zip(shot.images, shot.lasers.tolist(), strict=True))
     suspects = {
-        laser: found
-        for laser, found in pixels.items()
-        if any(found.are_on_in(image) for image, mask in frames if not mask >> laser & 1)
+        laser: lit
+        for laser, lit in pixels.items()
+        if any(lit.are_on_in(image) for image, mask in frames if not mask >> laser & 1)
     }
     return pixels, suspects
 

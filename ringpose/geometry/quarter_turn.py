@@ -114,13 +114,13 @@ class QuarterTurn:
 
     # What is measured
 
-    def detection(self, found: Detection) -> Detection:
+    def detection(self, detection: Detection) -> Detection:
         """The turned detection."""
         points, stripes, segments, edges, ring = (
-            found.break_points, found.stripes, found.segments, found.ring_edges, found.ring
+            detection.break_points, detection.stripes, detection.segments, detection.ring_edges, detection.ring
         )  # fmt: skip
         return replace(
-            found,
+            detection,
             break_points=self.break_points(points) if isinstance(points, BreakPoints) else points,
             ring_edges=None if edges is None else self.edges(edges),
             ring=None if ring is None else self.judged(ring),

@@ -154,34 +154,34 @@ def _why_no_estimate(measured: Measurements) -> NoPose:
 def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
     """The pose of the best explanation, with NaN for what is not determined, and the findings about it."""
     estimate, measured = best.estimate, best.measured
-    evidence, found = _plane_evidence(best), quantities(estimate)
-    covariance = _covariance(best, found)
+    evidence, pose_quantities = _plane_evidence(best), quantities(estimate)
+    covariance = _covariance(best, pose_quantities)
     result = PoseResult(
         pose=NoPose.NOT_FINITE,
         stamp_s=measured.reference_s,
-        priors=_priors(best, found, source),
+        priors=_priors(best, pose_quantities, source),
         rejected=best.rejected,
         plane_evidence=evidence,
     )
     if not bool(np.isfinite(covariance).all()):
         return result, best.findings
-    bias_m = second_order_bias_m(covariance, estimate, found)
-    covariance = with_second_order(covariance, bias_m, estimate, found)
+    bias_m = second_order_bias_m(covariance, estimate, pose_quantities)
+    covariance = with_second_order(covariance, bias_m, estimate, pose_quantities)
     origin = estimate.arcs.origin
-    if abs(float(origin @ found.normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
+    if abs(float(origin @ pose_quantities.normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
         return replace(result, pose=NoPose.EDGE_ON), best.findings
-    reported = _determined(best, found, covariance)
+    reported = _determined(best, pose_quantities, covariance)
     if not reported.grasp and not reported.normal:
         return replace(result, pose=_why_nothing(best)), best.findings
-    findings = best.findings | _open(estimate, found, covariance, reported, bias_m) | _unverified(best)
+    findings = best.findings | _open(estimate, pose_quantities, covariance, reported, bias_m) | _unverified(best)
     pose = replace(
-        _reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
+        _reported_pose(estimate, pose_quantities, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured),
     )
     if not measured.has_covariances:
         return replace(result, pose=pose), findings | Finding.NO_ERRORS | _open_velocity(best)
-    velocity, of_velocity = _velocity(best, found, findings)
-    measurement = ring_measurement(estimate, measured, found)
+    velocity, of_velocity = _velocity(best, pose_quantities, findings)
+    measurement = ring_measurement(estimate, measured, pose_quantities)
     return replace(result, pose=pose, velocity=velocity, measurement=measurement), findings | of_velocity
 
 
@@ -198,13 +198,13 @@ def _open_velocity(best: Explanation) -> Finding:
     return NOTHING if best.prior.assumptions.motion is None else Finding.VELOCITY_OPEN
 
 
-def _velocity(best: Explanation, found: Quantities, findings: Finding) -> tuple[RingVelocity | None, Finding]:
+def _velocity(best: Explanation, pose_quantities: Quantities, findings: Finding) -> tuple[RingVelocity | None, Finding]:
     """The velocity, with the mean and variance of the prior where the shot does not determine it, and its findings.
 
     The velocity of the centre depends on the side of the centre, and on the radius: within the errors of an unknown
     radius not linearly.
     """
-    velocity = ring_velocity(best.estimate, found)
+    velocity = ring_velocity(best.estimate, pose_quantities)
     if velocity is None:
         return None, NOTHING
     if "velocity" in best.differing or not best.side_known:
@@ -291,7 +291,7 @@ def _unverified(best: Explanation) -> Finding:
     return findings
 
 
-def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
+def _priors(best: Explanation, pose_quantities: Quantities, source: str) -> Priors:
     radius, rig = None, best.measured.rig
     if best.prior.radii is not None:
         inner_m, outer_m = best.prior.radii.radius_m.tolist()
@@ -304,24 +304,24 @@ def _priors(best: Explanation, found: Quantities, source: str) -> Priors:
         radius=radius,
         rig_covariance=rig.covariance is not None and bool(np.isfinite(rig.covariance.data).all()),
         moved_planes=rig.moved_planes,
-        regularization=prior_rows(best.estimate, best.prior, found),
+        regularization=prior_rows(best.estimate, best.prior, pose_quantities),
     )
 
 
-def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
+def _covariance(best: Explanation, pose_quantities: Quantities) -> Float64[Array, "15 15"]:
     """Joint covariance; for an inconsistent shot it is multiplied by the reduced chi-squared.
 
     The outer products of the differences from the competing fits are then added. If stripes and break points have no
     redundancy, the factor is the mean square of the visible edges' residuals.
     """
     estimate = best.estimate
-    covariance = joint_covariance(estimate, found)
+    covariance = joint_covariance(estimate, pose_quantities)
     if best.findings & Finding.UNEXPLAINED:
         freedom = estimate.expected_chi2
         ratio = estimate.chi2 / freedom if freedom > MIN_FREEDOM else edge_mean_square(estimate)
         covariance = covariance * max(ratio, 1.0)
         for other in best.competing:
-            difference = difference_from(other, quantities(other), estimate, found)
+            difference = difference_from(other, quantities(other), estimate, pose_quantities)
             covariance = covariance + np.outer(difference, difference)
     return covariance
 
@@ -354,7 +354,7 @@ class _Determined(NamedTuple):
     radius: Bool[Array, "edge=2"]
 
 
-def _determined(best: Explanation, found: Quantities, covariance: Float64[Array, "15 15"]) -> _Determined:
+def _determined(best: Explanation, pose_quantities: Quantities, covariance: Float64[Array, "15 15"]) -> _Determined:
     """The normal is determined by its tilts, centre and radii by the curvature, the grasp point by its own sigma.
 
     A quantity in which comparable explanations of the shot differ is not determined.
@@ -363,7 +363,7 @@ def _determined(best: Explanation, found: Quantities, covariance: Float64[Array,
     curvature = best.estimate.arcs.curvature
     curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * curvature
     curved = curved and curvature > 1.0 / MAX_RADIUS_M
-    across = np.array([found.normal, found.outward])
+    across = np.array([pose_quantities.normal, pose_quantities.outward])
     grasp_sd_m = standard_deviation(across @ covariance[GRASP, GRASP] @ across.T)
     edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
     radii_given = best.prior.radii is not None
@@ -378,7 +378,7 @@ def _determined(best: Explanation, found: Quantities, covariance: Float64[Array,
 
 
 def _reported_pose(
-    estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"] | None, reported: _Determined
+    estimate: Estimate, pose_quantities: Quantities, covariance: Float64[Array, "15 15"] | None, reported: _Determined
 ) -> RingPose:
     """The pose, with NaN for what is not determined; without covariances if there is none.
 
@@ -390,13 +390,13 @@ def _reported_pose(
         of_seven = covariance[:7, :7] if kept.all() else np.where(kept[:, None] & kept, covariance[:7, :7], np.nan)
     scale = 1.0 / np.sqrt(np.maximum(estimate.normal_matrix.diagonal(), np.finfo(float).tiny))
     values = np.linalg.eigvalsh(estimate.normal_matrix * scale[:, None] * scale)
-    radius_inner_m, radius_outer_m = np.where(reported.radius, found.radius_m, np.nan).tolist()
+    radius_inner_m, radius_outer_m = np.where(reported.radius, pose_quantities.radius_m, np.nan).tolist()
     return RingPose(
-        center_m=found.center_m if reported.center else unknown,
-        normal=found.normal if reported.normal else unknown,
+        center_m=pose_quantities.center_m if reported.center else unknown,
+        normal=pose_quantities.normal if reported.normal else unknown,
         radius_inner_m=radius_inner_m,
         radius_outer_m=radius_outer_m,
-        grasp_m=found.grasp_m if reported.grasp else unknown,
+        grasp_m=pose_quantities.grasp_m if reported.grasp else unknown,
         method=Method.ML.value,
         condition_number=float(np.sqrt(values[-1] / max(float(values[0]), np.finfo(float).eps))),
         residual_rms_px=np.nan,
@@ -407,10 +407,14 @@ def _reported_pose(
 
 
 def _open(
-    estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"], reported: _Determined, bias_m: float
+    estimate: Estimate,
+    pose_quantities: Quantities,
+    covariance: Float64[Array, "15 15"],
+    reported: _Determined,
+    bias_m: float,
 ) -> Finding:
     """What is not determined, has a sigma over `WEAK_SD`, or is not described by a Gaussian."""
-    limit_m = WEAK_SD * min(map(abs, found.radius_m.tolist()))
+    limit_m = WEAK_SD * min(map(abs, pose_quantities.radius_m.tolist()))
     inward = estimate.arcs.axes[0]
     biased = bias_m > MAX_BIAS_SHARE * sqrt(float(inward @ covariance[CENTER, CENTER] @ inward))
     findings = NOTHING if reported.normal else Finding.NORMAL_OPEN

@@ -74,11 +74,11 @@ def validated_covariance(
     factors = []
     for block in (slice(0, 3), slice(3, 6)):
         inner = np.linalg.inv(covariance[block, block])
-        found = sum(float(step[block] @ inner @ step[block]) for step in without.step)
+        jackknife = sum(float(step[block] @ inner @ step[block]) for step in without.step)
         expected = sum(
             float(np.trace(inner @ (each[block, block] - covariance[block, block]))) for each in without.covariance
         )
-        factors.append(found / max(expected, 1e-12))
+        factors.append(jackknife / max(expected, 1e-12))
     degrees_of_freedom = 3 * views - 6 + (views < MIN_FREE_VIEWS)
     student = degrees_of_freedom / (degrees_of_freedom - 2)
     widening = np.sqrt(student * np.repeat(np.maximum([factors[0], factors[1]] * 2, 1.0), 3))

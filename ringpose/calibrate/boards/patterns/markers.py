@@ -78,7 +78,7 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
     board_from_image: Any = cv2.findHomography(centers_px, center_m)[0]
     if board_from_image is None:
         return None
-    found_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
+    seen_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
     corners_m = cv2.perspectiveTransform(corners.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
     side_m, side_px = board.marker_m or 1.0, np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
     ratios = []
@@ -86,7 +86,7 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
         ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / side_m))
         # For markers of this size, the bias of the corners can explain smaller deviations.
         ratios.append(ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0)
-    center_error = float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side_m
+    center_error = float(np.median(np.linalg.norm(seen_m - center_m, axis=-1))) / side_m
     return MarkerLayout(center_error=center_error, size_ratio=(ratios[0], ratios[1]))
 
 
