@@ -24,27 +24,27 @@ class RingposeError(Exception):
 
     status = 1
 
-    def __init__(self, location: str, found: str, remedy: str = "") -> None:
+    def __init__(self, location: str, finding: str, remedy: str = "") -> None:
         self.location = location
-        self.found = found
+        self.finding = finding
         self.remedy = remedy
         self.later: tuple[str, ...] = ()
         """What was found in later attempts at the same, which does not replace the first finding."""
-        super().__init__(location, found, remedy)
+        super().__init__(location, finding, remedy)
 
     @property
-    def finding(self) -> str:
+    def message(self) -> str:
         """The line without its location."""
-        line = f"{self.found}; {self.remedy}" if self.remedy else self.found
+        line = f"{self.finding}; {self.remedy}" if self.remedy else self.finding
         return " ".join(" ".join([line, *(f"(then: {each})" for each in self.later)]).split())
 
     def __str__(self) -> str:
-        return " ".join(f"{self.location}: {self.finding}".split()) if self.location else self.finding
+        return " ".join(f"{self.location}: {self.message}".split()) if self.location else self.message
 
     def followed_by(self: Problem, *later: "RingposeError") -> Problem:
         """Attach the findings of later attempts, each different one once; returns this error."""
         for each in later:
-            is_same = (each.location, each.found) == (self.location, self.found)
+            is_same = (each.location, each.finding) == (self.location, self.finding)
             if not is_same and str(each) not in self.later:
                 self.later = (*self.later, str(each))
         return self

@@ -90,9 +90,9 @@ def recorded_scores(fields: Fields) -> list[Score]:
     """
     schema = fields.values.get("ringpose")
     if schema not in (SCHEMA, SCHEMA_2):
-        found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
+        finding = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
         remedy = "give the output of bench --json, or pose records (.jsonl)"
-        raise DataError(fields.file, f"{found}, must be {SCHEMA!r}", remedy)
+        raise DataError(fields.file, f"{finding}, must be {SCHEMA!r}", remedy)
     if schema == SCHEMA:
         return list(definition_of(Report).value("shots", fields))
     shots = [{**shot.values, "assumptions": None} for shot in fields.each("shots")]

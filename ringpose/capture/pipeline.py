@@ -104,8 +104,8 @@ def captured_shots(
     min_s, max_s = (0.0, np.inf) if bounds_us is None else (1e-6 * bound for bound in bounds_us)
     for exposure_s in procedure.exposures_s:
         if not min_s <= exposure_s * (1 + 1e-9) or not exposure_s * (1 - 1e-9) <= max_s:
-            found = f"the camera cannot expose for {exposure_s:g} s; it takes {min_s:g} to {max_s:g} s"
-            raise UsageError("--exposure, --sequence", found)
+            finding = f"the camera cannot expose for {exposure_s:g} s; it takes {min_s:g} to {max_s:g} s"
+            raise UsageError("--exposure, --sequence", finding)
     sequencer = _Sequencer(camera, lasers, procedure)
     for name in names:
         sequencer.choose_steps()
@@ -228,18 +228,18 @@ class _Sequencer:
                 self._lasers.set_mask(0)
                 findings.interruptions.append(self._reconnected(error))
                 continue
-            checked, found = self._checker.checked(shot)
-            if found is None:
+            checked, problem = self._checker.checked(shot)
+            if problem is None:
                 is_first = not findings.failures and not self._lost
                 return self._completed(checked, len(findings.of_shots), is_first=is_first)
-            if isinstance(found, AmbientLightChanged):
-                self._lost += found.changes
+            if isinstance(problem, AmbientLightChanged):
+                self._lost += problem.changes
                 findings.light = AmbientLightChanged(self._lost, self._checker.never_seen(shot, len(self._lost)))
                 self._report_loss(shot.name, findings.light)
                 if self._procedure.yields_lost and len(self._lost) < MAX_LOST:
-                    return lost_shot(shot, found.changes[0])
+                    return lost_shot(shot, problem.changes[0])
             else:
-                findings.of_shots.append(found)
+                findings.of_shots.append(problem)
         return None
 
     def _reject_lasers_in_dark(self, findings: "_Findings") -> None:
@@ -262,8 +262,8 @@ class _Sequencer:
         """Report the first shot that is lost: a camera beside a lamp that flashes may lose many, for long."""
         if not self._is_loss_reported:
             again = "" if self._procedure.yields_lost else " and taken again"
-            found = f"{problem.location} {problem.found}; {problem.remedy}"
-            self._procedure.report(f"{name}: lost{again}: {found} (reported once)")
+            finding = f"{problem.location} {problem.finding}; {problem.remedy}"
+            self._procedure.report(f"{name}: lost{again}: {finding} (reported once)")
         self._is_loss_reported = True
 
     def _completed(self, shot: Shot, wrong: int, *, is_first: bool) -> Shot:

@@ -45,16 +45,16 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     description, bounds = camera.describe(), camera.bounds("ExposureTime")
     size = f"{description.image_width} x {description.image_height}"
     limits = "" if bounds is None else f", exposure {1e-6 * bounds[0]:g} to {1e-6 * bounds[1]:g} s"
-    found = f"{description.name}, {size}, {description.saturation_dn} dn{limits}"
-    yield DeviceCheck(check="camera", verdict="ok", found=found)
+    finding = f"{description.name}, {size}, {description.saturation_dn} dn{limits}"
+    yield DeviceCheck(check="camera", verdict="ok", found=finding)
     yield from (DeviceCheck(check="camera", verdict="warning", found=line) for line in camera.warnings())
     if not isinstance(lasers, UncontrolledLasers):
         yield _check_report(lasers)
     yield _check_frames(camera)
     dark = camera.trigger(0).image
     share = float(dark.mean()) / description.saturation_dn
-    found = f"without lasers the image has {100 * share:.1f} % of the full grey value"
-    yield _check("ambient light", found, share > 0.5, "warning", "darken, or expose shorter")
+    finding = f"without lasers the image has {100 * share:.1f} % of the full grey value"
+    yield _check("ambient light", finding, share > 0.5, "warning", "darken, or expose shorter")
     slowest_s = 0.0
     for response in () if isinstance(lasers, UncontrolledLasers) else laser_responses(camera, lasers, exposure_s):
         yield _check_laser(response, description.saturation_dn)
@@ -84,8 +84,10 @@ def _check_report(lasers: LaserDriver) -> DeviceCheck:
     if reported is None:
         remedy = "only the images show whether it obeys: every laser must be seen"
         return DeviceCheck(check="board", verdict="warning", found="does not report which lasers are on", remedy=remedy)
-    found = f"reports lasers on (mask {reported}) while all are off" if reported else "reports that all lasers are off"
-    return _check("board", found, bool(reported), "fault", "cut the power")
+    finding = (
+        f"reports lasers on (mask {reported}) while all are off" if reported else "reports that all lasers are off"
+    )
+    return _check("board", finding, bool(reported), "fault", "cut the power")
 
 
 def _check_frames(camera: CameraDriver) -> DeviceCheck:
@@ -93,8 +95,8 @@ def _check_frames(camera: CameraDriver) -> DeviceCheck:
     frames = [camera.trigger(0) for _ in range(FRAMES)]
     rate_hz = FRAMES / (time.perf_counter() - began_s)
     again = sum(frame.attempts - 1 for frame in frames)
-    found = f"{FRAMES} frames of {frames[0].exposure_s:g} s, {rate_hz:.1f} a second, {again} of them repeated"
-    return _check("frames", found, again > 0, "warning", "look for lost packets: cable, switch")
+    finding = f"{FRAMES} frames of {frames[0].exposure_s:g} s, {rate_hz:.1f} a second, {again} of them repeated"
+    return _check("frames", finding, again > 0, "warning", "look for lost packets: cable, switch")
 
 
 def _check_laser(response: LaserResponse, full_dn: int) -> DeviceCheck:
@@ -103,11 +105,11 @@ def _check_laser(response: LaserResponse, full_dn: int) -> DeviceCheck:
     if pixels is None:
         remedy = "check that it shines on something in the image, and that the exposure is long enough"
         return DeviceCheck(check=check, verdict="fault", found="is not seen", remedy=remedy)
-    found = f"seen at {len(pixels.pixel)} pixels, {float(np.median(pixels.contrast_dn)):.0f} dn above the dark"
+    finding = f"seen at {len(pixels.pixel)} pixels, {float(np.median(pixels.contrast_dn)):.0f} dn above the dark"
     full = float((pixels.contrast_dn + pixels.dark_dn >= full_dn).mean())
-    found += f", {100 * full:.0f} % saturated"
+    finding += f", {100 * full:.0f} % saturated"
     remedy = "expose shorter: saturated pixels do not determine the centre of a stripe"
-    return _check(check, found, full > 0.5, "warning", remedy)
+    return _check(check, finding, full > 0.5, "warning", remedy)
 
 
 def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixels: LitPixels) -> DeviceCheck:
@@ -126,11 +128,11 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
     if usable.sum() < MIN_USABLE:
         return _check(check, "cannot be checked: all pixels are saturated", True, "warning", "expose shorter")
     whole, half = (float((bright - dark)[usable].mean()) for dark, bright in light_dn)
-    found = f"half the exposure gives {100 * half / whole:.0f} % of the light"
+    finding = f"half the exposure gives {100 * half / whole:.0f} % of the light"
     remedy = "a camera that applies exposures late needs skip=1 in its URI"
-    return _check(check, found, not 0.4 < half / whole < 0.65, "fault", remedy)
+    return _check(check, finding, not 0.4 < half / whole < 0.65, "fault", remedy)
 
 
-def _check(check: str, found: str, is_bad: bool, verdict: DeviceVerdict, remedy: str) -> DeviceCheck:
+def _check(check: str, finding: str, is_bad: bool, verdict: DeviceVerdict, remedy: str) -> DeviceCheck:
     """The check with its verdict: `ok`, or, if the finding is bad, `verdict` together with the remedy."""
-    return DeviceCheck(check=check, verdict=verdict if is_bad else "ok", found=found, remedy=remedy if is_bad else "")
+    return DeviceCheck(check=check, verdict=verdict if is_bad else "ok", found=finding, remedy=remedy if is_bad else "")

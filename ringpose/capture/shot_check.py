@@ -55,13 +55,13 @@ class AmbientLightChanged(DeviceError):
         largest = max(changes, key=lambda change: abs(change.size_dn))
         size = f"by up to {abs(largest.size_dn):.0f} dn ({100 * largest.share_of_full:.0f} % of the full grey value)"
         shots = "the shot" if len(changes) == 1 else f"each of {len(changes)} shots in a row"
-        found = f"changed within {shots}, {size}"
+        finding = f"changed within {shots}, {size}"
         if missing and len(changes) >= TRIES:  # in fewer, the changes themselves may hide a laser that shines
-            found += f", and {laser_list(missing)} not seen in any of them"
+            finding += f", and {laser_list(missing)} not seen in any of them"
         remedy = "shield the scene, or take shorter shots (--sequence off,all; lasers at line:)"
         if all(change.only_with_lasers for change in changes):
             remedy += "; if it is stray light of the lasers, expose shorter"
-        super().__init__("ambient light", found, remedy)
+        super().__init__("ambient light", finding, remedy)
 
 
 class ShotChecker:
@@ -196,8 +196,8 @@ def _dark_frame(
     try:
         return camera.trigger(0, exposure_s)
     except DeviceError as error:
-        found = f"may be on, and the camera that was to check them failed: {error}"
-        raise LaserSafetyError("lasers", found, "cut the power") from error
+        finding = f"may be on, and the camera that was to check them failed: {error}"
+        raise LaserSafetyError("lasers", finding, "cut the power") from error
 
 
 def laser_list(mask: int) -> str:
@@ -216,5 +216,5 @@ def _reject_lit(pixels: Mapping[int, LitPixels], dark_image: Image, *, by_lamp: 
 def _reject_stripe(missing: int, dark_image: Image) -> None:
     """Raise a safety fault if the dark image shows a stripe: one of the missing lasers may be on all the time."""
     if shows_stripe(dark_image):
-        found = f"{laser_list(missing)} not seen to go on or off, and a stripe shows while all are off"
-        raise LaserSafetyError("lasers", found, "cut the power; a line that stays then is not a laser's")
+        finding = f"{laser_list(missing)} not seen to go on or off, and a stripe shows while all are off"
+        raise LaserSafetyError("lasers", finding, "cut the power; a line that stays then is not a laser's")

@@ -177,8 +177,8 @@ def device_source(
     # A frame that lasts longer than the watchdog waits would show lasers going off.
     on_s = (procedure.settle_s or 0.0) + max(step.exposure_s or procedure.exposure_s or 0.0 for step in steps)
     if lasers.longest_on_s is not None and on_s >= lasers.longest_on_s:
-        found = f"a laser would be on for {on_s:g} s, and the watchdog of the lasers allows {lasers.longest_on_s:g} s"
-        raise UsageError("--exposure", found, "raise heartbeat= and longest_on= in --lasers")
+        finding = f"a laser would be on for {on_s:g} s, and the watchdog of the lasers allows {lasers.longest_on_s:g} s"
+        raise UsageError("--exposure", finding, "raise heartbeat= and longest_on= in --lasers")
 
     def shots(on_read: OnRead, existing: Container[str]) -> Iterator[Shot]:
         if scene_file is not None:

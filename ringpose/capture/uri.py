@@ -33,9 +33,9 @@ class DeviceUri:
     """The part between the colon (and slashes) and the question mark."""
     parameters: Mapping[str, str]
 
-    def problem(self, found: str, remedy: str = "") -> UsageError:
+    def problem(self, finding: str, remedy: str = "") -> UsageError:
         """The error to raise for this URI."""
-        return UsageError(f"{self.option} {self.text}", found, remedy)
+        return UsageError(f"{self.option} {self.text}", finding, remedy)
 
     def reject_unknown(self, known: Sequence[str]) -> None:
         """Reject all parameters but these."""

@@ -125,8 +125,8 @@ def check_plausible(option: str, value: float | None, plausible: Range, remedy: 
     `remedy` is for values that are plausible in no other unit.
     """
     if value is not None and not plausible.holds(value):
-        found, cause = plausible.finding(value)
-        raise UsageError(option, found, cause if plausible.likely(value) or not remedy else remedy)
+        finding, cause = plausible.finding(value)
+        raise UsageError(option, finding, cause if plausible.likely(value) or not remedy else remedy)
 
 
 def numbers(text: str | None, option: str, remedy: str, plausible: Range) -> list[float]:

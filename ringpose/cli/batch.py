@@ -99,10 +99,10 @@ class Batch:
         self.record_status(problem.status)
         record = _RECORD.fullmatch(problem.location)
         if record is not None:
-            found = ": ".join(filter(None, [record["key"], problem.found]))
-            finding = record["file"], _NUMBER.sub("N", found)  # such as the column of an error in JSON
-            first, count = self._records.get(finding, (found, 0))
-            self._records[finding] = first, count + 1
+            finding = ": ".join(filter(None, [record["key"], problem.finding]))
+            key = record["file"], _NUMBER.sub("N", finding)  # such as the column of an error in JSON
+            first, count = self._records.get(key, (finding, 0))
+            self._records[key] = first, count + 1
             if count:
                 return
         self._in_a_row += 1
@@ -192,10 +192,10 @@ class Batch:
 
     def _report_counts(self) -> None:
         self._report_count()
-        for (file, _), (found, count) in self._records.items():
+        for (file, _), (finding, count) in self._records.items():
             if count > 1:
                 records = "record" if count == 2 else "records"
-                messages.echo(f"{file}: the same in {count - 1} further {records}: {found}")
+                messages.echo(f"{file}: the same in {count - 1} further {records}: {finding}")
         if self._repeated > 1:
             inputs = "input is" if self._repeated == 2 else "inputs are"
             messages.echo(f"{self._repeated - 1} further {inputs} given twice; give each input once")

@@ -119,8 +119,8 @@ def _command(arguments: list[str]) -> int:
             sys.stderr.write(error.format_message().rstrip() + "\n")
             return UsageError.status
         path = getattr(getattr(error, "ctx", None), "command_path", "ringpose")
-        found = re.sub(r"a valid (int|float)( range)?\b", _number_kind, error.format_message().rstrip("."))
-        raise UsageError("", found, f"see {path} --help") from None
+        finding = re.sub(r"a valid (int|float)( range)?\b", _number_kind, error.format_message().rstrip("."))
+        raise UsageError("", finding, f"see {path} --help") from None
     except typer.Abort as abort:  # what Typer makes of an EOFError, such as that of a truncated file of byte code
         raise abort.__cause__ or abort from None
 

@@ -103,21 +103,21 @@ class _Records:
             try:
                 attempt = self._tracker.add(line, now_s)
             except DataError as problem:
-                raise DataError(item.location, problem.found, problem.remedy) from problem
+                raise DataError(item.location, problem.finding, problem.remedy) from problem
             if line.pose is not None and line.measurement is None:
                 self._report_once(
                     f"{item.location}: has no measurement", "measure with --method ml and without --brief"
                 )
             age_s = now_s - attempt.stamp_s
             if at_rate and age_s > self._tracker.options.lost_after_s:
-                found = f"{item.location}: is {age_s:.3g} s old by this computer's clock, so that the track is lost"
-                self._report_once(found, "leave out --rate for recorded poses, or set the clock")
+                finding = f"{item.location}: is {age_s:.3g} s old by this computer's clock, so that the track is lost"
+                self._report_once(finding, "leave out --rate for recorded poses, or set the clock")
         return attempt
 
-    def _report_once(self, found: str, remedy: str) -> None:
+    def _report_once(self, finding: str, remedy: str) -> None:
         if remedy not in self._reported:
             self._reported.add(remedy)
-            messages.echo(f"{found}; {remedy} (reported once)")
+            messages.echo(f"{finding}; {remedy} (reported once)")
 
 
 def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, quiet: bool) -> "Iterator[TrackLine]":

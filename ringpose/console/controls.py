@@ -116,7 +116,7 @@ def taken_over(
         try:
             values[name] = controls[name].taken(value)
         except RingposeError as problem:
-            reason = f"{problem.found}; {problem.remedy}" if problem.remedy else problem.found
+            reason = f"{problem.finding}; {problem.remedy}" if problem.remedy else problem.finding
             refusals[name] = f"not taken: {reason}; {_written(before[name])} stays"
     return values, refusals
 

@@ -289,8 +289,8 @@ class ConsolePage:
         try:
             rig = self._load_rig(uploaded.content, uploaded.name)
             if rig.lasers.names != self._scene.rig.lasers.names:
-                found = f"has the lasers {', '.join(rig.lasers.names)}"
-                raise DataError(uploaded.name, found, "give a rig with the lasers of the scene")
+                finding = f"has the lasers {', '.join(rig.lasers.names)}"
+                raise DataError(uploaded.name, finding, "give a rig with the lasers of the scene")
         except RingposeError as problem:
             self._picked.content = plain(f"not taken over: {problem}")
             return

@@ -55,8 +55,8 @@ def opened_server(host: str, port: int | None) -> viser.ViserServer:
     if not opened:
         server.stop()
         listening.close()
-        found = f"viser {viser.__version__} opens its server in another way, so that the page cannot be protected"
-        raise UsageError("the page", found, "pip install 'viser==1.1.1'")
+        finding = f"viser {viser.__version__} opens its server in another way, so that the page cannot be protected"
+        raise UsageError("the page", finding, "pip install 'viser==1.1.1'")
     _restrict_messages(server)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=True)
     server.gui.main_panel.dock_right()

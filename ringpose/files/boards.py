@@ -46,7 +46,7 @@ def read_board(path: Path) -> Board:
     try:
         marker_dictionary(board)
     except DataError as error:
-        raise DataError(f"{path}: dictionary", error.found, error.remedy) from error
+        raise DataError(f"{path}: dictionary", error.finding, error.remedy) from error
     return board
 
 

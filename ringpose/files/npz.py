@@ -61,9 +61,9 @@ class Archive:
         """Names of the arrays."""
         return self._members.keys()
 
-    def problem(self, key: str, found: str, remedy: str = "") -> DataError:
+    def problem(self, key: str, finding: str, remedy: str = "") -> DataError:
         """The error to raise for this key."""
-        return DataError(f"{self.path}: {key}", found, remedy)
+        return DataError(f"{self.path}: {key}", finding, remedy)
 
     def reject_unknown(self, known: Iterable[str]) -> None:
         """Reject keys that are neither known nor the user's own (`FREE_PREFIX`)."""
@@ -91,8 +91,8 @@ class Archive:
         fixed = [None if isinstance(length, str) else length for length in shape]
         if len(lengths) != len(shape) or any(w not in (None, n) for w, n in zip(fixed, lengths, strict=True)):
             expected = " x ".join("n" if length is None else str(length) for length in shape)
-            found = " x ".join(map(str, lengths))
-            raise self.problem(key, f"has shape {found or 'of one value'}, must have {expected or 'one value'}")
+            given = " x ".join(map(str, lengths))
+            raise self.problem(key, f"has shape {given or 'of one value'}, must have {expected or 'one value'}")
         return member.dtype, lengths
 
     def array(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> Array:
@@ -105,8 +105,8 @@ class Archive:
         member = self._members[key]
         self._bytes_left -= max(member.dtype.itemsize, 1) * math.prod(member.shape)
         if self._bytes_left < 0:
-            found = f"declares {' x '.join(map(str, member.shape))} values of type {member.dtype}"
-            raise self.problem(key, f"{found}: more than {MAX_BYTES >> 20} MiB in all", _REMEDY)
+            finding = f"declares {' x '.join(map(str, member.shape))} values of type {member.dtype}"
+            raise self.problem(key, f"{finding}: more than {MAX_BYTES >> 20} MiB in all", _REMEDY)
         return self.loaded(key)
 
     def loaded(self, key: str) -> Array:

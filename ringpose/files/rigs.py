@@ -302,8 +302,8 @@ def _lasers(fields: Fields, entries: Sequence[LaserEntry]) -> LaserPlanes:
         if entry.name in names[:number]:
             raise fields.problem(f"lasers[{number}].name", f"{entry.name!r} occurs twice")
         if abs(entry.distance_m) < MIN_DISTANCE_M:
-            found = f"is {entry.distance_m:g}: the plane contains the camera's centre"
-            raise fields.problem(f"lasers[{number}].distance_m", found)
+            finding = f"is {entry.distance_m:g}: the plane contains the camera's centre"
+            raise fields.problem(f"lasers[{number}].distance_m", finding)
     unknown = np.full(3, np.nan)
     return LaserPlanes(
         names=tuple(names),

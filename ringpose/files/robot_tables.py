@@ -178,14 +178,14 @@ def _pose_in_row(row: _Row, convention: PoseConvention, names: list[str]) -> Rep
             words = words[:7]  # ABB's robtarget goes on with configuration and external axes
         names = _usual_columns(row, words, convention)
     if len(words) < len(names):
-        found = f"has {len(words)} columns, must have {len(names)}: {', '.join(names)}"
-        raise DataError(row.location, found, "name the columns with --robot-columns")
+        finding = f"has {len(words)} columns, must have {len(names)}: {', '.join(names)}"
+        raise DataError(row.location, finding, "name the columns with --robot-columns")
     values = dict(zip(names, words, strict=False))
     missing = [name for name in convention.names if name not in values]
     if missing:
-        found = f"has no column {missing[0]!r}, its columns are {', '.join(names)}"
+        finding = f"has no column {missing[0]!r}, its columns are {', '.join(names)}"
         remedy = f"name them with --robot-columns: {','.join(convention.names)}, with shot, stamp_s or - for others"
-        raise DataError(row.location, found, remedy)
+        raise DataError(row.location, finding, remedy)
     stated = np.array([_value(row, name, values[name]) for name in convention.names])
     stamp = next((values[name] for name in _STAMP_COLUMNS if name in values), None)
     name = next((values[name] for name in _NAME_COLUMNS if name in values), row.name)
@@ -205,9 +205,9 @@ def _usual_columns(row: _Row, words: list[str], convention: PoseConvention) -> l
         return list(convention.names)
     if extra == 1 and _number(words[0]) is None:
         return ["shot", *convention.names]
-    found = f"has {len(words)} columns, a pose of this convention has {len(convention.names)}"
+    finding = f"has {len(words)} columns, a pose of this convention has {len(convention.names)}"
     remedy = f"name them with --robot-columns, as stamp_s,{','.join(convention.names)}"
-    raise DataError(row.location, found, remedy)
+    raise DataError(row.location, finding, remedy)
 
 
 def _value(row: _Row, name: str, word: str) -> float:
@@ -228,19 +228,19 @@ def _placed(
         matrix = matrix.T
     position_m = convention.length_m * (numbers[:3] if matrix is None else matrix[:3, 3])
     if np.abs(position_m).max() > REACH_M.highest:
-        found = f"is {np.abs(position_m).max():.4g} m away from the base along an axis"
-        raise DataError(location, found, "likely the positions are in millimetres: give mm in --robot-convention")
+        finding = f"is {np.abs(position_m).max():.4g} m away from the base along an axis"
+        raise DataError(location, finding, "likely the positions are in millimetres: give mm in --robot-convention")
     if matrix is not None:
         return position_m, _rotation(location, matrix)
     turn = numbers[3:]
     if convention.rotation == "quaternion":
         length = float(np.linalg.norm(turn))
         if abs(length - 1.0) > MAX_QUATERNION_ERROR:
-            found = f"its quaternion has length {length:.6g}, must be 1"
-            raise DataError(location, found, "likely these are angles, or other columns: see --robot-columns")
+            finding = f"its quaternion has length {length:.6g}, must be 1"
+            raise DataError(location, finding, "likely these are angles, or other columns: see --robot-columns")
     elif convention.angle_rad == 1.0 and np.linalg.norm(turn) > 2 * pi * (2 if convention.rotation == "angles" else 1):
-        found = f"has an angle of {np.abs(turn).max():.4g} rad"
-        raise DataError(location, found, "likely the angles are in degrees: give deg in --robot-convention")
+        finding = f"has an angle of {np.abs(turn).max():.4g} rad"
+        raise DataError(location, finding, "likely the angles are in degrees: give deg in --robot-convention")
     return position_m, convention.rotation_of(turn)
 
 
@@ -261,16 +261,16 @@ def _check_distances(poses: Sequence[ReportedPose], location: str, convention: P
     """Reject poses that are far too near to the base, or too far, or that never turn, for their units."""
     distance_m = np.array([float(np.linalg.norm(pose.position_m)) for pose in poses])
     if np.median(distance_m) > FAR_M:
-        found = f"the tool is {np.median(distance_m):.4g} m from the base"
-        raise DataError(location, found, "likely the positions are in millimetres: give mm, or divide by 1000")
+        finding = f"the tool is {np.median(distance_m):.4g} m from the base"
+        raise DataError(location, finding, "likely the positions are in millimetres: give mm, or divide by 1000")
     if convention is not None and convention.length_m < 1.0 and distance_m.max() < NEAR_M:
-        found = f"the tool is never more than {1e3 * distance_m.max():.4g} mm from the base"
-        raise DataError(location, found, "likely the positions are in metres: give m in --robot-convention")
+        finding = f"the tool is never more than {1e3 * distance_m.max():.4g} mm from the base"
+        raise DataError(location, finding, "likely the positions are in metres: give m in --robot-convention")
     if convention is not None and convention.rotation in ("angles", "rotation_vector") and len(poses) > 2:
         turned = [np.arccos(np.clip((np.trace(pose.rotation) - 1) / 2, -1, 1)) for pose in poses]
         if convention.angle_rad < 1.0 and max(turned) < pi * convention.angle_rad * np.sqrt(3):
-            found = f"no pose is turned by more than {max(turned) / convention.angle_rad:.3g} degrees from the base"
-            raise DataError(location, found, "likely the angles are in radians: give rad in --robot-convention")
+            finding = f"no pose is turned by more than {max(turned) / convention.angle_rad:.3g} degrees from the base"
+            raise DataError(location, finding, "likely the angles are in radians: give rad in --robot-convention")
 
 
 def _pose_in_record(item: Input | Problem) -> ReportedPose:
@@ -340,8 +340,8 @@ def _without_repeats(read: Iterable[ReportedPose]) -> ReportedPoses:
             repeats += 1
         else:
             what = f"name {pose.name!r}" if pose.name else f"stamp {pose.stamp_s:.6f}"
-            found = f"has the {what} of {first.location}, but another pose"
-            raise DataError(pose.location, found, "leave out the wrong one")
+            finding = f"has the {what} of {first.location}, but another pose"
+            raise DataError(pose.location, finding, "leave out the wrong one")
     return ReportedPoses(poses=tuple(kept), repeats=repeats)
 
 

@@ -57,9 +57,9 @@ class Fields:
         where = ".".join(part for part in (self.path, key) if part)
         return f"{self.file}: {where}" if where else self.file
 
-    def problem(self, key: str, found: str, remedy: str = "") -> DataError:
+    def problem(self, key: str, finding: str, remedy: str = "") -> DataError:
         """The error to raise for this key."""
-        return DataError(self.location(key), found, remedy)
+        return DataError(self.location(key), finding, remedy)
 
     def has(self, key: str) -> bool:
         """Whether the key is present and not null."""
@@ -155,8 +155,8 @@ class Fields:
         if array.size == 0 and not all(shape):
             array = array.reshape([length or 0 for length in shape])
         if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
-            found = " x ".join(map(str, array.shape)) or "one"
-            raise self.problem(key, f"has {found} numbers, must have {expected}")
+            given = " x ".join(map(str, array.shape)) or "one"
+            raise self.problem(key, f"has {given} numbers, must have {expected}")
         if not allow_nan and np.isnan(array).any():
             raise self.problem(key, "has null or NaN among its numbers", "leave out what is not known")
         if finding := unusable(array, allow_nan):
@@ -178,8 +178,8 @@ class Fields:
         vector = self.vector(key, 3)
         length = float(np.linalg.norm(vector))
         if not plausible.holds(length):
-            found, remedy = plausible.finding(length)
-            raise self.problem(key, f"has a length that {found}", remedy)
+            finding, remedy = plausible.finding(length)
+            raise self.problem(key, f"has a length that {finding}", remedy)
         return vector
 
     def unit_vector(self, key: str, remedy: str = "") -> Float64[Array, "xyz=3"]:

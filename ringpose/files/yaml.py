@@ -53,16 +53,16 @@ class _Loader(Composer, yaml.CSafeLoader):
         event: Any = self.peek_event()
         before = self._values
         if self._depth > MAX_DEPTH:
-            found = f"more than {MAX_DEPTH} lists and mappings inside each other"
-            raise yaml.composer.ComposerError(None, None, found, event.start_mark)
+            finding = f"more than {MAX_DEPTH} lists and mappings inside each other"
+            raise yaml.composer.ComposerError(None, None, finding, event.start_mark)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
         is_alias = isinstance(event, yaml.AliasEvent)
         self._values += self._values_within.get(id(node), 0) if is_alias else 1
         if self._values > MAX_VALUES:
-            found = f"more than {MAX_VALUES} values, aliases written out"
-            raise yaml.composer.ComposerError(None, None, found, event.start_mark)
+            finding = f"more than {MAX_VALUES} values, aliases written out"
+            raise yaml.composer.ComposerError(None, None, finding, event.start_mark)
         if not is_alias:
             self._values_within[id(node)] = self._values - before
         return node

@@ -123,14 +123,14 @@ def convention_named(text: str, option: str = "--robot-convention") -> PoseConve
     units = [word for word in words if word in ("deg", "rad")]
     forms = [word for word in words if word in _FORMS]
     if len(words) == 1 and not (lengths or units or forms):
-        found = f"is {text!r}, must be one of {', '.join(CONVENTIONS)}, or words as mm,ZYX,deg"
-        raise UsageError(option, found, "see ringpose-robot(7)")
+        finding = f"is {text!r}, must be one of {', '.join(CONVENTIONS)}, or words as mm,ZYX,deg"
+        raise UsageError(option, finding, "see ringpose-robot(7)")
     if len(lengths) != 1 or len(forms) != 1 or len(words) != len(lengths) + len(units) + len(forms):
-        found = f"is {text!r}, must have m or mm, and xyzw, wxyz, rotation_vector, matrix, or an order as ZYX or xyz"
-        raise UsageError(option, found, "as mm,ZYX,deg or m,xyzw; see ringpose-robot(7)")
+        finding = f"is {text!r}, must have m or mm, and xyzw, wxyz, rotation_vector, matrix, or an order as ZYX or xyz"
+        raise UsageError(option, finding, "as mm,ZYX,deg or m,xyzw; see ringpose-robot(7)")
     rotation, order = _FORMS[forms[0]]
     if len(units) != (rotation in ("angles", "rotation_vector")):
-        found = f"is {text!r}: angles need deg or rad, quaternions and matrices have no such unit"
-        raise UsageError(option, found, "as mm,ZYX,deg or m,xyzw")
+        finding = f"is {text!r}: angles need deg or rad, quaternions and matrices have no such unit"
+        raise UsageError(option, finding, "as mm,ZYX,deg or m,xyzw")
     length_m, angle_rad = 1.0 if lengths[0] == "m" else 1e-3, DEGREE if units == ["deg"] else 1.0
     return PoseConvention(length_m=length_m, rotation=rotation, order=order, angle_rad=angle_rad)

@@ -388,8 +388,8 @@ def pose_result(
     """
     lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
     if lasers != known_lasers:
-        found = f"they are of {lasers} lasers, the rig has {known_lasers}"
-        raise DataError("break points", found, "use the rig that took the shots")
+        finding = f"they are of {lasers} lasers, the rig has {known_lasers}"
+        raise DataError("break points", finding, "use the rig that took the shots")
     if rig.stripes_along_columns:
         from ringpose.geometry.quarter_turn import rig_along_rows, to_columns, to_rows  # for few rigs
 

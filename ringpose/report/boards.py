@@ -26,7 +26,7 @@ def board_overlay(image: UInt[Array, "row column"], view: BoardView | NoBoard) -
     if isinstance(view, NoBoard):
         for x, y in view.points_px:
             cv2.circle(drawn, (round(float(x) * 16), round(float(y) * 16)), 16 * 5, _TEXT, 1, cv2.LINE_AA, 4)
-        return _with_text(drawn, (f"no board: {view.failure.value}", view.found))
+        return _with_text(drawn, (f"no board: {view.failure.value}", view.finding))
     for number, (x, y) in zip(view.ids, view.points_px, strict=True):
         color = _FIRST if number == view.ids[0] else _CORNER
         cv2.circle(drawn, (round(float(x) * 16), round(float(y) * 16)), 16 * 5, color, 1, cv2.LINE_AA, 4)

@@ -64,8 +64,8 @@ def simulated_shot(scene: Scene, views: Sequence[RingView], number: int) -> tupl
         frames = render_view(scene, illuminated, seed).frames(scene.sequence, exposure_s, stamps_s)
         return _shot_of(scene, view.name, frames, still=True), view_truth(scene, view, illuminated)
     if scene.shots > 1 and begins_s[-1] + exposure_s > scene.period_s:
-        found = f"is {scene.period_s:g} s, shorter than the {begins_s[-1] + exposure_s:.3f} s of a shot"
-        raise DataError("the scene's period_s", found, "give a longer period, or set exposure_s")
+        finding = f"is {scene.period_s:g} s, shorter than the {begins_s[-1] + exposure_s:.3f} s of a shot"
+        raise DataError("the scene's period_s", finding, "give a longer period, or set exposure_s")
     frames = [
         moving_frame(scene, view, mask, exposure_s, begin_s, stamp_s, (*seed, frame))
         for frame, (mask, begin_s, stamp_s) in enumerate(zip(scene.sequence, begins_s, stamps_s, strict=True))

@@ -142,8 +142,8 @@ class RingViews(Sequence[RingView]):
         doubled = [name for name, count in names.items() if count > 1]
         doubled += [name for each in self._scene.approaches if given for name in _names(each) if name in given]
         if doubled:
-            found = f"two views are called {doubled[0]!r}"
-            raise DataError("the scene's trajectory", found, "give each generated set its own name")
+            finding = f"two views are called {doubled[0]!r}"
+            raise DataError("the scene's trajectory", finding, "give each generated set its own name")
 
 
 def _names(approach: Approach) -> Iterator[str]:

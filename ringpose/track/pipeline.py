@@ -160,13 +160,13 @@ class Tracker:
         """Why a record cannot be used; None if it can."""
         measurement, stamp_s = line.measurement, line.pose_stamp_s
         if measurement is None and line.pose is not None:
-            found = "the record has no measurement: do not use --brief of ringpose pose, nor a method other than ml"
-            return Fusion(FusionStatus.NONE, reason=found)
+            reason = "the record has no measurement: do not use --brief of ringpose pose, nor a method other than ml"
+            return Fusion(FusionStatus.NONE, reason=reason)
         if measurement is None or not isfinite(stamp_s):
             return Fusion(FusionStatus.NONE, reason=line.reason or "the record has no time stamp")
         if arrival is Arrival.AHEAD:
-            found = f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
-            return Fusion(FusionStatus.TOO_NEW, reason=found)
+            reason = f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
+            return Fusion(FusionStatus.TOO_NEW, reason=reason)
         if line.flags & PoseFlag.ASSIGNMENT_AMBIGUOUS:
             return Fusion(FusionStatus.REJECTED_COVARIANCE, reason="the assignment of its stripes is ambiguous")
         if not _is_plausible(measurement):
@@ -176,8 +176,10 @@ class Tracker:
         if stamp_s < self._base_stamp_s:
             return Fusion(FusionStatus.TOO_OLD, reason=f"it is older than the buffer of {BUFFER_S:g} s")
         if arrival is Arrival.IN_DOUBT:
-            found = "its stamp is among those of earlier shots; if that of the next one is, too, the clock was set back"
-            return Fusion(FusionStatus.PENDING, reason=found)
+            reason = (
+                "its stamp is among those of earlier shots; if that of the next one is, too, the clock was set back"
+            )
+            return Fusion(FusionStatus.PENDING, reason=reason)
         return None
 
     def _fused(self, line: PoseLine, now_s: float, inflation: float, arrival: Arrival) -> Fusion:
@@ -238,8 +240,8 @@ class Tracker:
         common = common_errors(line, line.measurement, self._rig, mount, self._form_tolerance_m)
         if self._common is None or not _alike(self._common, common):
             if self._common is not None and _without_form(common) != _without_form(self._common):
-                found = "has other nuisance parameters than the records before"
-                raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
+                finding = "has other nuisance parameters than the records before"
+                raise DataError(line.shot, finding, "give ringpose pose the same options for all of them")
             self._common = common
         if common.with_form:
             # a record with the flag `ring_form` assumes a larger tolerance than the others, or one at all

@@ -147,11 +147,11 @@ def searched_frames(masks: Sequence[int], count: int) -> list[tuple[int, tuple[i
 def check_shot_size(location: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
     """Reject a shot that is too large, or whose size is not the camera's; `location` is used in messages."""
     if camera is not None and (width, height) != (camera.image_width, camera.image_height):
-        found = f"{width} x {height} pixels, the rig's camera has {camera.image_width} x {camera.image_height}"
-        raise DataError(location, found, "give the rig that took the shot")
+        finding = f"{width} x {height} pixels, the rig's camera has {camera.image_width} x {camera.image_height}"
+        raise DataError(location, finding, "give the rig that took the shot")
     if frames * width * height > MAX_SHOT_PIXELS:
-        found = f"declares {frames} x {width} x {height} pixels, must have at most {MAX_SHOT_PIXELS / 1e6:g} million"
-        raise DataError(location, found, "give fewer frames, or crop them")
+        finding = f"declares {frames} x {width} x {height} pixels, must have at most {MAX_SHOT_PIXELS / 1e6:g} million"
+        raise DataError(location, finding, "give fewer frames, or crop them")
 
 
 def board_image(shot: Shot) -> UInt[Array, "row column"]:

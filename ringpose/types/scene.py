@@ -370,8 +370,8 @@ class BoardApproach:
     @property
     def contradiction(self) -> tuple[str, str] | None:
         """The key and the finding of distances that are not two; None if they are."""
-        found = "distances_m", "must be the nearest and the farthest distance"
-        return None if len(self.distances_m) == 2 else found
+        problem = "distances_m", "must be the nearest and the farthest distance"
+        return None if len(self.distances_m) == 2 else problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -92,8 +92,8 @@ def _parsed_step(word: str, place: int) -> Step:
         if max(map(int, numbers)) > MAX_LASERS:
             raise UsageError("--sequence", f'step {place}, "{word}", names a laser beyond the {MAX_LASERS} of a mask')
     if at and not step.exposure_s:
-        found = f'step {place}, "{word}", has no exposure after its @'
-        raise UsageError("--sequence", found, "write it as 500us, 4ms or 0.5s")
+        finding = f'step {place}, "{word}", has no exposure after its @'
+        raise UsageError("--sequence", finding, "write it as 500us, 4ms or 0.5s")
     return step
 
 

@@ -203,9 +203,9 @@ class Header:
         self.type = values.get("type") if isinstance(values.get("type"), str) else ""
         self._name = name or str(self.type)[:40]
 
-    def problem(self, key: str, found: str) -> MalformedMessage:
+    def problem(self, key: str, finding: str) -> MalformedMessage:
         """The error to raise for one value."""
-        return MalformedMessage(f"{self._name}: {key} {found}")
+        return MalformedMessage(f"{self._name}: {key} {finding}")
 
     def has(self, key: str) -> bool:
         """Whether a value is given and not null."""

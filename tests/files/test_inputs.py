@@ -95,4 +95,4 @@ def test_endless_blank_lines_and_endless_lines_are_refused(tmp_path, name, conte
 
     (problem,) = inputs([tmp_path / name], [".jsonl"])
 
-    assert found in problem.found
+    assert found in problem.finding

@@ -167,7 +167,7 @@ def test_invalid_targets_and_lights_are_rejected_with_their_place(scene_of, chan
     with pytest.raises(DataError) as error:
         scene_of(*changes)
 
-    assert place in error.value.location + error.value.found
+    assert place in error.value.location + error.value.finding
     assert word in str(error.value)
 
 

@@ -195,8 +195,8 @@ def _connected(place: str) -> Iterator[Any]:
         _require_same_software(client.run(software), software())
         yield client
     except (distributed.CancelledError, distributed.comm.core.CommClosedError, OSError, TimeoutError) as error:
-        found = f"the cluster has disappeared ({type(error).__name__})"
-        raise DeviceError(place, found, "finished shots are kept; start it again and repeat the command") from error
+        finding = f"the cluster has disappeared ({type(error).__name__})"
+        raise DeviceError(place, finding, "finished shots are kept; start it again and repeat the command") from error
     finally:
         client.close(timeout=5)
 
@@ -242,5 +242,5 @@ def _require_same_software(workers: Mapping[str, dict[str, str]], ours: Mapping[
     for address, theirs in workers.items():
         for name, value in ours.items():
             if theirs.get(name) != value:
-                found = f"has {name} {theirs.get(name)}, this process {value}"
-                raise DataError(f"worker {address}", found, "install the same versions")
+                finding = f"has {name} {theirs.get(name)}, this process {value}"
+                raise DataError(f"worker {address}", finding, "install the same versions")

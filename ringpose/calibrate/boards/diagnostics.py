@@ -86,7 +86,7 @@ class NoBoard:
     """An image without a usable board."""
 
     failure: BoardFailure
-    found: str = ""
+    finding: str = ""
     """What was found instead, with numbers."""
     points_px: Float64[Array, "point xy=2"] = field(default_factory=lambda: np.empty((0, 2)), compare=False)
     """Corners that were found nevertheless."""
@@ -94,7 +94,7 @@ class NoBoard:
     @property
     def value(self) -> str:
         """The reason as a sentence for the user, with what was found instead."""
-        return f"{self.failure.value} ({self.found})" if self.found else self.failure.value
+        return f"{self.failure.value} ({self.finding})" if self.finding else self.failure.value
 
 
 def hopeless(grey: GreyImage, board: Board) -> NoBoard | None:
@@ -105,18 +105,18 @@ def hopeless(grey: GreyImage, board: Board) -> NoBoard | None:
     afterwards.
     """
     if min(grey.shape) < MIN_SIZE_PX:
-        return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
+        return NoBoard(failure=BoardFailure.TOO_SMALL, finding=f"{grey.shape[1]} x {grey.shape[0]} pixels")
     contrast, noise = _contrast_and_noise(grey)
     if contrast < max(MIN_CONTRAST_DN, MIN_CONTRAST_SIGMAS * noise):
-        found = f"blocks of {CONTRAST_BLOCK_PX} x {CONTRAST_BLOCK_PX} pixels differ by {contrast:.0f} of 255"
-        return unusable(grey) or NoBoard(failure=BoardFailure.NO_CONTRAST, found=found)
+        finding = f"blocks of {CONTRAST_BLOCK_PX} x {CONTRAST_BLOCK_PX} pixels differ by {contrast:.0f} of 255"
+        return unusable(grey) or NoBoard(failure=BoardFailure.NO_CONTRAST, finding=finding)
     if board.kind not in ("chessboard", "asymmetric_circles"):
         return None
     long, short = sorted((board.squares_x or 1, board.squares_y or 1), reverse=True)
     square_px = min(max(grey.shape) / long, min(grey.shape) / short)
     width_px = edge_width_px(grey)
     if MAX_BLUR_PER_SQUARE * square_px < width_px < np.inf:
-        return NoBoard(failure=BoardFailure.BLURRED, found=edge_width_in_words(width_px))
+        return NoBoard(failure=BoardFailure.BLURRED, finding=edge_width_in_words(width_px))
     return None
 
 
@@ -137,10 +137,10 @@ def unusable(grey: GreyImage, seen: NoBoard | None = None) -> NoBoard | None:
     count = np.cumsum(cv2.calcHist([grey], [0], None, [256], [0, 256]).ravel())
     bright = int(np.searchsorted(count, 0.99 * grey.size))
     if bright < DARK_DN:
-        return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are at most {bright} of 255")
+        return NoBoard(failure=BoardFailure.TOO_DARK, finding=f"99 % of the pixels are at most {bright} of 255")
     full = 1.0 - float(count[254]) / grey.size
     if full > BRIGHT_SHARE and not (seen is not None and len(seen.points_px)):
-        return NoBoard(failure=BoardFailure.SATURATED, found=f"{100 * full:.0f} % of the pixels are saturated")
+        return NoBoard(failure=BoardFailure.SATURATED, finding=f"{100 * full:.0f} % of the pixels are saturated")
     return None
 
 
@@ -168,16 +168,16 @@ def pattern_failure(grey: GreyImage, board: Board, grid: Grid | None) -> NoBoard
     if grid is not None:
         rows, columns = sorted(grid.shape[:2])
         few, many = sorted((board.squares_x or 0, board.squares_y or 0))
-        found = f"{columns} x {rows} of {many - 1} x {few - 1} inner corners, {edge_width_in_words(width_px)}"
+        finding = f"{columns} x {rows} of {many - 1} x {few - 1} inner corners, {edge_width_in_words(width_px)}"
         failure = BoardFailure.BLURRED if width_px > BLURRED_PX else BoardFailure.NOT_WHOLE
         if rows >= few or columns >= many:
             failure = BoardFailure.OTHER_SIZE
-        return NoBoard(failure=failure, found=found, points_px=grid.reshape(-1, 2))
+        return NoBoard(failure=failure, finding=finding, points_px=grid.reshape(-1, 2))
     other = _other_markers(grey)
     if other:
-        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
+        return NoBoard(failure=BoardFailure.OTHER_MARKERS, finding=other)
     failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
-    return NoBoard(failure=failure, found=edge_width_in_words(width_px))
+    return NoBoard(failure=failure, finding=edge_width_in_words(width_px))
 
 
 def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers) -> NoBoard:
@@ -188,18 +188,18 @@ def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers
     if len(own.ids):
         outside = _outside(own, board, (grey.shape[0], grey.shape[1]))
         where = f", {outside} of the others are outside the image" if outside else ""
-        found = f"{len(own.ids)} of {wanted}{where}"
-        return NoBoard(failure=BoardFailure.FEW_MARKERS, found=found, points_px=own.corners_px.reshape(-1, 2))
+        finding = f"{len(own.ids)} of {wanted}{where}"
+        return NoBoard(failure=BoardFailure.FEW_MARKERS, finding=finding, points_px=own.corners_px.reshape(-1, 2))
     if len(markers.ids):
-        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=_numbers(markers))
+        return NoBoard(failure=BoardFailure.OTHER_MARKERS, finding=_numbers(markers))
     other = _other_markers(grey)
     if other:
-        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
+        return NoBoard(failure=BoardFailure.OTHER_MARKERS, finding=other)
     width_px = edge_width_px(grey)
     blurred = ""
     if width_px > BLURRED_PX:
         blurred = f", {edge_width_in_words(width_px)}" + ": blurred" * bool(np.isfinite(width_px))
-    return NoBoard(failure=BoardFailure.FEW_MARKERS, found=f"0 of {wanted}{blurred}")
+    return NoBoard(failure=BoardFailure.FEW_MARKERS, finding=f"0 of {wanted}{blurred}")
 
 
 def _is_mirrored(grey: GreyImage, board: Board, number: int) -> bool:
@@ -239,7 +239,7 @@ def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -
     """Why too few corners are found between a board's markers; blur is compared with the size of their cells."""
     if _is_mirrored(grey, board, len(own.ids)):
         return NoBoard(failure=BoardFailure.MIRRORED)
-    found = f"{corners} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
+    finding = f"{corners} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
     sides_px = np.linalg.norm(np.roll(own.corners_px, 1, axis=1) - own.corners_px, axis=-1)
     cell_px = float(np.median(sides_px)) / (marker_dictionary(board).markerSize + 2)
     boxes = zip(np.floor(own.corners_px.min(axis=1)), np.ceil(own.corners_px.max(axis=1)), strict=True)
@@ -250,8 +250,8 @@ def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -
     failure = BoardFailure.FEW_CORNERS
     if SHARP_PX < width_px < np.inf and width_px > BLURRED_CELLS * cell_px:
         failure = BoardFailure.BLURRED
-        found = f"{edge_width_in_words(width_px)}, the markers' cells {cell_px:.1f} px; {found}"
-    return NoBoard(failure=failure, found=found, points_px=own.corners_px.reshape(-1, 2))
+        finding = f"{edge_width_in_words(width_px)}, the markers' cells {cell_px:.1f} px; {finding}"
+    return NoBoard(failure=failure, finding=finding, points_px=own.corners_px.reshape(-1, 2))
 
 
 def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
@@ -260,9 +260,9 @@ def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
     circles_px = np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
     width_px = edge_width_px(grey)
     columns, rows = board.squares_x or 0, board.squares_y or 0
-    found = f"{len(circles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
-    found += f", {edge_width_in_words(width_px)}"
+    finding = f"{len(circles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
+    finding += f", {edge_width_in_words(width_px)}"
     failure = BoardFailure.NOT_WHOLE
     if len(circles_px) < columns * rows and BLURRED_PX < width_px < np.inf:
         failure = BoardFailure.BLURRED
-    return NoBoard(failure=failure, found=found, points_px=circles_px)
+    return NoBoard(failure=failure, finding=finding, points_px=circles_px)

@@ -81,8 +81,8 @@ class BoardShots:
         if not self.image_width:
             self.image_width, self.image_height = width, height
         if (width, height) != (self.image_width, self.image_height):
-            found = f"{width} x {height} pixels, the others have {self.image_width} x {self.image_height}"
-            raise DataError(shot.name, found, "calibrate with images of one camera and one size")
+            finding = f"{width} x {height} pixels, the others have {self.image_width} x {self.image_height}"
+            raise DataError(shot.name, finding, "calibrate with images of one camera and one size")
 
     def _reject_repeated(self, shot: Shot) -> None:
         """Reject an image that was given before: it would reduce the uncertainty."""
@@ -112,7 +112,7 @@ class BoardSearch:
         try:
             return self._calls(limit_s, image, board, name)
         except WorkerKilled:
-            return NoBoard(failure=BoardFailure.GIVEN_UP, found=f"after {limit_s} s of computing, or killed")
+            return NoBoard(failure=BoardFailure.GIVEN_UP, finding=f"after {limit_s} s of computing, or killed")
 
 
 def board_shift_px(shot: Shot, view: BoardView, board: Board, find: BoardFinder = find_board) -> float:

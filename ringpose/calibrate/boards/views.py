@@ -110,7 +110,7 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoar
     matching_layout = other_layout(board, own)
     if matching_layout is not None:
         points_px = own.corners_px.reshape(-1, 2)
-        return NoBoard(failure=BoardFailure.OTHER_LAYOUT, found=matching_layout, points_px=points_px)
+        return NoBoard(failure=BoardFailure.OTHER_LAYOUT, finding=matching_layout, points_px=points_px)
     if len(ids) >= MIN_CORNERS:
         layout = marker_layout(board, own)
         ratio = None if layout is None else layout.size_ratio
@@ -127,8 +127,8 @@ def _charuco_corners(
     size = (board.squares_x or 0, board.squares_y or 0)
     pattern = cv2.aruco.CharucoBoard(size, board.square_m or 0.0, board.marker_m or 0.0, marker_dictionary(board))
     pattern.setLegacyPattern(board.legacy_pattern)
-    corners, ids, marker_corners, found_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
-    markers = markers_of(marker_corners, found_ids)
+    corners, ids, marker_corners, marker_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
+    markers = markers_of(marker_corners, marker_ids)
     if ids is None or not len(ids):
         return np.empty(0, dtype=np.int64), np.empty((0, 2)), markers
     numbers = np.asarray(ids).ravel().astype(np.int64)

@@ -85,8 +85,8 @@ def camera_solution(
     and the given board poses, or those with the minimum reprojection error.
     """
     if len(views) < MIN_VIEWS:
-        found = f"{len(views)} view{'s' * (len(views) != 1)} of the board, at least {MIN_VIEWS} are needed"
-        raise undetermined(found, "; ten or more are good")
+        finding = f"{len(views)} view{'s' * (len(views) != 1)} of the board, at least {MIN_VIEWS} are needed"
+        raise undetermined(finding, "; ten or more are good")
     camera = start if start.camera_matrix[0, 0] > 1 else _opencv_camera(views, start, model)
     poses = poses or [board_pose(without_distortion_bias(view, camera), camera) for view in views]
     sigma_px = np.ones(len(views))
@@ -120,10 +120,10 @@ def _opencv_camera(views: Sequence[BoardView], start: Camera, model: CameraModel
     )
 
 
-def undetermined(found: str, remark: str = "") -> DataError:
+def undetermined(finding: str, remark: str = "") -> DataError:
     """The error to raise if views do not determine the camera; the remark is added to the remedy."""
     remedy = f"add views with the board tilted by 20 to 40 degrees to different sides{remark}"
-    return DataError("calibrate-camera", found, remedy)
+    return DataError("calibrate-camera", finding, remedy)
 
 
 class _State(NamedTuple):

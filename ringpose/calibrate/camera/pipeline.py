@@ -139,6 +139,6 @@ def _covariance(solution: CameraSolution, model: CameraModel) -> ParameterCovari
         raise undetermined("the views do not determine the parameters uniquely") from error
     focal, sd = camera.camera_matrix[0, 0], float(np.sqrt(max(data[0, 0], 0.0)))
     if not np.isfinite(sd) or sd > MAX_FOCAL_SHARE * focal:
-        found = f"the views do not determine the focal length: {focal:.0f} px with standard deviation {sd:.0f} px"
-        raise undetermined(found)
+        finding = f"the views do not determine the focal length: {focal:.0f} px with standard deviation {sd:.0f} px"
+        raise undetermined(finding)
     return ParameterCovariance(parameters=parameter_names(camera.distortion_model), data=data)

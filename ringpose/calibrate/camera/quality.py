@@ -100,8 +100,8 @@ def camera_summary(assessment: CameraAssessment, verdict: Verdict) -> list[str]:
         if view.left_out.any():
             numbers = ", ".join(str(number) for number in view.board.ids[view.left_out])
             far_px = np.linalg.norm(view.residual_px[view.left_out], axis=1).max()
-            found = f"more than {CORNER_SIGMAS:g} sigmas off, up to {far_px:.2f} px"
-            lines.append(f"{view.name}: corners left out: {numbers}: {found}")
+            finding = f"more than {CORNER_SIGMAS:g} sigmas off, up to {far_px:.2f} px"
+            lines.append(f"{view.name}: corners left out: {numbers}: {finding}")
     lines.append(
         f"{len(calibration.used)} of {len(calibration.views)} views used, rms {calibration.rms_px:.3f} px, "
         f"corners {calibration.sigma_px:.3f} px"

@@ -26,8 +26,10 @@ def matched_poses(
         poses = sorted(poses, key=lambda pose: pose.stamp_s or 0.0)
         return [_at_stamp(name, stamp_s, poses) for name, stamp_s in zip(names, stamps_s, strict=True)]
     if len(poses) != len(names):
-        found = f"has {len(poses)} poses without names or stamps for {len(names)} images"
-        raise DataError(location, found, "give one for each image in their order, or name the images in a column shot")
+        finding = f"has {len(poses)} poses without names or stamps for {len(names)} images"
+        raise DataError(
+            location, finding, "give one for each image in their order, or name the images in a column shot"
+        )
     return list(poses)
 
 
@@ -72,6 +74,6 @@ def _at_stamp(name: str, stamp_s: float, poses: Sequence[ReportedPose]) -> Repor
         first, last = before[-1], after[0]
         moved_m = float(np.linalg.norm(first.position_m - last.position_m))
         if moved_m > MAX_MOVED_M or np.abs(first.rotation - last.rotation).max() > MAX_TURNED_RAD:
-            found = f"the robot moved while it was taken, by {1e3 * moved_m:.3g} mm between two poses"
-            return DataError(name, found, "let it stand still at each view")
+            finding = f"the robot moved while it was taken, by {1e3 * moved_m:.3g} mm between two poses"
+            return DataError(name, finding, "let it stand still at each view")
     return poses[nearest]

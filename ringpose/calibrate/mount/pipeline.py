@@ -179,9 +179,9 @@ def _solved(
             stations, camera, (mount, fixed), eye_to_hand=eye_to_hand, refine_camera=refine_camera, poses=boards
         )
     except np.linalg.LinAlgError as error:
-        found = "views and robot poses contradict each other so far that no mount fits them"
+        finding = "views and robot poses contradict each other so far that no mount fits them"
         remedy = "check their order and names, the board's sizes and the robot's convention"
-        raise DataError("calibrate-mount", found, remedy) from error
+        raise DataError("calibrate-mount", finding, remedy) from error
 
 
 def _check_motions(
@@ -194,8 +194,8 @@ def _check_motions(
     if error_rad > CONTRADICTION_RAD:
         cause = likely_cause(stations, transforms, eye_to_hand, convention)
         if cause:
-            found = "the robot's rotations contradict those of the board in the images"
-            raise DataError("calibrate-mount", found, f"likely {cause}")
+            finding = "the robot's rotations contradict those of the board in the images"
+            raise DataError("calibrate-mount", finding, f"likely {cause}")
     robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
     _, _, scale = closed_form_mount(robot, transforms, turns)
     for factor, words in (
@@ -203,31 +203,35 @@ def _check_motions(
         (1e3, "the robot's positions are in metres and are read as millimetres, or the board's sizes"),
     ):
         if MAX_SCALE > scale / factor > 1 / MAX_SCALE:
-            found = f"the robot's lengths are {1 / scale:.4g} times those of the board"
+            finding = f"the robot's lengths are {1 / scale:.4g} times those of the board"
             raise DataError(
-                "calibrate-mount", found, f"likely {words} are 1000 times {'too large' if factor > 1 else 'too small'}"
+                "calibrate-mount",
+                finding,
+                f"likely {words} are 1000 times {'too large' if factor > 1 else 'too small'}",
             )
 
 
 def _check_turns(turns: Turns, views: int, eye_to_hand: bool) -> Turns:
     """Raise DataError unless the views are turned about two axes."""
     if views < MIN_VIEWS:
-        found = f"{views} view{'s' * (views != 1)} with a pose of the robot, at least {MIN_VIEWS} are needed"
-        raise DataError("calibrate-mount", found, "ten or more are good, turned by 20 degrees or more about two axes")
+        finding = f"{views} view{'s' * (views != 1)} with a pose of the robot, at least {MIN_VIEWS} are needed"
+        raise DataError("calibrate-mount", finding, "ten or more are good, turned by 20 degrees or more about two axes")
     largest, across, _ = turns.spread_rad.tolist()
     frame = "base" if eye_to_hand else "tool"
     if largest < MIN_TURN_RAD:
-        found = f"the views are turned against each other by at most {np.degrees(largest):.2g} degrees, 5 are needed"
-        raise DataError("calibrate-mount", found, f"turn the tool by 20 degrees or more about two axes of the {frame}")
+        finding = f"the views are turned against each other by at most {np.degrees(largest):.2g} degrees, 5 are needed"
+        raise DataError(
+            "calibrate-mount", finding, f"turn the tool by 20 degrees or more about two axes of the {frame}"
+        )
     if across < MIN_ACROSS_RAD:
         axis = turns.main_axis
         missing = "xyz"[int(np.argmin(np.abs(axis)))]
         words = ", ".join(f"{value:.2f}" for value in axis * np.sign(axis[np.argmax(np.abs(axis))]))
-        found = (
+        finding = (
             f"all views are turned about one axis, ({words}) in the {frame} frame, and by at most "
             f"{np.degrees(across):.2g} degrees about another: the mount's place along it is not determined"
         )
-        raise DataError("calibrate-mount", found, f"add views that are turned about the {frame}'s {missing} axis")
+        raise DataError("calibrate-mount", finding, f"add views that are turned about the {frame}'s {missing} axis")
     return turns
 
 
@@ -238,12 +242,12 @@ def _check_fit(solution: MountSolution) -> None:
         sigmas.rotation_rad > AT_BOUND * ROTATION_BOUNDS_RAD[1]
         or sigmas.translation_m > AT_BOUND * TRANSLATION_BOUNDS_M[1]
     ):
-        found = (
+        finding = (
             f"the robot's poses do not fit the views: its error would be {1e3 * sigmas.translation_m:.3g} mm and "
             f"{np.degrees(sigmas.rotation_rad):.3g} degrees"
         )
         remedy = "likely they are in another order than the images, of another session, or their columns are exchanged"
-        raise DataError("calibrate-mount", found, remedy)
+        raise DataError("calibrate-mount", finding, remedy)
 
 
 def _slip(

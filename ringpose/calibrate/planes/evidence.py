@@ -106,9 +106,9 @@ def _inlier_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> t
     rms_px = np.array([pose.residual_rms_px for pose in poses])
     median_px = float(np.median(rms_px))
     if median_px > MAX_MEDIAN_PX:
-        found = f"the corners miss the boards by {median_px:.1f} px rms (median of {len(rms_px)} views)"
+        finding = f"the corners miss the boards by {median_px:.1f} px rms (median of {len(rms_px)} views)"
         remedy = "give the file of the camera that took these shots, its lens unturned; measure the board's sizes"
-        raise DataError("calibrate-planes", found, remedy)
+        raise DataError("calibrate-planes", finding, remedy)
     inlier = rms_px <= max(OUTLIER_FACTOR * median_px, OUTLIER_FLOOR_PX)
     remarks = [
         (
@@ -130,18 +130,18 @@ def _check_all_lasers_seen(views: Sequence[StripeView], names: Sequence[str]) ->
         return
     if len(unseen) == len(names):
         most = max((view.max_stripes for view in views), default=0)
-        found = (
+        finding = (
             f"no frame shows more than {most} stripes on the board, there are {len(names)} lasers: {', '.join(names)}"
         )
         remedy = "see by --overlay which laser is not lit or misses the board, or name fewer (--laser-names)"
-        raise DataError("calibrate-planes", found, remedy)
+        raise DataError("calibrate-planes", finding, remedy)
     lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
     lasers = lit or unseen
     location = f"laser{'s' * (len(lasers) > 1)} " + ", ".join(f'"{names[laser]}"' for laser in lasers)
     if lit:
         shots = sum(any(laser in view.lit for laser in lit) for view in views)
-        found = f"no stripe on the board in any of the {shots} shots whose frames have it on"
-        raise DataError(location, found, "see whether it is lit, wired to its channel, and crosses the board")
+        finding = f"no stripe on the board in any of the {shots} shots whose frames have it on"
+        raise DataError(location, finding, "see whether it is lit, wired to its channel, and crosses the board")
     remedy = "light it in the shots (capture --sequence), or leave it out of --laser-names"
     raise DataError(location, "on in no frame of any shot", remedy)
 
@@ -238,8 +238,8 @@ def _missing(evidence: StripeEvidence) -> list[Remark]:
             if not len(px) and (plane is None or _crosses_board(plane, view, pose))
         ]
         if missing:
-            found = "; ".join(view.remarks) or "none on the board"
-            remarks.append((view.board.name, f"no stripe of {', '.join(missing)}: {found}"))
+            reasons = "; ".join(view.remarks) or "none on the board"
+            remarks.append((view.board.name, f"no stripe of {', '.join(missing)}: {reasons}"))
     return remarks
 
 

@@ -75,13 +75,13 @@ class StripeShots:
         height, width = shot.images.shape[1:]
         if (width, height) != (self.camera.image_width, self.camera.image_height):
             expected = f"{self.camera.image_width} x {self.camera.image_height}"
-            found = f"{width} x {height} pixels, the camera has {expected}"
-            raise DataError(shot.name, found, "give the camera that took the shots")
+            finding = f"{width} x {height} pixels, the camera has {expected}"
+            raise DataError(shot.name, finding, "give the camera that took the shots")
         self._check_names(shot)
         shift_px = board_shift_px(shot, board, self.boards.board, self.boards.find_board)
         if shift_px > STILL_PX:
-            found = f"the board, or the camera, moved by {shift_px:.1f} px between its frames"
-            raise DataError(shot.name, found, "left out: hold it still until all frames are taken")
+            finding = f"the board, or the camera, moved by {shift_px:.1f} px between its frames"
+            raise DataError(shot.name, finding, "left out: hold it still until all frames are taken")
         view = stripe_view(shot, board, self.boards.board, self.camera, len(self.names), self.surround_m)
         self.views.append(view)
         self.any_without_stripe |= not any(len(px) for px in (*view.stripes_px, *view.unlabelled_px))
@@ -99,14 +99,14 @@ class StripeShots:
         model = PlanesModel(names=self.names, method=method, order=order, free_camera=free_camera)
         pairs = [f"{first} to {second}" for first, second in pairwise(self.names)]
         if len(expected_rad) not in (0, len(pairs)):
-            found = f"has {len(expected_rad)}, must have {len(pairs)}"
-            raise UsageError("--expected-angles", found, f"give {', '.join(pairs)}")
+            finding = f"has {len(expected_rad)}, must have {len(pairs)}"
+            raise UsageError("--expected-angles", finding, f"give {', '.join(pairs)}")
         board = marker_size_findings([view.board for view in self.views])
         try:
             calibration = calibrate_planes(self.views, self.camera, model)
         except DataError as error:  # wrong sizes in the board file may be the reason
             remedies = [*Verdict(findings=board).advice, *([error.remedy] if error.remedy else [])]
-            raise DataError(error.location, error.found, "; ".join(remedies)) from error
+            raise DataError(error.location, error.finding, "; ".join(remedies)) from error
         paper = None
         if model.method is not PlanesMethod.PAPER and self.boards.board.kind in MARKER_BOARDS:
             with suppress(DataError):
@@ -122,12 +122,12 @@ class StripeShots:
         """Determine the lasers' names with the first shot; later ones must not refer to other lasers."""
         number = lasers_in_masks(shot)
         if not (self.names or self.given_names or number):
-            found = f"{shot.name} does not state how many lasers are on"
-            raise UsageError("--laser-names", found, "give one name for each laser that there is, seen or not")
+            finding = f"{shot.name} does not state how many lasers are on"
+            raise UsageError("--laser-names", finding, "give one name for each laser that there is, seen or not")
         self.names = self.names or laser_names(self.given_names, number)
         if number > len(self.names):
-            found = f"a frame names laser {number}, there are {len(self.names)} ({', '.join(self.names)})"
-            raise DataError(shot.name, found, "give all names with --laser-names, or shots of these lasers")
+            finding = f"a frame names laser {number}, there are {len(self.names)} ({', '.join(self.names)})"
+            raise DataError(shot.name, finding, "give all names with --laser-names, or shots of these lasers")
 
 
 def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: Camera) -> None:
@@ -137,8 +137,8 @@ def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: 
             "--free-camera", "only the joint method estimates the camera", "leave it out, or use --method joint"
         )
     if free_camera and camera.covariance is None:
-        found = "the camera has no covariance"
-        raise UsageError("--free-camera", found, "leave it out, or give a camera.yaml of ringpose calibrate-camera")
+        finding = "the camera has no covariance"
+        raise UsageError("--free-camera", finding, "leave it out, or give a camera.yaml of ringpose calibrate-camera")
     if method is PlanesMethod.PAPER and board.kind not in MARKER_BOARDS:
         raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
 
@@ -276,8 +276,10 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
             disagreement=laser_disagreements(fixed, state),
         )
     except np.linalg.LinAlgError as error:
-        found = "corners and stripes contradict one another so far that no boards and planes fit them"
-        raise DataError("calibrate-planes", found, "measure the board's sizes; check board and camera file") from error
+        finding = "corners and stripes contradict one another so far that no boards and planes fit them"
+        raise DataError(
+            "calibrate-planes", finding, "measure the board's sizes; check board and camera file"
+        ) from error
 
 
 def _weighted_fit(

@@ -52,15 +52,15 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
     plane = light_plane(every, method)
     if plane.condition > MAX_CONDITION:
         lying = "its one view lie" if seen == 1 else f"its {seen} views lie"
-        found = f"the points of {lying} on one line (condition {plane.condition:.0f}), which determines no plane"
+        finding = f"the points of {lying} on one line (condition {plane.condition:.0f}), which determines no plane"
         remedy = f"add a view of the board 50 mm or more nearer or farther than {every[:, 2].mean():.2f} m"
-        raise DataError(location, found, remedy)
+        raise DataError(location, finding, remedy)
     rms_m = rms(every @ plane.normal - plane.distance_m)
     extent_m = float(np.sqrt(np.mean(np.sum((every - every.mean(axis=0)) ** 2, axis=1))))
     if rms_m > MAX_SCATTER * extent_m:
-        found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
+        finding = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
         remedy = "see with --overlay whether these stripes are the laser's, and none are exchanged in one of the shots"
-        raise DataError(location, found, remedy)
+        raise DataError(location, finding, remedy)
     return plane
 
 

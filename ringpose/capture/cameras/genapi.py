@@ -37,8 +37,8 @@ class GenApiCamera(SoftwareTriggeredCamera):
             raise DeviceError(self.uri.text, f"has no feature {feature}")
         limits = None if isinstance(value, str) else self.bounds(feature)
         if limits is not None and not limits[0] <= float(value) <= limits[1]:
-            found = f"{feature} cannot be {value:g}"
-            raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}")
+            finding = f"{feature} cannot be {value:g}"
+            raise DeviceError(self.uri.text, finding, f"it takes {limits[0]:g} to {limits[1]:g}")
         try:
             self._set_value(node, value)
         except DeviceError:

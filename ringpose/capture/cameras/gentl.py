@@ -43,8 +43,8 @@ class GenTlCamera(GenApiCamera):
             raise DeviceError(self.uri.text, "needs harvesters, which is not installed", EXTRA) from error
         self._harvester = Harvester()
         if not producer.is_file():
-            found = f'there is no GenTL producer "{producer}"'
-            raise DeviceError(self.uri.text, found, "give the manufacturer's .cti file")
+            finding = f'there is no GenTL producer "{producer}"'
+            raise DeviceError(self.uri.text, finding, "give the manufacturer's .cti file")
         serial = self.uri.parameters.get("serial")
         try:
             self._harvester.add_file(str(producer))

@@ -36,8 +36,8 @@ class Recording:
     def end(self) -> None:
         """Check that no images are left over that are too few for a shot."""
         if self._images:
-            found = f"{len(self._images)} of {len(self._steps or ())} images for a last shot"
-            raise DataError(self._images[0].name, found, "check --sequence")
+            finding = f"{len(self._images)} of {len(self._steps or ())} images for a last shot"
+            raise DataError(self._images[0].name, finding, "check --sequence")
 
 
 def frames_of_steps(shot: Shot, steps: Sequence[Step]) -> Shot:
@@ -51,10 +51,10 @@ def frames_of_steps(shot: Shot, steps: Sequence[Step]) -> Shot:
         matching = np.flatnonzero(shot.lasers.astype(np.int64) == mask)
         earlier = masks.count(mask)
         if earlier >= len(matching):
-            found = "no frame" if not len(matching) else f"only {len(matching)} of {earlier + 1} frames"
+            finding = "no frame" if not len(matching) else f"only {len(matching)} of {earlier + 1} frames"
             on = [[str(bit + 1) for bit in range(MAX_LASERS) if lasers >> bit & 1] for lasers in shot.lasers.tolist()]
             frames = ",".join("+".join(numbers) or "off" for numbers in on)
-            raise DataError(shot.name, f"{found} with lasers {step.text}; its frames: {frames}")
+            raise DataError(shot.name, f"{finding} with lasers {step.text}; its frames: {frames}")
         chosen.append(int(matching[earlier]))
         masks.append(mask)
     return shot_with_frames(shot, np.array(chosen, dtype=np.int64))
@@ -65,8 +65,8 @@ def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
     first = images[0]
     for image in images:
         if image.images.shape != first.images.shape or image.images.dtype != first.images.dtype:
-            found = f"differs from {first.name} in size or depth"
-            raise DataError(image.name, found, "all images of a shot must come from one camera")
+            finding = f"differs from {first.name} in size or depth"
+            raise DataError(image.name, finding, "all images of a shot must come from one camera")
     return Shot(
         name=first.name,
         images=np.concatenate([image.images for image in images]),

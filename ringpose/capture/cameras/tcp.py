@@ -58,8 +58,8 @@ class TcpCamera(CameraDriver):
             self._socket = socket.create_connection(self._address, CONNECT_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            found = f"cannot be connected: {(error.strerror or str(error)).lower()}"
-            raise DeviceError(self.uri.text, found, "start ringpose simulate serve --images") from error
+            finding = f"cannot be connected: {(error.strerror or str(error)).lower()}"
+            raise DeviceError(self.uri.text, finding, "start ringpose simulate serve --images") from error
         self._socket.settimeout(CONNECT_S)
         self._send({"type": "hello", "protocol": wire.PROTOCOL})
         answer = self._received()
@@ -219,8 +219,10 @@ class TcpCamera(CameraDriver):
                     raise ConnectionResetError("the server has closed it")
                 filled += received
         except TimeoutError as error:
-            found = f"sent nothing for {self._connected().gettimeout():g} s"
-            raise DeviceError(self.uri.text, found, "see that it runs, and that no other client holds it up") from error
+            finding = f"sent nothing for {self._connected().gettimeout():g} s"
+            raise DeviceError(
+                self.uri.text, finding, "see that it runs, and that no other client holds it up"
+            ) from error
         except OSError as error:
             raise self._lost(error) from error
         return bytes(data)

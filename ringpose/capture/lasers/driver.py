@@ -74,8 +74,8 @@ class LaserDriver(Device, Protocol):
         except DeviceError as error:
             raise LaserSafetyError("lasers", f"could not be switched off: {error}", "cut the power") from error
         if left_on:
-            found = f"reported on (mask {left_on}) after all were switched off"
-            raise LaserSafetyError("lasers", found, "cut the power")
+            finding = f"reported on (mask {left_on}) after all were switched off"
+            raise LaserSafetyError("lasers", finding, "cut the power")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -232,8 +232,8 @@ class RelayBoard:
             ANSWER_LIMIT_S,
         )
         if received[:length] != request[:length]:
-            found = f"echoes {received[:length].hex(' ')} instead of {request.hex(' ')}" if received else NO_ANSWER
-            raise DeviceError(self._port.name, found, "check the cable, its termination, and that nothing else sends")
+            finding = f"echoes {received[:length].hex(' ')} instead of {request.hex(' ')}" if received else NO_ANSWER
+            raise DeviceError(self._port.name, finding, "check the cable, its termination, and that nothing else sends")
         return self._mask(command, received[length:])
 
     def _first_answer(self, command: Command, request: bytes) -> int:
@@ -252,8 +252,8 @@ class RelayBoard:
             self.echoes = None if received == request else False  # a Modbus board repeats the request
             return self._mask(command, received)
         if received.startswith(request):
-            found = f"the adapter echoes what is sent ({request.hex(' ')}), and no board answers"
-            raise DeviceError(self._port.name, found, REMEDY)
+            finding = f"the adapter echoes what is sent ({request.hex(' ')}), and no board answers"
+            raise DeviceError(self._port.name, finding, REMEDY)
         return self._mask(command, received)
 
     def _is_answer(self, command: Command, received: bytes) -> bool:

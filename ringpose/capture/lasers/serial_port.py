@@ -106,8 +106,8 @@ class SerialPort:
         except (OSError, termios.error, ValueError) as error:
             number = _number(error)
             remedy = REMEDIES.get(number or 0, "check cable and power")
-            found = f"failed: {error}" if number is None else f"cannot be used: {os.strerror(number).lower()}"
-            raise DeviceError(self.name, found, remedy) from error
+            finding = f"failed: {error}" if number is None else f"cannot be used: {os.strerror(number).lower()}"
+            raise DeviceError(self.name, finding, remedy) from error
 
 
 def _number(error: BaseException | None) -> int | None:

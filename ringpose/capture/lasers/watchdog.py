@@ -213,11 +213,11 @@ class WatchdogLasers(LaserDriver):
         try:
             _switch_off(self.settings, self._echoes)
         except DeviceError as error:
-            found = f"watchdog and port are lost, the lasers may be on: {error.found}"
-            self._fault = LaserSafetyError(self.settings.port, found, "cut the power")
+            finding = f"watchdog and port are lost, the lasers may be on: {error.finding}"
+            self._fault = LaserSafetyError(self.settings.port, finding, "cut the power")
         else:
-            found = "the watchdog of the lasers ended; they were switched off without it"
-            self._fault = DeviceError(self.settings.port, found)
+            finding = "the watchdog of the lasers ended; they were switched off without it"
+            self._fault = DeviceError(self.settings.port, finding)
         return self._fault
 
 

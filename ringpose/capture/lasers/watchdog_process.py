@@ -51,9 +51,9 @@ def run(parent_pid: int, line: str) -> int:
     try:
         _watch_over(settings, port, ParentProcess(parent_pid), wake)
     except (DeviceError, OSError) as error:
-        found = error.finding if isinstance(error, DeviceError) else str(error)
+        message = error.message if isinstance(error, DeviceError) else str(error)
         with suppress(OSError):
-            _reply(f"0 err {found}\n")
+            _reply(f"0 err {message}\n")
         return 1
     return 0
 
@@ -134,7 +134,7 @@ class Watchdog:
         try:
             return f"{number} {self._executed(command.split())}\n"
         except DeviceError as error:
-            return f"{number} err {error.finding}\n"
+            return f"{number} err {error.message}\n"
 
     def wait_s(self) -> float | None:
         """Time until the next check is due; None while all lasers are off."""

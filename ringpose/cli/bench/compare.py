@@ -146,13 +146,13 @@ def _require_pairs(
     if differing:
         one, two = differing[0]
         texts = [assumptions_text(score.assumptions) for score in (one, two) if score.assumptions is not None]
-        found = f"was computed under other assumptions than {a.name} in {len(differing)} shots"
+        finding = f"was computed under other assumptions than {a.name} in {len(differing)} shots"
         first = f"(the first is {one.shot}: {texts[1]}; {a.name}: {texts[0]})"
-        raise DataError(b.name, f"{found} {first}", "compute both under the same")
+        raise DataError(b.name, f"{finding} {first}", "compute both under the same")
     other = [one.shot for one, two in members if one.rig and two.rig and one.rig != two.rig]
     if other and not allow_other_rig:
-        found = f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})"
-        raise DataError(b.name, found, "use one rig.yaml, or --allow-other-rig to compare rigs")
+        finding = f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})"
+        raise DataError(b.name, finding, "use one rig.yaml, or --allow-other-rig to compare rigs")
 
 
 def _matched(a: _Result, b: _Result) -> dict[str, Any]:

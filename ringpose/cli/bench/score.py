@@ -183,8 +183,8 @@ def _since_s(text: str) -> float:
     try:
         return datetime.fromisoformat(text).timestamp()
     except ValueError:
-        found = f"{text!r} is neither a time nor an age"
-        raise UsageError("--since", found, "such as 2026-11-23T06:00, 90min, 24h or 7d") from None
+        finding = f"{text!r} is neither a time nor an age"
+        raise UsageError("--since", finding, "such as 2026-11-23T06:00, 90min, 24h or 7d") from None
 
 
 def scores_of_lines(
@@ -229,8 +229,8 @@ def scores_of_lines(
     ):
         with batch.guarded():
             if shots:
-                found = f"{len(shots)} shots {what} (the first is {shots[0]})"
-                raise DataError(", ".join(inputs), found, remedy)
+                finding = f"{len(shots)} shots {what} (the first is {shots[0]})"
+                raise DataError(", ".join(inputs), finding, remedy)
     if not matched.matched and batch.status:
         return [], matched
     return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched

@@ -62,9 +62,9 @@ class BoardReader:
             for item in with_progress(items, "images", quiet):
                 with batch.guarded():
                     shot, view = self._read(item)
-                    found = f"no board: {view.value}" if isinstance(view, NoBoard) else on_view(shot, view)
+                    finding = f"no board: {view.value}" if isinstance(view, NoBoard) else on_view(shot, view)
                     if verbose:
-                        messages.echo(f"{shot.name}: {found}")
+                        messages.echo(f"{shot.name}: {finding}")
         for name, reason in boards.without_board:
             messages.echo(f"{name}: no board: {reason}")
         batch.record_status(NO_POSE if boards.without_board else 0)

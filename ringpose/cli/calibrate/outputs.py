@@ -106,10 +106,10 @@ class CommandWithModes(TyperCommand):
         """Run the command."""
         from ringpose.errors import UsageError
 
-        for mode, (name, found, allowed) in _MODES.items():
+        for mode, (name, finding, allowed) in _MODES.items():
             others = [words for key, words in _given(ctx).items() if key not in allowed]
             if ctx.params.get(mode) is not None and others:
-                raise UsageError(name, found, f"leave out {', '.join(others)}")
+                raise UsageError(name, finding, f"leave out {', '.join(others)}")
         return super().invoke(ctx)
 
 

@@ -187,9 +187,9 @@ def _calibrate(
                 for remark in view.remarks:
                     messages.echo(f"{view.board.name}: {remark}")
             raise
-        for shot, found in assessment.calibration.contradicting:
+        for shot, finding in assessment.calibration.contradicting:
             with batch.guarded():
-                raise DataError(shot, found)  # reported like any other unusable shot
+                raise DataError(shot, finding)  # reported like any other unusable shot
         rig = replace(calibrated_rig(assessment.calibration), mount=mounting)
         quality = planes_quality(assessment)
         write_rig(output, rig, extra=quality, force=options.force, inputs=[*files, *paths])
@@ -261,8 +261,8 @@ def _judge_planes(recheck: "RigRecheck", output: Path | None, files: list[Path],
     if output is None:
         return 0 if moved == [] else NO_POSE
     if moved is None:
-        found = "the shots contradict it, but not by one light plane alone"
-        raise DataError(str(files[0]), found, "give shots of a board, or calibrate it again")
+        finding = "the shots contradict it, but not by one light plane alone"
+        raise DataError(str(files[0]), finding, "give shots of a board, or calibrate it again")
     if moved:
         _write_update(recheck, moved, output, files, options)
     else:

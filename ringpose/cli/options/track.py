@@ -79,8 +79,8 @@ class TrackSettings:
         if self.lost_after is not None:
             options = replace(options, lost_after_s=self.lost_after)
         if options.lost_after_s < options.predict_for_s:
-            found = f"is {options.lost_after_s:g} s, must not be shorter than --predict-for {options.predict_for_s:g}"
-            raise UsageError("--lost-after", found, "raise it, or lower --predict-for")
+            finding = f"is {options.lost_after_s:g} s, must not be shorter than --predict-for {options.predict_for_s:g}"
+            raise UsageError("--lost-after", finding, "raise it, or lower --predict-for")
         for option, value in (("--max-speed", assumed.max_speed_m_s), ("--max-rate", assumed.max_rate_deg_s)):
             if value == 0:
                 raise UsageError(option, "is 0, but a track is of a target that may move", "give more, or leave it out")

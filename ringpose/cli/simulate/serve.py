@@ -119,8 +119,8 @@ def serve(
         serve_images(read, images, clock, rate or RATE_HZ, secret_file, truth, force=force, verbose=verbose)
         return
     if clock is not Clock.WALL or not all(option is None for option in (rate, secret_file, truth, width)):
-        found = "are of use with --images only"
-        raise UsageError("--clock, --rate, --secret-file, --truth, --width", found, "add --images URI")
+        finding = "are of use with --images only"
+        raise UsageError("--clock, --rate, --secret-file, --truth, --width", finding, "add --images URI")
     setup = Setup(
         address=_loopback("127.0.0.1" if camera is None else camera),
         relay=relay,
@@ -161,8 +161,8 @@ def serve_images(
 
     host, port = host_and_port(uri)
     if secret_file is None and not is_loopback(host):
-        found = f"{host} can be reached from other machines, and there is no shared secret"
-        raise UsageError("--images", found, "add --secret-file FILE, or use 127.0.0.1")
+        finding = f"{host} can be reached from other machines, and there is no shared secret"
+        raise UsageError("--images", finding, "add --secret-file FILE, or use 127.0.0.1")
     setup = ImageSetup(
         host=host,
         port=port,

@@ -99,9 +99,9 @@ def _one_message(content: bytes, file: str) -> bytes:
 
 def _reject_report(content: bytes, file: str) -> None:
     """Reject what a calibrator printed or reported for people, naming the file that it writes for programs."""
-    for pattern, found, remedy in _REPORTS:
+    for pattern, report, remedy in _REPORTS:
         if re.search(pattern, content, re.MULTILINE):
-            raise DataError(file, f"is {found}", f"give {remedy}")
+            raise DataError(file, f"is {report}", f"give {remedy}")
 
 
 _REPORTS = (
@@ -204,8 +204,8 @@ def _kalibr_values(camera: Camera) -> dict[str, Any]:
     """The mapping that `_kalibr_camera` reads."""
     coefficients = camera.distortion_coefficients
     if np.any(coefficients[4:] != 0):
-        found = "radtan has only k1, k2, p1, p2, and this camera has more coefficients"
-        raise DataError("kalibr", found, "calibrate with --fix-k3")
+        finding = "radtan has only k1, k2, p1, p2, and this camera has more coefficients"
+        raise DataError("kalibr", finding, "calibrate with --fix-k3")
     matrix = camera.camera_matrix
     return {
         _KALIBR_NAME: {

@@ -55,8 +55,8 @@ def camera_of(values: Any, file: str, name: str) -> Camera:
     fields = Fields(file, {str(key).lower(): value for key, value in Fields(file, values).values.items()})
     if not fields.has(_MATRIX):
         matrices = ", ".join(str(key) for key, value in values.items() if isinstance(value, dict) and "data" in value)
-        found = f"has no {_MATRIX}, but {matrices}" if matrices else f"has no {_MATRIX}"
-        raise DataError(file, found, f"name those of one camera {_MATRIX} and {_COEFFICIENTS}")
+        finding = f"has no {_MATRIX}, but {matrices}" if matrices else f"has no {_MATRIX}"
+        raise DataError(file, finding, f"name those of one camera {_MATRIX} and {_COEFFICIENTS}")
     if not (fields.has("image_width") and fields.has("image_height")):
         raise DataError(file, "does not have the size of the image", "add image_width: and image_height: to it")
     if fields.has("fisheye_model") and fields.number("fisheye_model") != 0:
@@ -64,8 +64,8 @@ def camera_of(values: Any, file: str, name: str) -> Camera:
     given = _storage_matrix(fields, _COEFFICIENTS, 1).ravel()
     used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
     if used > 8:
-        found = f"has {len(given)} numbers"
-        raise fields.problem(_COEFFICIENTS, found, "calibrate without thin prism and tilt terms")
+        finding = f"has {len(given)} numbers"
+        raise fields.problem(_COEFFICIENTS, finding, "calibrate without thin prism and tilt terms")
     return pinhole_camera(fields, name, _storage_matrix(fields, _MATRIX, 3), given[:used])
 
 

@@ -123,9 +123,9 @@ def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
 def checked_camera(fields: Fields, info: CameraInfo) -> Camera:
     """The camera that was read from `fields`; rejected if its matrix or lens is impossible."""
     coefficients = _coefficients(fields, info)
-    for name, found in (("rows", info.camera_matrix.rows), ("cols", info.camera_matrix.cols)):
-        if found != 3:
-            raise fields.problem(f"camera_matrix.{name}", f"is {found}, must be 3")
+    for name, count in (("rows", info.camera_matrix.rows), ("cols", info.camera_matrix.cols)):
+        if count != 3:
+            raise fields.problem(f"camera_matrix.{name}", f"is {count}, must be 3")
     matrix = _numbers(fields, "camera_matrix", info.camera_matrix)
     camera = Camera(
         camera_name=info.camera_name or "",
@@ -161,8 +161,8 @@ def camera_values(camera: Camera) -> dict[str, Any]:
 def _numbers(fields: Fields, key: str, matrix: Matrix) -> Float64[Array, "n"]:
     """The numbers of a matrix; rejected if they are not as many as it has elements."""
     if len(matrix.data) != matrix.rows * matrix.cols:
-        found = f"has {len(matrix.data)} numbers, must have {matrix.rows * matrix.cols}"
-        raise fields.problem(f"{key}.data", found)
+        finding = f"has {len(matrix.data)} numbers, must have {matrix.rows * matrix.cols}"
+        raise fields.problem(f"{key}.data", finding)
     return matrix.data
 
 
@@ -245,16 +245,16 @@ def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Arr
 def _check_principal_point(fields: Fields, principal_px: Float64[Array, "xy=2"], size: Int64[Array, "xy=2"]) -> None:
     """Reject a principal point far outside the image, and warn of one far from its middle."""
     offset: list[float] = (principal_px / size - 0.5).tolist()
-    found = f"has its principal point at ({principal_px[0]:g}, {principal_px[1]:g})"
+    finding = f"has its principal point at ({principal_px[0]:g}, {principal_px[1]:g})"
     if not all(map(PRINCIPAL_POINT.holds, offset)):
-        raise fields.problem("camera_matrix", f"{found}, far outside the image")
+        raise fields.problem("camera_matrix", f"{finding}, far outside the image")
     if all(map(CENTRAL_POINT.holds, offset)):
         return
     remedy = "check the order fx, 0, cx, 0, fy, cy and the image's size, unless the image is a window of the sensor's"
     if 2 * np.abs(principal_px[::-1] / size - 0.5).max() < np.abs(offset).max():
         remedy = "cx and cy are probably exchanged"
     middle = f"({size[0] / 2:g}, {size[1] / 2:g})"
-    line = str(fields.problem("camera_matrix", f"{found}, far from the image's middle {middle}", remedy))
+    line = str(fields.problem("camera_matrix", f"{finding}, far from the image's middle {middle}", remedy))
     warnings.warn(line, ImplausibleValueWarning, stacklevel=2)
 
 
@@ -267,5 +267,5 @@ def _checked_lens(fields: Fields, camera: Camera) -> Camera:
     remedy = "the order is k1, k2, p1, p2, k3; calibrate with --fix-k3, or with the board in the corners, too"
     if not (TANGENTIAL.holds(p1) and TANGENTIAL.holds(p2)):
         remedy = f"the order is k1, k2, p1, p2, k3, and p1 = {p1:g}, p2 = {p2:g} look like radial coefficients"
-    found = f"folds the image: beyond the pixel ({at_px[0]:.0f}, {at_px[1]:.0f}) pixels have no ray, or several"
-    raise fields.problem("distortion_coefficients", found, remedy)
+    finding = f"folds the image: beyond the pixel ({at_px[0]:.0f}, {at_px[1]:.0f}) pixels have no ray, or several"
+    raise fields.problem("distortion_coefficients", finding, remedy)

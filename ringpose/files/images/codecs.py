@@ -52,8 +52,8 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
         raise DataError(str(path), finding, _REMEDY)
     decoded = _decoded(encoded, path)
     if decoded.shape[:2] != (header.height, header.width):
-        found = f"declares {header.width} x {header.height} pixels, has {decoded.shape[1]} x {decoded.shape[0]}"
-        raise DataError(str(path), found, _REMEDY)
+        finding = f"declares {header.width} x {header.height} pixels, has {decoded.shape[1]} x {decoded.shape[0]}"
+        raise DataError(str(path), finding, _REMEDY)
     if decoded.dtype not in (np.uint8, np.uint16):
         raise DataError(str(path), f"has pixels of type {decoded.dtype}", "give 8 or 16 bits without sign")
     if decoded.ndim == 2:
@@ -87,8 +87,8 @@ def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageH
     decoded = header.width * header.height * header.pixel_bytes
     if decoded > MAX_DECODED_BYTES:
         size = f"{header.width} x {header.height} pixels of {header.pixel_bytes} bytes"
-        found = f"declares {size}, {decoded / 1e6:.0f} MB, must be at most {MAX_DECODED_BYTES / 1e6:.0f} MB"
-        raise DataError(str(path), found, "crop it, or make it grey")
+        finding = f"declares {size}, {decoded / 1e6:.0f} MB, must be at most {MAX_DECODED_BYTES / 1e6:.0f} MB"
+        raise DataError(str(path), finding, "crop it, or make it grey")
     return header
 
 

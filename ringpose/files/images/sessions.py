@@ -218,8 +218,8 @@ def _locked(folder: Path) -> "BaseFileLock":
     try:
         lock.acquire()
     except Timeout as error:
-        found = "another capture is writing into it"
-        raise CannotCreateError(str(folder), found, "end that first, or choose another output") from error
+        finding = "another capture is writing into it"
+        raise CannotCreateError(str(folder), finding, "end that first, or choose another output") from error
     except OSError:  # a file system without locks; if the folder is read-only, the writer reports that next
         pass
     return lock

@@ -97,8 +97,8 @@ def _check_masks(shot: Shot, rig: Rig, location: str) -> None:
     lasers = len(rig.lasers.names)
     for frame, mask in enumerate(shot.lasers.tolist()):
         if mask >> lasers:
-            found = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
-            raise DataError(f"{location}: lasers", found, "give the rig that took the shot")
+            finding = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
+            raise DataError(f"{location}: lasers", finding, "give the rig that took the shot")
 
 
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
@@ -133,13 +133,13 @@ def _times(archive: Archive, frames: int) -> tuple[Float64[Array, "frame"], Floa
     if stamp_s.max() > STAMP_S.highest:
         raise archive.problem("stamp_s", *late_stamp(stamp_s.max()))
     if exposure_s.max() > EXPOSURE_S.highest:
-        found, remedy = EXPOSURE_S.finding(float(exposure_s.max()))
-        raise archive.problem("exposure_s", f"{found} (frame {exposure_s.argmax()})", remedy)
+        finding, remedy = EXPOSURE_S.finding(float(exposure_s.max()))
+        raise archive.problem("exposure_s", f"{finding} (frame {exposure_s.argmax()})", remedy)
     apart_s = np.diff(np.sort(stamp_s))
     least_s, longest_s = apart_s[apart_s > 0].min(initial=np.inf), exposure_s.max()
     if longest_s > MAX_EXPOSURE * least_s:
-        found = f"is {longest_s:g} s, but frames are {least_s:g} s apart"
-        raise archive.problem("exposure_s", found, "give both in seconds")
+        finding = f"is {longest_s:g} s, but frames are {least_s:g} s apart"
+        raise archive.problem("exposure_s", finding, "give both in seconds")
     return stamp_s, exposure_s
 
 

@@ -36,9 +36,9 @@ def checked_array(
     array = fields.array(name, shape, allow_nan=key.gaps or key.null_points)
     for axis, length in zip(axes, array.shape, strict=True):
         if fixed_length(axis) is None and lengths.setdefault(axis, length) != length:
-            found = " x ".join(map(str, array.shape))
+            given = " x ".join(map(str, array.shape))
             expected = " x ".join(str(fixed_length(each) or lengths[each]) for each in axes)
-            raise fields.problem(name, f"has {found} numbers, must have {expected}")
+            raise fields.problem(name, f"has {given} numbers, must have {expected}")
     if key.form is not None:
         array = CHECKS[key.form](fields, name, array, key, unchanged)
     elif key.plausible is not None:

@@ -59,8 +59,8 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
 
 def _check_reason(fields: Fields) -> None:
     if not fields.has("reason"):
-        found = "is a detection with neither break_points nor a reason"
-        raise fields.problem("", found, RECORD.context.unchanged)
+        finding = "is a detection with neither break_points nor a reason"
+        raise fields.problem("", finding, RECORD.context.unchanged)
     reason = fields.text("reason")
     if reason not in [each.value for each in NoBreakPoints]:
         raise fields.problem("reason", f"unknown reason {reason[:60]!r}")
@@ -110,8 +110,8 @@ def checked_detection(detection: Detection, rig: Rig, location: str) -> Detectio
     points = detection.break_points.position_px if isinstance(detection.break_points, BreakPoints) else None
     for key, of_lasers in (("break_points", points), ("lasers_on", detection.lasers_on)):
         if of_lasers is not None and len(of_lasers) != len(rig.lasers.names):
-            found = f"has {len(of_lasers)} lasers, the rig has {len(rig.lasers.names)}"
-            raise DataError(f"{location}: {key}", found, OTHER_RIG)
+            finding = f"has {len(of_lasers)} lasers, the rig has {len(rig.lasers.names)}"
+            raise DataError(f"{location}: {key}", finding, OTHER_RIG)
     _check_positions(detection, rig.camera, location)
     return detection
 

@@ -37,8 +37,8 @@ def read_robot_poses(source: Path | str) -> RobotPoses:
         if not poses or pose.stamp_s > poses[-1].stamp_s:
             poses.append(pose)
         elif not pose.repeats(poses[-1]):
-            found = f"has two poses of the stamp {pose.stamp_s:.6f} that differ"
-            raise DataError(location, found, "give the poses of one robot, each with the stamp at which it holds")
+            finding = f"has two poses of the stamp {pose.stamp_s:.6f} that differ"
+            raise DataError(location, finding, "give the poses of one robot, each with the stamp at which it holds")
     if len(poses) < 2:
         raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
     return replace(_joined(poses), repeats=len(read) - len(poses))
@@ -90,8 +90,8 @@ class RobotPoseStream:
                 self.repeats += 1
                 return
             if self._poses and pose.stamp_s <= self._poses[-1].stamp_s:
-                found = f"has the stamp {pose.stamp_s:.6f}, which is not later than the one before"
-                raise DataError(location, found, "give the poses in the order of their stamps")
+                finding = f"has the stamp {pose.stamp_s:.6f}, which is not later than the one before"
+                raise DataError(location, finding, "give the poses in the order of their stamps")
             self._poses.append(pose)
             while pose.stamp_s - self._poses[0].stamp_s > KEPT_S and len(self._poses) > 2:
                 self._poses.popleft()

@@ -147,8 +147,8 @@ def _inertia(fields: Fields, given: Float64[Array, "..."]) -> Float64[Array, "3 
     if moments[0] <= 0:
         raise fields.problem(key, f"has the principal moment {moments[0]:g}, must be positive")
     if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRIC):
-        found = f"has the principal moments {', '.join(f'{moment:g}' for moment in moments)}"
-        raise fields.problem(key, found, "no body has a moment larger than the sum of the other two")
+        finding = f"has the principal moments {', '.join(f'{moment:g}' for moment in moments)}"
+        raise fields.problem(key, finding, "no body has a moment larger than the sum of the other two")
     return inertia
 
 

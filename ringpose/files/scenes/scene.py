@@ -222,8 +222,8 @@ def _check_number_of_shots(fields: Fields, values: dict[str, Any]) -> None:
     drawn = sum(each.count * len(each.distances_m) * len(each.lights) for each in approaches)
     shots = (len(values["views"]) + drawn) * values.get("shots", 1)
     if shots > MAX_SCENE_SHOTS:
-        found = f"gives {shots:g} shots, must give at most {MAX_SCENE_SHOTS:g}"
-        raise fields.problem("trajectory", found, "give fewer poses, distances, lights or shots of the motion")
+        finding = f"gives {shots:g} shots, must give at most {MAX_SCENE_SHOTS:g}"
+        raise fields.problem("trajectory", finding, "give fewer poses, distances, lights or shots of the motion")
 
 
 def _target_and_motion(fields: Fields, entry: SceneFile, folder: Path) -> dict[str, Any]:

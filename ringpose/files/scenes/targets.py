@@ -417,8 +417,8 @@ def ring_of(fields: Fields, entry: RingEntry) -> RingShape:
     ring = RingShape(profile_m=_profile_m(fields, entry), face=entry.face, wall=entry.wall)
     width_m = ring.radius_outer_m - ring.radius_inner_m
     if not FACE_WIDTH_M.holds(width_m):
-        found, remedy = FACE_WIDTH_M.finding(width_m)
-        raise fields.problem("", f"has a face whose width {found}", remedy)
+        finding, remedy = FACE_WIDTH_M.finding(width_m)
+        raise fields.problem("", f"has a face whose width {finding}", remedy)
     return _with_details(fields, entry, ring)
 
 

@@ -122,7 +122,7 @@ def sequence_of(fields: Fields, key: str, text: str, lasers: int) -> tuple[int, 
         steps = parsed_sequence(text)
         masks = tuple(step.mask(lasers) for step in steps)
     except UsageError as error:
-        raise fields.problem(key, error.found, error.remedy) from error
+        raise fields.problem(key, error.finding, error.remedy) from error
     if any(step.exposure for step in steps):
         raise fields.problem(key, "has steps with an exposure of their own", "leave out what begins with @")
     return masks
@@ -146,8 +146,8 @@ def views_of(
             raise place.problem("generate", "draws poses, but those of motion.file are given")
         for light in entry.generate.lights:
             if light not in lights:
-                found = f"has {light!r}, must be one of {', '.join(lights)}"
-                raise place.problem("generate.lights", found)
+                finding = f"has {light!r}, must be one of {', '.join(lights)}"
+                raise place.problem("generate.lights", finding)
         approaches.append(entry.generate)
     names = [view.name for view in views]
     for name in names:

@@ -46,8 +46,8 @@ class ResultFolder:
         for part in sorted(self.parts.glob("*.jsonl")):
             for number, (index, _) in enumerate(_read_part(part), start=1):
                 if not 0 <= index < shots or index in done:
-                    found = f"has shot {index}, which is not one of {shots}, or occurs twice"
-                    raise DataError(f"{part}:{number}", found, "delete the file, its shots are computed again")
+                    finding = f"has shot {index}, which is not one of {shots}, or occurs twice"
+                    raise DataError(f"{part}:{number}", finding, "delete the file, its shots are computed again")
                 done.add(index)
         return done
 
@@ -142,12 +142,12 @@ def _prepare(results: ResultFolder, metadata: Mapping[str, Any], force: bool) ->
         recorded = parsed_record(read_bytes(description), str(description))
         for key, what in (("study_sha256", "another study"), ("code_sha256", "another version of ringpose")):
             if recorded.get(key) != metadata[key]:
-                found = f"holds results of {what} ({recorded.get('title')}, version {recorded.get('version')})"
-                raise DataError(str(results.folder), found, "choose another folder, or --force to discard them")
+                finding = f"holds results of {what} ({recorded.get('title')}, version {recorded.get('version')})"
+                raise DataError(str(results.folder), finding, "choose another folder, or --force to discard them")
         return
     if tables_and_parts and not force:
-        found = "has results without study.json"
-        raise CannotCreateError(str(results.folder), found, "choose another folder, or --force")
+        finding = "has results without study.json"
+        raise CannotCreateError(str(results.folder), finding, "choose another folder, or --force")
     with atomic.replacing(description, force=True) as stream:
         stream.write(line_of(metadata).encode())
 
@@ -183,8 +183,8 @@ def _read_part(part: Path) -> Iterator[tuple[int, list[Row]]]:
                 record = json.loads(line)
                 yield int(record["shot"]), list(record["rows"])
             except (ValueError, KeyError, TypeError):
-                found = "is damaged: this line is not a shot"
-                raise DataError(f"{part}:{number}", found, "delete the file, its shots are computed again") from None
+                finding = "is damaged: this line is not a shot"
+                raise DataError(f"{part}:{number}", finding, "delete the file, its shots are computed again") from None
 
 
 def _read_csv(path: Path) -> Iterator[Row]:
@@ -194,8 +194,8 @@ def _read_csv(path: Path) -> Iterator[Row]:
         raise DataError(str(path), "is not a table of ringpose bench study", "give its results.csv")
     for number, cells in enumerate(reader, start=2):
         if len(cells) != len(heading):
-            found = f"has {len(cells)} cells, must have {len(heading)}"
-            raise DataError(f"{path}:{number}", found, "the file is cut off")
+            finding = f"has {len(cells)} cells, must have {len(heading)}"
+            raise DataError(f"{path}:{number}", finding, "the file is cut off")
         yield {name: _value(f"{path}:{number}", name, cell) for name, cell in zip(heading, cells, strict=True)}
 
 

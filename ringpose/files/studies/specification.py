@@ -263,8 +263,8 @@ def _assumed(fields: Fields, entry: AssumeEntry | None) -> AssumptionOptions:
     if entry is None:
         raise fields.problem("assume", "is null, must have a value")
     if entry.still and not (entry.max_speed_m_s is None and entry.max_rate_rad_s is None):
-        found = "excludes max_speed_m_s and max_rate_rad_s"
-        raise fields.fields("assume").problem("still", found, "give one of them")
+        finding = "excludes max_speed_m_s and max_rate_rad_s"
+        raise fields.fields("assume").problem("still", finding, "give one of them")
     return AssumptionOptions(
         still=entry.still,
         max_speed_m_s=entry.max_speed_m_s,
@@ -338,7 +338,7 @@ def _drawn(fields: Fields, key: str, name: str, value: Value) -> Value:
     try:
         read: Value = definition_of(Factors).value(name, alone)
     except DataError as error:
-        raise fields.problem(key, error.found, error.remedy) from error
+        raise fields.problem(key, error.finding, error.remedy) from error
     return read
 
 
@@ -348,8 +348,8 @@ def _checked(fields: Fields, key: str, name: str, values: tuple[Value, ...], sce
         raise fields.problem(key, "has a value twice" if values else "has no value")
     for value in values:
         if name == "light" and value not in scene.lights:
-            found = f"is {value!r}, must be one of {', '.join(scene.lights)}"
-            raise fields.problem(key, found, hint(str(value), scene.lights))
+            finding = f"is {value!r}, must be one of {', '.join(scene.lights)}"
+            raise fields.problem(key, finding, hint(str(value), scene.lights))
         if name == "sequence":
             _check_sequence(fields, key, str(value), scene)
     return values
@@ -359,7 +359,7 @@ def _check_sequence(fields: Fields, key: str, text: str, scene: Scene) -> None:
     try:
         masks = [step.mask(len(scene.rig.lasers.names)) for step in parsed_sequence(text)]
     except UsageError as error:
-        raise fields.problem(key, f"is {text!r}: {error.found}", error.remedy) from error
+        raise fields.problem(key, f"is {text!r}: {error.finding}", error.remedy) from error
     if not any(masks):
         raise fields.problem(key, f"is {text!r}, in which no laser is on")
 
@@ -367,8 +367,8 @@ def _check_sequence(fields: Fields, key: str, text: str, scene: Scene) -> None:
 def _check(fields: Fields, study: Study) -> None:
     """Reject factors that do not fit the level or the rig."""
     if study.shots > MAX_SHOTS:
-        found = f"has {study.shots} shots, must have at most {MAX_SHOTS}"
-        raise fields.problem("", found, "give a smaller grid or count")
+        finding = f"has {study.shots} shots, must have at most {MAX_SHOTS}"
+        raise fields.problem("", finding, "give a smaller grid or count")
     for factor in study.factors:
         _check_factor(fields, f"vary.{factor.name}", factor, study)
     for name, own in study.cases.items():
@@ -397,5 +397,5 @@ def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> Non
         smallest_m = min(cast(tuple[float, ...], given))
         inward_m = scene.ring.radius_outer_m - float(scene.ring.profile_m[:, 0].min())
         if smallest_m <= inward_m:
-            found = f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section"
-            raise fields.problem(key, found)
+            finding = f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section"
+            raise fields.problem(key, finding)

@@ -325,7 +325,7 @@ def _bound(address: str, *, shared: bool) -> socket.socket:
         bound.bind((address, PORT))
     except OSError as error:
         bound.close()
-        found = (error.strerror or str(error)).lower()
+        finding = (error.strerror or str(error)).lower()
         remedy = "another camera is served there; choose another address, such as 127.0.0.2"
-        raise DeviceError(f"camera {address}", f"port {PORT} cannot be opened: {found}", remedy) from error
+        raise DeviceError(f"camera {address}", f"port {PORT} cannot be opened: {finding}", remedy) from error
     return bound

@@ -60,8 +60,8 @@ class ImageCamera:
         self._views: Sequence[RingView] = views
         self._motion = None if scene.motion is None else MotionRuns(scene, views.begins)
         if self._motion is not None and self._shot_s > self._motion.duration_s:
-            found = f"a shot takes {self._shot_s:.3g} s, but the scene's motion {self._motion.duration_s:.3g} s"
-            raise UsageError("--rate", found, "raise it, or the motion's shots")
+            finding = f"a shot takes {self._shot_s:.3g} s, but the scene's motion {self._motion.duration_s:.3g} s"
+            raise UsageError("--rate", finding, "raise it, or the motion's shots")
         self._rendered = RenderedShots(scene)
         self._next_views: Sequence[RingView] | None = None
         self._number, self._paused = -1, False
@@ -83,14 +83,14 @@ class ImageCamera:
         """Check that the scene can be served at this rate."""
         scene, rate_hz = self._scene, self._rate_hz
         if len(scene.sequence) > wire.MAX_SEQUENCE:
-            found = f"has {len(scene.sequence)} frames; at most {wire.MAX_SEQUENCE} can be served"
-            raise UsageError("the scene's sequence", found)
+            finding = f"has {len(scene.sequence)} frames; at most {wire.MAX_SEQUENCE} can be served"
+            raise UsageError("the scene's sequence", finding)
         if not scene.views and not any(approach.count for approach in scene.approaches):
             raise DataError("the scene", "has no trajectory", "add one with a view")
         exposure_s = MIN_DURATION_S if scene.stripe_dn is not None else scene.exposure_s
         if 1.0 / rate_hz < exposure_s + READOUT_S:
-            found = f"{rate_hz:g} frames a second leave no time for an exposure of {exposure_s:g} s"
-            raise UsageError("--rate", found, f"take at most {1.0 / (exposure_s + READOUT_S):.3g}")
+            finding = f"{rate_hz:g} frames a second leave no time for an exposure of {exposure_s:g} s"
+            raise UsageError("--rate", finding, f"take at most {1.0 / (exposure_s + READOUT_S):.3g}")
 
     @property
     def is_between_shots(self) -> bool:

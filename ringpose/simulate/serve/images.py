@@ -97,8 +97,8 @@ class ImageServer:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
         except OSError as error:
-            found = f"cannot be opened: {(error.strerror or str(error)).lower()}"
-            raise DeviceError(f"tcp://{host}:{port}", found, "choose another port, or 0 for a free one") from error
+            finding = f"cannot be opened: {(error.strerror or str(error)).lower()}"
+            raise DeviceError(f"tcp://{host}:{port}", finding, "choose another port, or 0 for a free one") from error
         # A client that is slow to read receives the newest frames, not those that wait in a large buffer.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port = int(self._socket.getsockname()[1])
@@ -268,14 +268,14 @@ class ImageServer:
         except (OSError, TimeoutError):  # the client has gone, or does not read
             pass
 
-    async def _reject(self, writer: asyncio.StreamWriter, found: str) -> None:
+    async def _reject(self, writer: asyncio.StreamWriter, finding: str) -> None:
         """Report to the client and to the user why a connection is closed."""
         self.rejected += 1
         if self._report is not None:
             address = writer.get_extra_info("peername") or ("a client",)
-            self._report(f"{address[0]}: connection closed: {found}")
+            self._report(f"{address[0]}: connection closed: {finding}")
         with suppress(OSError, TimeoutError):
-            writer.write(wire.message({"type": "error", "message": found}))
+            writer.write(wire.message({"type": "error", "message": finding}))
             async with asyncio.timeout(1.0):
                 await writer.drain()
                 writer.write_eof()

@@ -30,7 +30,7 @@ def test_an_image_that_cannot_show_a_board_is_reported(image, failure, found, bo
     missing = find_board(image, board, "x")
 
     assert missing.failure is failure
-    assert missing.found.startswith(found)
+    assert missing.finding.startswith(found)
 
 
 def covered(image: np.ndarray, rows: slice, columns: slice, grey: int) -> np.ndarray:
@@ -77,7 +77,7 @@ def test_what_is_wrong_with_the_image_of_a_board_is_reported(board, changed, fai
     missing = find_board(np.ascontiguousarray(changed(drawn_board(board))), board, "x")
 
     assert missing.failure is failure
-    assert missing.found.startswith(found)
+    assert missing.finding.startswith(found)
     assert failure is not BoardFailure.NOT_WHOLE or len(missing.points_px) >= 12
 
 
@@ -99,7 +99,7 @@ def test_an_image_of_another_board_is_reported(drawn, board, failure, found):
     missing = find_board(drawn_board(drawn), board, "other")
 
     assert missing.failure is failure
-    assert missing.found.startswith(found)
+    assert missing.finding.startswith(found)
 
 
 CIRCLES = Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02)
@@ -125,7 +125,7 @@ def drawn_circles(columns: int, rows: int, white: int) -> np.ndarray:
 def test_the_number_of_circles_is_reported(image, numbers, width):
     found = find_board(np.ascontiguousarray(image), CIRCLES, "x")
 
-    number, text = found.found.split(maxsplit=1)
+    number, text = found.finding.split(maxsplit=1)
     assert found.failure is BoardFailure.NOT_WHOLE
     assert int(number) in numbers
     assert text.startswith(f"circles are seen, the board has 4 x 11 = 44{width}")
@@ -205,7 +205,7 @@ def test_blur_is_reported_only_if_it_is_wide_against_the_markers_cells(blur_px, 
     found = charuco_failure(cv2.GaussianBlur(image, (0, 0), blur_px), CHARUCO, 3, markers)
 
     assert found.failure is reason
-    assert found.found.endswith("3 corners, 24 of 24 markers")
+    assert found.finding.endswith("3 corners, 24 of 24 markers")
 
 
 @pytest.mark.parametrize("sigma_px", [2.0, 4.0, 8.0])

@@ -113,9 +113,9 @@ def rig_check_lines(check: RigCheck) -> list[str]:
         if np.isnan(laser.offset_m):
             lines.append(f"{check.name}: {laser.name}: no stripe on the board, not checked")
         else:
-            found = f"{1e3 * laser.offset_m:+.3f} mm beside its plane (limit {1e3 * laser.limit_m:.3f})"
+            finding = f"{1e3 * laser.offset_m:+.3f} mm beside its plane (limit {1e3 * laser.limit_m:.3f})"
             swapped = f", it lies on the plane of {laser.lies_on}: are they swapped?" if laser.lies_on else ""
-            lines.append(f"{check.name}: {laser.name}: {found}: {words[laser.holds]}{swapped}")
+            lines.append(f"{check.name}: {laser.name}: {finding}: {words[laser.holds]}{swapped}")
     return lines
 
 

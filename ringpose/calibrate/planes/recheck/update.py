@@ -72,8 +72,8 @@ class RigRecheck(ABC):
     def _require_shots(self, needed: int, remedy: str) -> None:
         """Raise DataError if there are too few shots to see whether a plane has moved."""
         if self.evidence.shots < needed:
-            found = f"{self.evidence.shots} usable shots at different poses, {needed} are needed"
-            raise DataError("calibrate-planes", found, f"give shots {remedy}")
+            finding = f"{self.evidence.shots} usable shots at different poses, {needed} are needed"
+            raise DataError("calibrate-planes", finding, f"give shots {remedy}")
 
     def evidence_lines(self, moved: list[int] | None) -> list[str]:
         """A line of text for each laser: the normalised error of its plane.
@@ -85,10 +85,10 @@ class RigRecheck(ABC):
         for laser, name in enumerate(self.rig.lasers.names):
             suspect = moved is None or laser in moved
             error = sqrt(max(float(alone[laser] if suspect else beside[laser]), 0.0) / len(PLANE_PARAMETERS))
-            found = "holds"
+            verdict = "holds"
             if error > limit:
-                found = f"does not hold: {self._description(self.evidence.moved_plane(laser, moved or ()))}"
-            lines.append(f"{name}: normalized error {error:.1f} (limit {limit:.1f}): {found}")
+                verdict = f"does not hold: {self._description(self.evidence.moved_plane(laser, moved or ()))}"
+            lines.append(f"{name}: normalized error {error:.1f} (limit {limit:.1f}): {verdict}")
         return lines
 
     def _description(self, moved: MovedPlane) -> str:
@@ -194,8 +194,8 @@ class StreamRecheck(RigRecheck):
         """The number of shots, and how many contradict the rig if most do."""
         shots, usable = self._shots, self.evidence.shots
         number = f"{shots} shots, {usable} of them show the light planes at different poses of the ring"
-        found = f"{self._contradictory} of {shots} shots contradict this rig"
-        contradiction = f"{found}: check the wiring, or calibrate it again"
+        finding = f"{self._contradictory} of {shots} shots contradict this rig"
+        contradiction = f"{finding}: check the wiring, or calibrate it again"
         return [number] * good_too + [contradiction] * self.contradicted
 
     def moved_lasers(self) -> list[int] | None:

@@ -249,15 +249,15 @@ def stripe_failure(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
     surface: BoardSurface,
-    found: int,
+    stripes: int,
     on: list[int],
     saturation_dn: int,
 ) -> str:
-    """The reason, with measured values, why `found` is not the number of lasers that are `on`."""
+    """The reason, with measured values, why `stripes` is not the number of lasers that are `on`."""
     lasers = f"{len(on)} lasers are on" if len(on) > 1 else f"laser {on[0] + 1} is on"
-    if found > len(on):
+    if stripes > len(on):
         return f"more stripes on the board where {lasers}: reflections, or another light?"
-    finding = f"{found} stripe{'s' * (found != 1)} on the board where {lasers}"
+    finding = f"{stripes} stripe{'s' * (stripes != 1)} on the board where {lasers}"
     board = _on_board(surface, image.shape)
     if not board.any():
         return f"{finding}: the board is out of the image"

@@ -58,8 +58,8 @@ def laser_names(given: str | None, number: int) -> tuple[str, ...]:
         return THREE if number == len(THREE) else tuple(f"laser_{i + 1}" for i in range(number))
     names = tuple(name.strip() for name in given.split(","))
     if not all(names) or len(set(names)) < len(names) or any("." in name for name in names) or len(names) > MAX_LASERS:
-        found = f"{given!r} is not a list of laser names"
-        raise UsageError("--laser-names", found, "give one to eight different names, as left,right")
+        finding = f"{given!r} is not a list of laser names"
+        raise UsageError("--laser-names", finding, "give one to eight different names, as left,right")
     return names
 
 
@@ -74,8 +74,8 @@ def laser_order(given: str | None, names: tuple[str, ...]) -> tuple[int, ...] | 
         return (0,) if len(names) == 1 else None
     order = [name.strip() for name in given.split(",")]
     if sorted(order) != sorted(names):
-        found = f"{given!r} does not list each laser once"
-        raise UsageError("--laser-order", found, f"give {','.join(names)} in their order")
+        finding = f"{given!r} does not list each laser once"
+        raise UsageError("--laser-order", finding, f"give {','.join(names)} in their order")
     return tuple(names.index(name) for name in order)
 
 
@@ -93,8 +93,8 @@ def check_order(views: Sequence[StripeView], order: Sequence[int], names: Sequen
         if observed != [laser for laser in order if laser in observed]:
             given = ",".join(names[laser] for laser in order)
             seen = ", ".join(names[laser] for laser in observed)
-            found = f"{given} contradicts {view.board.name}, whose frames with single lasers on show {seen}"
-            raise DataError("--laser-order", found, "give that order, or check whether the lasers are exchanged")
+            finding = f"{given} contradicts {view.board.name}, whose frames with single lasers on show {seen}"
+            raise DataError("--laser-order", finding, "give that order, or check whether the lasers are exchanged")
 
 
 def _observed_order(view: StripeView) -> list[int]:
@@ -177,11 +177,11 @@ def exchanged_lasers(
     for exchange, views in exchanges.items():
         if len(views) >= len(agreeing):
             known = ", ".join(shots[view] for view in agreeing)
-            found = f"{_exchange_text(dict(exchange), lasers)} against {known}: as many shots have either labelling"
+            finding = f"{_exchange_text(dict(exchange), lasers)} against {known}: as many shots have either labelling"
             remedy = (
                 "see with --overlay which stripe is whose, and leave out the shots whose lasers were switched wrongly"
             )
-            raise DataError(", ".join(shots[view] for view in views), found, remedy)
+            raise DataError(", ".join(shots[view] for view in views), finding, remedy)
     return messages
 
 
