@@ -12,10 +12,12 @@ from typing import Annotated, Literal, get_type_hints
 
 from ringpose.types import plausible
 from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.obstacles import Obstacle
 from ringpose.types.plausible import Range
 from ringpose.types.record import Key, Presence, key_of
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Scene
+from ringpose.types.scene import Ghost, Scene
+from ringpose.types.target import MATERIAL_NAMES, Gap, Material
 
 Value = str | float | int | bool
 """Value of a factor."""
@@ -194,6 +196,24 @@ class Factors:
             presence=Presence.IF_KNOWN,
         ),
     ] = None
+    surfaces: Annotated[
+        _Text,
+        Key("Names of the study's `surfaces`, joined by `+`; needs `level: images`.", presence=Presence.IF_KNOWN),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surface:
+    """How a ring, or the light on it, differs from the scene: keys of its `lasers` and `ring`, and obstacles."""
+
+    ghost: Annotated[Ghost | None, Key("As in `lasers`.", presence=Presence.IF_KNOWN)] = None
+    bow_per_rad: Annotated[
+        float, Key("As in `lasers`.", plausible=plausible.BOW_PER_RAD, presence=Presence.IF_KNOWN)
+    ] = 0.0
+    face: Annotated[Material | None, Key("As in `ring`.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)] = None
+    slope_rad: Annotated[float, Key("As in `ring`.", plausible=plausible.SLOPE_RAD, presence=Presence.IF_KNOWN)] = 0.0
+    gaps: Annotated[tuple[Gap, ...], Key("As in `ring`.", presence=Presence.IF_KNOWN)] = ()
+    obstacles: Annotated[tuple[Obstacle, ...], Key("As in a scene.", tag="kind", presence=Presence.IF_KNOWN)] = ()
 
 
 NUMBERS: Mapping[str, Range] = {
@@ -209,8 +229,11 @@ ONLY_FEATURES = ("displaced_share", "background_share", "missing_share")
 CASE = "case"
 """The factor whose values are names of cases."""
 
-TEXTS = ("light", "sequence", "target")
-"""The factors that are texts: a light of the scene, the laser steps of a shot, and `ring` or `body`."""
+SURFACES = "surfaces"
+"""The factor whose values are names of surfaces, joined by `+`."""
+
+TEXTS = ("light", "sequence", "target", SURFACES)
+"""The factors that are texts: a light, the laser steps of a shot, `ring` or `body`, and names of surfaces."""
 
 SWITCHES = ("whole", "rig_errors")
 """The factors that are true or false."""
@@ -274,6 +297,7 @@ class Study:
     """The factor in the columns of the first table."""
     cases: Mapping[str, tuple[Factor, ...]] = field(default_factory=dict)
     """By the name of a case, the factors that it replaces; the factor `case` names the one of a shot."""
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
     assumed: AssumptionOptions | None = None
     """What the estimator assumes about motion, ring and rig; the distributions of the factors if None."""
     calibrate: bool = False

@@ -185,6 +185,8 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("level: features", "level: features\ncalibrate: true", "calibrate"),
         ("vary: {", "vary: {missing_share: 0.1, ", "features"),
         ("light: dim", "light: dim, target: moon", "moon"),
+        ("light: dim", "light: dim, surfaces: clean", "level: images"),
+        ("methods:", "surfaces: {rust: {colour: 1}}\nmethods:", "surfaces.rust"),
         ("methods:", "cases: {}\nmethods:", "cases"),
         ("methods:", "cases: {far: {distance_m: 2}}\nmethods:", "distance_m"),
         ("methods:", "cases: {dark: {light: [dim, normal]}}\nmethods:", "light"),

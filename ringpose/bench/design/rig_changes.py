@@ -1,4 +1,4 @@
-"""Scenes that differ from a given one: in their rig, lens, sensor, ring or laser steps."""
+"""Scenes that differ from a given one: in their rig, lens, sensor, ring, surfaces or laser steps."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -12,6 +12,8 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
+from ringpose.types.study import Surface
+from ringpose.types.target import sloping
 
 
 def with_changes(scene: Scene, values: Mapping[str, Any]) -> Scene:
@@ -53,6 +55,20 @@ CHANGES: Mapping[str, Callable[[Scene, Any], Scene]] = {
     "dark_noise_e": lambda scene, value: replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=value)),
 }
 """What differs in a sweep of rigs, or in a study, in the order in which it is changed."""
+
+
+def with_surface(scene: Scene, surface: Surface) -> Scene:
+    """The scene with a ghost, bent sheets, another face, gaps and obstacles, in addition to those that it has."""
+    lasers, ring = scene.lasers, scene.ring
+    changed = replace(ring, face=ring.face if surface.face is None else surface.face, gaps=(*ring.gaps, *surface.gaps))
+    return replace(
+        scene,
+        lasers=replace(
+            lasers, ghost=surface.ghost or lasers.ghost, bow_per_rad=lasers.bow_per_rad + surface.bow_per_rad
+        ),
+        ring=sloping(changed, surface.slope_rad),
+        obstacles=(*scene.obstacles, *surface.obstacles),
+    )
 
 
 def elevations_rad(planes: LaserPlanes) -> Float64[Array, "laser"]:

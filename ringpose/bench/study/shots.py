@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.bench.design.bounds import Bound, cramer_rao
-from ringpose.bench.design.rig_changes import with_changes
+from ringpose.bench.design.rig_changes import with_changes, with_surface
 from ringpose.bench.score import Judgement, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.errors import DataError
@@ -38,7 +38,17 @@ from ringpose.types.options import Method
 from ringpose.types.pose import KnownRadii, NoPose, PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene, Truth
-from ringpose.types.study import CASE, Factor, Row, ShotRun, Study, StudyMethod, Value, columns
+from ringpose.types.study import (
+    CASE,
+    SURFACES,
+    Factor,
+    Row,
+    ShotRun,
+    Study,
+    StudyMethod,
+    Value,
+    columns,
+)
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
 """First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, turned plane and case."""
@@ -66,7 +76,7 @@ class StudyShot(NamedTuple):
 
     setting: Mapping[str, Value]
     scene: Scene
-    """The scene with the rig that measures; the shot itself may have been taken by another one."""
+    """The scene with the rig that measures; the shot itself may have been taken by another one, of other surfaces."""
     run: tuple[Shot | Detection, ...]
     """Shots of the run, this one last."""
     truth: Truth
@@ -129,12 +139,14 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     deviations = Deviations(**stated)
     turned = _with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
     taken_by = replace(scene, rig=turned)
+    for name in str(setting[SURFACES]).split("+") if SURFACES in setting else ():
+        taken_by = with_surface(taken_by, study.surfaces[name])
     run: list[tuple[Shot | Detection, Truth]]
     if study.level == "features":
         run = [(drawn.detection, drawn.truth) for drawn in drawn_features(taken_by, deviations)]
     else:
         rig, form = run_errors(taken_by, np.random.default_rng([_RIG, study.seed, index]), deviations)
-        taken_by = replace(taken_by, rig=rig, ring=replace(scene.ring, form=form if form.any() else None))
+        taken_by = replace(taken_by, rig=rig, ring=replace(taken_by.ring, form=form if form.any() else None))
         run = [simulated_shot(taken_by, taken_by.views, number) for number in range(len(taken_by.views))]
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
     sources, truths = zip(*run, strict=True)

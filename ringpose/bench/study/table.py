@@ -163,6 +163,8 @@ def study_text(study: Study, summary: StudySummary) -> str:
     blocks = ["\n".join(heading)]
     for method in summary.methods:
         blocks.append("\n".join(paper_table(study, summary, method).lines()))
+    if study.cases:
+        blocks.append("\n".join(status_table(study, summary).lines(left=2)))
     cells = cell_table(summary, HEADINGS).lines(left=len(summary.by) + 1)
     blocks.append("\n".join(["errors beside their bounds, root mean square", *cells]))
     if failures := failure_rows(summary):
@@ -203,6 +205,25 @@ def paper_table(study: Study, summary: StudySummary, method: str) -> Table:
         rows.append(["poses without a ring", *(f"{each.false_poses}/{each.shots - each.targets}" for each in wide)])
     columns = [value_text(study.table, key[0]) if key else "all" for key in keys]
     return Table(headings=[f"{method}, root mean square", *columns], rows=rows)
+
+
+def status_table(study: Study, summary: StudySummary) -> Table:
+    """How many shots with a ring of each case have which status, and how many quantities are wrong."""
+    place, total = summary.by.index(CASE) if CASE in summary.by else None, Counter[tuple[str, str, str]]()
+    for (method, key), each in summary.cells.items():
+        case = next(iter(study.cases)) if place is None else str(key[place])
+        total[case, method, "ok"] += each.available
+        total[case, method, "degraded"] += each.answers - each.available
+        total[case, method, "none"] += each.targets - each.answers
+        total[case, method, "wrong"] += each.wrong
+        total[case, method, "ok and wrong"] += each.ok_wrong
+    headings = ("ok", "degraded", "none", "wrong", "ok and wrong")
+    rows = [
+        [case, method, *(str(total[case, method, heading]) for heading in headings)]
+        for case in study.cases
+        for method in summary.methods
+    ]
+    return Table(headings=[CASE, "method", *headings], rows=rows)
 
 
 def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:

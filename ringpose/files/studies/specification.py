@@ -26,6 +26,7 @@ from ringpose.types.study import (
     LIMITS,
     NUMBERS,
     ONLY_FEATURES,
+    SURFACES,
     Drawn,
     Factor,
     Factors,
@@ -33,6 +34,7 @@ from ringpose.types.study import (
     ShotRun,
     Study,
     StudyMethod,
+    Surface,
     Value,
 )
 
@@ -133,6 +135,10 @@ class StudyFile:
             presence=Presence.IF_KNOWN,
         ),
     ] = field(default_factory=dict)
+    surfaces: Annotated[
+        Mapping[str, Surface],
+        Key("Names, each with what it changes in the scene, for the factor `surfaces`.", presence=Presence.IF_KNOWN),
+    ] = field(default_factory=dict)
     assume: Annotated[
         AssumeEntry | None,
         Key(
@@ -231,6 +237,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         methods=entry.methods,
         table=fields.choice("table", grid) if entry.table is not None else next(iter(grid), ""),
         cases=cases,
+        surfaces=entry.surfaces,
         assumed=_assumed(fields, entry.assume) if "assume" in fields.values else None,
         calibrate=entry.calibrate,
         run=_run(fields, entry),
@@ -386,6 +393,8 @@ def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> Non
     scene, given = study.scene, factor.uniform or factor.values
     if factor.name in ONLY_FEATURES and study.level == "images":
         raise fields.problem(key, "is not rendered in images", "give level: features")
+    if factor.name == SURFACES:
+        _check_surfaces(fields, key, factor, study)
     if factor.name == "rig_errors" and True in factor.values and scene.rig.covariance is None:
         remedy = "give a rig.yaml with a covariance, as calibrate-planes writes it"
         raise fields.problem(key, "needs the rig's covariance, and the scene's rig has none", remedy)
@@ -399,3 +408,15 @@ def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> Non
         if smallest_m <= inward_m:
             finding = f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section"
             raise fields.problem(key, finding)
+
+
+def _check_surfaces(fields: Fields, key: str, factor: Factor, study: Study) -> None:
+    """Reject surfaces that the study does not describe, and those of drawn features."""
+    if study.level == "features":
+        raise fields.problem(key, "has no model of its features", "give level: images")
+    for name in (name for value in factor.values for name in str(value).split("+")):
+        if name not in study.surfaces:
+            remedy = (
+                hint(name, study.surfaces) or f"give it under surfaces, with {', '.join(study.surfaces) or 'others'}"
+            )
+            raise fields.problem(key, f"names {name!r}, which is not one of the study's surfaces", remedy)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.bench.study.shots import ERROR, scene_of, setting_of, study_rows, study_shot, with_run
-from ringpose.bench.study.table import exceeded_limits, finding, study_text, summarized, worst_shots
+from ringpose.bench.study.table import exceeded_limits, finding, status_table, study_text, summarized, worst_shots
+from ringpose.errors import DataError
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import read_study, study_path
 from ringpose.geometry.rays import project
@@ -157,6 +158,38 @@ def test_the_violated_assumptions_have_a_limit_each():
     study = read_study(study_path("violations"))
 
     assert set(study.limits["max_ok_wrong_share"]) == set(study.cases)
+
+
+@pytest.fixture(scope="module")
+def dirt():
+    return read_study(study_path("dirt"), count=1)
+
+
+def test_surfaces_change_the_images_of_a_shot_and_not_its_truth(dirt):
+    clean, ghost = (study_shot(dirt, index, setting_of(dirt, index)) for index in range(2))
+
+    change_dn = np.subtract(ghost.run[-1].images[1], clean.run[-1].images[1], dtype=np.float64).mean(axis=1)
+    row, seen = int(np.argmax(clean.run[-1].images[1].mean(axis=1))), dirt.surfaces["ghost"].ghost
+    assert (list(dirt.cases)[:2], ghost.scene.lasers.ghost) == (["none", "ghost"], None)
+    assert abs(int(np.argmax(change_dn)) - row - seen.rows_px) <= 1.0
+    np.testing.assert_array_equal(ghost.truth.center_m, clean.truth.center_m)
+
+
+def test_shots_are_counted_by_case_and_status(dirt):
+    row = dict.fromkeys(columns(dirt)) | {"method": "ml", "expect": "pose", "case": "gap"}
+    rows = [row | {"status": status, "wrong": wrong} for status, wrong in (("ok", "center normal"), ("none", ""))]
+
+    (line,) = (cells for cells in status_table(dirt, summarized(dirt, rows)).rows if cells[0] == "gap")
+
+    assert line == ["gap", "ml", "1", "0", "1", "2", "1"]
+
+
+def test_a_surface_that_the_study_does_not_describe_is_refused(tmp_path):
+    text = study_path("dirt").read_text().replace("surfaces: heads+gap", "surfaces: heads+gab")
+    (tmp_path / "study.yaml").write_text(text.replace("scene: ", f"scene: {study_path('dirt').parent}/"))
+
+    with pytest.raises(DataError, match=r"cases\.heads\+gap\.surfaces: names 'gab'.*did you mean 'gap'"):
+        read_study(tmp_path / "study.yaml")
 
 
 def test_the_worst_shots_are_those_with_the_largest_errors(study, rows):
