@@ -27,7 +27,7 @@ def robot(duration_s: float, mount_sd=(0.0, 0.0), delay_sd_s: float = 0.0, offse
     matrices = np.array([base_from_tool(t) for t in times_s])
     poses = RobotPoses(stamp_s=START_S + times_s, position_m=matrices[:, :3, 3], rotation=matrices[:, :3, :3])
     root = np.diag([mount_sd[0]] * 3 + [mount_sd[1]] * 3)
-    mount = Mount(tool_from_camera=TOOL_FROM_CAMERA, root=root, delay_s=offset_s, delay_sd_s=delay_sd_s)
+    mount = Mount(carrier_from_camera=TOOL_FROM_CAMERA, root=root, delay_s=offset_s, delay_sd_s=delay_sd_s)
     return CameraMotion(poses=poses, mount=mount)
 
 

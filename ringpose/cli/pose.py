@@ -57,7 +57,7 @@ LiveCamera = Annotated[
 
 Frame = Annotated[
     PoseFrame,
-    typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount, base also --robot-poses."),
+    typer.Option("--frame", help="Frame of the vectors: tool and base need the rig's mount, and maybe --robot-poses."),
 ]
 
 Track = Annotated[
@@ -99,7 +99,9 @@ def pose(
     from ringpose.cli.live_input import live_camera_motion
     from ringpose.files.inputs import SourceReader
     from ringpose.files.rigs import read_rig, require_mount
+    from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.measure.stream import Setup, Stream
+    from ringpose.types.rig import NO_ROBOT_POSES
 
     _check_source(inputs, camera, shots)
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
@@ -110,11 +112,13 @@ def pose(
     batch, loaded_rig = Batch(), read_rig(rig)
     if frame is not PoseFrame.CAMERA:
         require_mount(loaded_rig, rig)
-    _check_base(frame, robot_poses, pictures=overlay is not None or report is not None)
+        _check_frame(frame, loaded_rig, robot_poses, pictures=overlay is not None or report is not None)
     is_live_robot = camera is not None and robot_poses == STDIN
     if is_live_robot and (robot_convention or robot_columns):
         raise UsageError("--robot-convention", "is of no use for poses that arrive as JSON lines", "leave it out")
     motion = None if is_live_robot else camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
+    if motion is None and loaded_rig.mount is not None and frame is loaded_rig.mount.carrier is PoseFrame.BASE:
+        motion = CameraMotion(poses=NO_ROBOT_POSES, mount=loaded_rig.mount)  # a track is in the base, too
     setup = Setup(
         rig=loaded_rig,
         method=method,
@@ -192,14 +196,16 @@ def _check_method(method: Method, assumed: Assumed, robot_poses: str | None) -> 
             raise UsageError(option, f"is not used by --method {method.value}", "leave it out, or use --method ml")
 
 
-def _check_base(frame: PoseFrame, robot_poses: str | None, *, pictures: bool) -> None:
-    """Poses in the robot's base frame need the robot's poses, and are not drawn."""
-    if frame is not PoseFrame.BASE:
+def _check_frame(frame: PoseFrame, rig: "Rig", robot_poses: str | None, *, pictures: bool) -> None:
+    """Poses in another frame than that of what carries the camera need the robot's poses, and are not drawn."""
+    if rig.mount is None or frame is rig.mount.carrier:
         return
     if robot_poses is None:
-        raise UsageError("--frame", "base needs the poses of the robot", "give them with --robot-poses")
+        found = f"{frame} needs the poses of the robot, as the rig's mount is in the frame of the {rig.mount.carrier}"
+        raise UsageError("--frame", found, "give them with --robot-poses")
     if pictures:
-        raise UsageError("--frame", "base excludes --overlay and --report, which draw poses as the camera sees them")
+        found = f"{frame} excludes --overlay and --report, which draw poses as the camera sees them"
+        raise UsageError("--frame", found, "leave them out")
 
 
 def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackSettings) -> None:

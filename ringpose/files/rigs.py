@@ -25,6 +25,7 @@ from ringpose.files.schema import RIG, ROUNDED, Fields, kind_of
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
+from ringpose.types.options import PoseFrame
 from ringpose.types.plausible import (
     DELAY_S,
     DELAY_SD_S,
@@ -66,13 +67,20 @@ class LaserEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MountEntry:
-    """How the camera is mounted on the robot's tool."""
+    """How the camera is mounted on the robot's tool, or beside the robot."""
 
-    tool_from_camera: Annotated[Float64[Array, "4 4"], Key("Pose of the camera in the tool frame.")]
+    tool_from_camera: Annotated[
+        Float64[Array, "4 4"] | None,
+        Key("Pose of the camera in the tool frame, if the robot carries it.", presence=Presence.IF_KNOWN),
+    ] = None
+    base_from_camera: Annotated[
+        Float64[Array, "4 4"] | None,
+        Key("Pose of a camera that does not move, in the robot's base frame.", presence=Presence.IF_KNOWN),
+    ] = None
     covariance: Annotated[
         Float64[Array, "6 6"] | None,
         Key(
-            "Covariance of rotation vector (rad) and translation (m), in the tool frame; exact without it.",
+            "Covariance of rotation vector (rad) and translation (m), in the frame of tool or base; exact without it.",
             form=Form.COVARIANCE,
             presence=Presence.IF_KNOWN,
         ),
@@ -203,7 +211,7 @@ def median_board_rms_px(path: Path) -> float | None:
 
 def require_mount(rig: Rig, path: Path) -> None:
     """Reject a rig without a mount."""
-    if rig.tool_from_camera is None:
+    if rig.mount is None:
         raise DataError(str(path), "has no mount", "run calibrate-mount, or use --frame camera")
 
 
@@ -233,16 +241,14 @@ def write_mount(
     camera: Path,
     quality: Mapping[str, Any],
     *,
-    on_base: bool = False,
     force: bool,
     inputs: Iterable[Path],
 ) -> None:
     """Write a rig with this mount, else unchanged; or the mount alone if `camera` is not the file of a rig.
 
-    `quality` becomes the key `quality.mount`. With `on_base` the matrix is base_from_camera, of a camera that does not
-    move: it is always written alone, under this name, as no rig has a tool that carries it.
+    `quality` becomes the key `quality.mount`.
     """
-    if not on_base and kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
+    if kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
         both = {"quality": {**calibration_quality(camera), "mount": quality}}
         rig = read_rig(camera, for_rings=False)
         if rig.mount is not None:
@@ -251,8 +257,6 @@ def write_mount(
         write_rig(path, rig, extra=both, force=force, inputs=inputs)
         return
     alone = dict(definition_of(MountEntry).write(_mount_entry(mount)))
-    if on_base:
-        alone = {"base_from_camera": alone.pop("tool_from_camera")} | alone
     head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | {"mount": alone, "quality": {"mount": quality}})
@@ -284,8 +288,10 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 
 
 def _mount_entry(mount: Mount) -> MountEntry:
+    is_on_tool = mount.carrier is PoseFrame.TOOL
     return MountEntry(
-        tool_from_camera=mount.tool_from_camera,
+        tool_from_camera=mount.carrier_from_camera if is_on_tool else None,
+        base_from_camera=None if is_on_tool else mount.carrier_from_camera,
         covariance=mount.root @ mount.root.T if mount.root.any() else None,
         delay_s=mount.delay_s,
         delay_sd_s=mount.delay_sd_s,
@@ -315,17 +321,25 @@ def _lasers(fields: Fields, entries: Sequence[LaserEntry]) -> LaserPlanes:
 
 def _mount(fields: Fields, entry: MountEntry) -> Mount:
     """The mount; one without `covariance`, `delay_s` or `delay_sd_s` counts as exact in these."""
-    matrix = entry.tool_from_camera
+    is_on_tool = entry.tool_from_camera is not None
+    key, matrix = ("tool_from_camera" if is_on_tool else "base_from_camera"), entry.tool_from_camera
+    if matrix is None:
+        matrix = entry.base_from_camera
+    elif entry.base_from_camera is not None:
+        raise fields.problem("base_from_camera", "and tool_from_camera exclude each other", "leave one of them out")
+    if matrix is None:
+        raise fields.problem("", "has neither tool_from_camera nor base_from_camera", "run calibrate-mount")
     if np.any(matrix[3] != [0, 0, 0, 1]):
-        raise fields.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")
+        raise fields.problem(key, "must end with the row [0, 0, 0, 1]")
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDED or np.linalg.det(rotation) < 0:
-        raise fields.problem("tool_from_camera", "its upper left 3 x 3 matrix is not a rotation")
-    fields.check("tool_from_camera", matrix[:3, 3], MOUNT_M)
+        raise fields.problem(key, "its upper left 3 x 3 matrix is not a rotation")
+    fields.check(key, matrix[:3, 3], MOUNT_M)
     left, _, right = np.linalg.svd(rotation)
     variance, axes = np.linalg.eigh(np.zeros((6, 6)) if entry.covariance is None else entry.covariance)
     return Mount(
-        tool_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
+        carrier_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
+        carrier=PoseFrame.TOOL if is_on_tool else PoseFrame.BASE,
         root=axes * np.sqrt(np.maximum(variance, 0.0)),
         delay_s=entry.delay_s,
         delay_sd_s=entry.delay_sd_s,

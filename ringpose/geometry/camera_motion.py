@@ -10,6 +10,7 @@ import numpy as np
 from ringpose.geometry.ring import CameraDisplacements, rotation_by
 from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.options import PoseFrame
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
 MAX_GAP_S = 0.25
@@ -41,20 +42,82 @@ class CameraState(NamedTuple):
         return matrix
 
 
+class _ToolState(NamedTuple):
+    """Where the tool is at one instant and how it moves, in the base frame."""
+
+    rotation: Float64[Array, "3 3"]
+    position_m: Float64[Array, "xyz=3"]
+    velocity_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraMotion:
-    """Interpolates the pose of a camera."""
+    """Interpolates the pose of a camera that a robot carries; one that stands beside the robot is at rest."""
 
     poses: RobotPoses
     mount: Mount
 
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the camera stands in the robot's base: it then needs no poses of the robot."""
+        return self.mount.carrier is PoseFrame.BASE
+
     def at(self, stamp_s: float) -> CameraState | None:
-        """The camera at a stamp of its own clock; None if the robot's poses do not cover it.
+        """The camera at a stamp of its own clock; None if the robot's poses do not cover it."""
+        mount = self.mount
+        in_carrier = mount.carrier_from_camera
+        if self.is_at_rest:
+            root = np.pad(mount.root, ((0, 0), (0, 1)))
+            return CameraState(in_carrier[:3, :3], in_carrier[:3, 3], np.zeros(3), np.zeros(3), root)
+        tool = self._tool_at(stamp_s)
+        if tool is None:
+            return None
+        lever_m = tool.rotation @ in_carrier[:3, 3]
+        velocity = tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m)
+        root = np.zeros((6, 7))
+        root[:3, :6], root[3:, :6] = tool.rotation @ mount.root[:3], tool.rotation @ mount.root[3:]
+        root[:3, 6], root[3:, 6] = mount.delay_sd_s * tool.rate_rad_s, mount.delay_sd_s * velocity
+        return CameraState(
+            rotation=tool.rotation @ in_carrier[:3, :3],
+            origin_m=tool.position_m + lever_m,
+            velocity_m_s=velocity,
+            rate_rad_s=tool.rate_rad_s,
+            displacement_root=root,
+        )
+
+    def in_frame(
+        self, frame: PoseFrame, stamp_s: float
+    ) -> tuple[Float64[Array, "4 4"], Float64[Array, "6 error"]] | None:
+        """The camera's pose in the frame of tool or base, and the square root R of its covariance R R^T there.
+
+        None if it needs a pose of the robot at this stamp and there is none.
+        """
+        if frame is self.mount.carrier:
+            return self.mount.carrier_from_camera, self.mount.root
+        if frame is PoseFrame.BASE:
+            state = self.at(stamp_s)
+            return None if state is None else (state.base_from_camera, state.displacement_root)
+        tool = self._tool_at(stamp_s)
+        if tool is None:
+            return None
+        back, base_from_camera = tool.rotation.T, self.mount.carrier_from_camera
+        lever_m = base_from_camera[:3, 3] - tool.position_m
+        matrix, root = np.eye(4), np.zeros((6, 7))
+        matrix[:3, :3], matrix[:3, 3] = back @ base_from_camera[:3, :3], back @ lever_m
+        root[:3, :6], root[3:, :6] = back @ self.mount.root[:3], back @ self.mount.root[3:]
+        # a tool that has gone on moves a camera at rest the other way
+        root[:3, 6] = -self.mount.delay_sd_s * back @ tool.rate_rad_s
+        root[3:, 6] = -self.mount.delay_sd_s * back @ (tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m))
+        return matrix, root
+
+    def _tool_at(self, stamp_s: float) -> "_ToolState | None":
+        """The tool at a stamp of the camera's clock; None if the robot's poses do not cover it.
 
         Between two poses the tool moves at a constant twist: T(s) = T_0 exp(s log(T_0^-1 T_1)) on SE(3).
         """
-        poses, mount = self.poses, self.mount
-        if self.why_not_at(stamp_s):
+        poses = self.poses
+        if self._why_no_tool_at(stamp_s):
             return None
         time_s, after = self._interval(stamp_s)
         first_s, interval_s = poses.stamp_s[after - 1], poses.stamp_s[after] - poses.stamp_s[after - 1]
@@ -62,19 +125,11 @@ class CameraMotion:
         turn_rad, shift_m = self._twist(after)
         share = (time_s - first_s) / interval_s
         base_from_tool = rotation @ rotation_by(share * turn_rad)
-        tool_m = position_m + rotation @ (left_jacobian(share * turn_rad) @ (share * shift_m))
-        rate = base_from_tool @ turn_rad / interval_s
-        lever_m = base_from_tool @ mount.tool_from_camera[:3, 3]
-        velocity = base_from_tool @ shift_m / interval_s + np.cross(rate, lever_m)
-        root = np.zeros((6, 7))
-        root[:3, :6], root[3:, :6] = base_from_tool @ mount.root[:3], base_from_tool @ mount.root[3:]
-        root[:3, 6], root[3:, 6] = mount.delay_sd_s * rate, mount.delay_sd_s * velocity
-        return CameraState(
-            rotation=base_from_tool @ mount.tool_from_camera[:3, :3],
-            origin_m=tool_m + lever_m,
-            velocity_m_s=velocity,
-            rate_rad_s=rate,
-            displacement_root=root,
+        return _ToolState(
+            base_from_tool,
+            position_m + rotation @ (left_jacobian(share * turn_rad) @ (share * shift_m)),
+            base_from_tool @ shift_m / interval_s,
+            base_from_tool @ turn_rad / interval_s,
         )
 
     def going_on_until(self, stamp_s: float) -> "CameraMotion":
@@ -101,6 +156,9 @@ class CameraMotion:
 
     def why_not_at(self, stamp_s: float) -> str:
         """The reason why `at` returns None for this stamp; empty if it returns a camera."""
+        return "" if self.is_at_rest else self._why_no_tool_at(stamp_s)
+
+    def _why_no_tool_at(self, stamp_s: float) -> str:
         if not isfinite(stamp_s):
             return "its time is unknown"
         stamps_s = self.poses.stamp_s
@@ -157,9 +215,9 @@ def _displacements(
         ends = []
         for offset in (sd, -sd):
             error = offset * np.eye(len(MOUNT_PARAMETERS))[number]
-            matrix = mount.tool_from_camera.copy()
+            matrix = mount.carrier_from_camera.copy()
             matrix[:3, :3], matrix[:3, 3] = rotation_by(error[:3]) @ matrix[:3, :3], matrix[:3, 3] + error[3:6]
-            with_error = replace(mount, tool_from_camera=matrix, delay_s=mount.delay_s + float(error[6]))
+            with_error = replace(mount, carrier_from_camera=matrix, delay_s=mount.delay_s + float(error[6]))
             ends.append(_displaced(replace(camera, mount=with_error), reference_s, instant_s))
         ahead, behind = ends
         if ahead is None or behind is None:

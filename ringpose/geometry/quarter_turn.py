@@ -108,9 +108,9 @@ class QuarterTurn:
         return replace(arcs, origin=self.vectors(arcs.origin), axes=self.vectors(arcs.axes))
 
     def _mount(self, mount: Mount) -> Mount:
-        turned = mount.tool_from_camera.copy()
+        turned = mount.carrier_from_camera.copy()
         turned[:3, :3] = turned[:3, :3] @ self.rotation_3d.T
-        return replace(mount, tool_from_camera=turned)
+        return replace(mount, carrier_from_camera=turned)
 
     # What is measured
 

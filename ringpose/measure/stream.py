@@ -26,7 +26,7 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.measure import status
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.pose.rig_monitor import DriftMonitor, FormMonitor
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import (
     IDEAL,
     MAX_RATE_DEG_S,
@@ -40,7 +40,7 @@ from ringpose.types.detection import BreakPoints, Detection, JudgedRing, Rejecti
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import KnownRadii, NoPose, PoseLine, PoseResult, Ring, RingPose
-from ringpose.types.rig import Rig
+from ringpose.types.rig import NO_ROBOT_POSES, Rig
 from ringpose.types.track import TrackLine
 
 if TYPE_CHECKING:  # not imported to measure detections
@@ -59,18 +59,18 @@ class Setup:
     rig: Rig
     method: Method = Method.ML
     frame: PoseFrame = PoseFrame.CAMERA
-    """Frame of the vectors; `tool` needs the rig's mount."""
+    """Frame of the vectors; `tool` and `base` need the rig's mount."""
     known: KnownRadii | Sequence[Ring] | None = None
     """The ring's radii, or the catalogue that it belongs to."""
     options: AssumptionOptions = USUAL
     camera: CameraMotion | None = None
-    """The camera's motion by the poses of the robot that carries it; None for a camera that counts as inertial."""
+    """The camera's motion by the poses of the robot; None for a camera that counts as inertial."""
 
     def detection(self, shot: Shot, prior: "Prior | None" = None) -> Detection:
         """What a shot shows; `prior`: what earlier shots have shown."""
         from ringpose.detect.pipeline import NOTHING_KNOWN, detect  # not needed for detections, and slow to import
 
-        known = replace(prior or NOTHING_KNOWN, camera=self.camera)
+        known = replace(prior or NOTHING_KNOWN, camera=_moving(self.camera))
         if known.assumptions is None:
             known = replace(known, assumptions=self.assumptions(shot))
         return detect(shot, self.rig, known)
@@ -278,14 +278,15 @@ def pose_line(
 ) -> PoseLine:
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
-    `known` are the ring's radii, or the catalogue that it belongs to. `options` state what is assumed. The frame `tool`
-    needs the rig's mount, `base` the camera's motion; without it vectors and record are in the camera frame. `camera`:
-    its motion by the poses of the robot that carries it, which is removed within the shot; velocity and assumptions
-    about the motion are then relative to the robot's base. None for a camera that counts as inertial. `assumptions`:
-    what is assumed, if it has been derived from the options already.
+    `known` are the ring's radii, or the catalogue that it belongs to. `options` state what is assumed. The frames
+    `tool` and `base` need the rig's mount, and the robot's poses unless that frame carries the camera; without these
+    vectors and record are in the camera frame. `camera`: its motion by the robot's poses, which is removed within the
+    shot; velocity and assumptions about the motion are then relative to the robot's base. None for a camera that counts
+    as inertial. `assumptions`: what is assumed, if it has been derived from the options already.
     """
     assumptions = assumptions or assumptions_about(source, rig, known, options)
-    if (frame is PoseFrame.TOOL and rig.mount is None) or (frame is PoseFrame.BASE and camera is None):
+    located = camera or (None if rig.mount is None else CameraMotion(poses=NO_ROBOT_POSES, mount=rig.mount))
+    if located is None or (camera is None and frame is not located.mount.carrier):
         frame = PoseFrame.CAMERA
     start_s = perf_counter()
     points = source.break_points
@@ -311,17 +312,12 @@ def pose_line(
         assumptions,
         source.lasers_on,
         source.rejected,
-        camera,
+        _moving(camera),
         source.ring,
     )
-    rejected = result.rejected or source.rejected
-    pose, velocity = result.pose, result.velocity
-    if isinstance(pose, RingPose) and frame is not PoseFrame.CAMERA:
-        from ringpose.pose.transform import pose_in_frame, velocity_in_frame, with_camera_error
-
-        frame_from_camera, root = _camera_in(frame, rig, camera, result.stamp_s)
-        velocity = None if velocity is None else velocity_in_frame(velocity, pose, frame_from_camera)
-        pose = with_camera_error(pose_in_frame(pose, frame_from_camera), frame_from_camera[:3, 3], root)
+    if located is not None and frame is not PoseFrame.CAMERA:
+        result = _in_frame(result, located, frame)
+    pose, rejected = result.pose, result.rejected or source.rejected
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
@@ -331,7 +327,7 @@ def pose_line(
         flags=result.flags | status.flags_of(status.findings_of(source, rejected)),
         reason=status.reason_of(result, source),
         frame=frame,
-        velocity=velocity,
+        velocity=result.velocity,
         measurement=result.measurement,
         priors=result.priors,
         lasers=result.lasers,
@@ -343,15 +339,24 @@ def pose_line(
     )
 
 
-def _camera_in(
-    frame: PoseFrame, rig: Rig, camera: CameraMotion | None, stamp_s: float
-) -> tuple[Float64[Array, "4 4"], Float64[Array, "6 error"]]:
-    """The camera's pose in the tool's or the base frame, and the square root of its covariance."""
-    if frame is PoseFrame.TOOL and rig.mount is not None:
-        return rig.mount.tool_from_camera, rig.mount.root
-    state = None if camera is None else camera.at(stamp_s)
-    assert state is not None  # a ring that was estimated at a stamp without a pose of the robot has no pose
-    return state.base_from_camera, state.displacement_root
+def _moving(camera: CameraMotion | None) -> CameraMotion | None:
+    """The motion of a camera that moves."""
+    return None if camera is None or camera.is_at_rest else camera
+
+
+def _in_frame(result: PoseResult, camera: CameraMotion, frame: PoseFrame) -> PoseResult:
+    """The result in the frame of tool or base, with the errors of the camera's pose there."""
+    if not isinstance(result.pose, RingPose):
+        return result
+    from ringpose.pose.transform import pose_in_frame, velocity_in_frame, with_camera_error
+
+    where = camera.in_frame(frame, result.stamp_s)
+    if where is None:
+        return replace(result, pose=NoPose.NO_ROBOT_POSES, velocity=None)
+    frame_from_camera, root = where
+    velocity = None if result.velocity is None else velocity_in_frame(result.velocity, result.pose, frame_from_camera)
+    pose = with_camera_error(pose_in_frame(result.pose, frame_from_camera), frame_from_camera[:3, 3], root)
+    return replace(result, pose=pose, velocity=velocity)
 
 
 def estimate_pose(

@@ -221,11 +221,11 @@ def _rejected(line: PoseLine | None, rig: Rig | None) -> Rejected:
 
 
 def pose_in_camera_frame(line: PoseLine, rig: Rig) -> RingPose | None:
-    """The pose, transformed back if necessary; None if the rig lacks the mount for that."""
+    """The pose, transformed back if necessary; None if that needs more than the rig's mount."""
     if line.pose is None or line.frame is PoseFrame.CAMERA:
         return line.pose
-    if line.frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
-        return pose_in_frame(line.pose, np.linalg.inv(rig.tool_from_camera))
+    if rig.mount is not None and line.frame is rig.mount.carrier:
+        return pose_in_frame(line.pose, np.linalg.inv(rig.mount.carrier_from_camera))
     return None
 
 

@@ -13,6 +13,7 @@ from ringpose.estimate.covariance import (
     WEAK_SD,
     standard_deviation,
 )
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import CURVATURE, plane_and_center
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.measure.status import flags_of
@@ -61,13 +62,13 @@ def track_line(
     flags: PoseFlag,
     rig: str,
     options: TrackOptions,
-    in_base: bool,
+    camera: CameraMotion | None,
 ) -> TrackLine:
     """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later).
 
     `findings`: what the newest measurement shows about the track. `flags`: those of the newest measurement that was
-    used, as far as they concern the track. `in_base`: whether the track is in the robot's base frame, since the motion
-    of the camera is known.
+    used, as far as they concern the track. `camera`: its motion, if that is known; the track is then in the robot's
+    base frame.
     """
     stamp_s = max(track.stamp_s, stamp_s) if track.banks else stamp_s  # that of the track if the instant is unknown
     lost = TrackLine(
@@ -75,9 +76,9 @@ def track_line(
         attempts=attempts,
         measurement_stamp_s=track.stamp_s,
         validity=validity(track, stamp_s, options),
-        frame="base" if in_base else "camera",
+        frame="camera" if camera is None else "base",
         log_evidence=log_evidence(track.likeliest) if track.banks else dict.fromkeys(MotionModel, nan),
-        camera="robot_poses" if in_base else "inertial_assumed",
+        camera="inertial_assumed" if camera is None else "at_rest" if camera.is_at_rest else "robot_poses",
         resets=track.resets,
         rig=rig,
     )

@@ -126,9 +126,8 @@ class Tracker:
         flags = (used[-1] if used else self._base_flags) & LASTING_FLAGS
         is_contradicted = bool(attempts) and attempts[-1].fusion_status is FusionStatus.REJECTED_GATE
         findings = Finding.TRACK_CONTRADICTED if is_contradicted or self._clock.is_in_doubt else NOTHING
-        in_base = self.camera is not None
         return track_line(
-            self.track, stamp_s, next_stamp_s, attempts, findings, flags, self._hash, self.options, in_base
+            self.track, stamp_s, next_stamp_s, attempts, findings, flags, self._hash, self.options, self.camera
         )
 
     def line_of(self, attempt: Attempt) -> TrackLine:

@@ -19,7 +19,7 @@ class PoseFrame(StrEnum):
     CAMERA = "camera"
     TOOL = "tool"
     BASE = "base"
-    """That of the robot that carries the camera."""
+    """That of the robot which carries the camera, or beside which it stands."""
 
 
 class SegmentMethod(StrEnum):

@@ -11,7 +11,7 @@ from ringpose.errors import DataError
 from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
-from ringpose.types.options import DistortionModel
+from ringpose.types.options import DistortionModel, PoseFrame
 from ringpose.types.record import Form, Key
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -121,20 +121,26 @@ class RobotPoses:
     """Identical repeats of these poses that were left out, as republished transforms have them."""
 
 
+NO_ROBOT_POSES = RobotPoses(stamp_s=np.zeros(0), position_m=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)))
+"""Of a camera that stands in the robot's base, whose pose does not depend on the robot."""
+
+
 MOUNT_PARAMETERS = (
     "mount.rotation_x", "mount.rotation_y", "mount.rotation_z",
     "mount.translation_x", "mount.translation_y", "mount.translation_z", "mount.delay",
 )  # fmt: skip
-"""Uncertain parameters of a mount: rotation vector (rad) and translation (m) of the camera in the tool frame, delay."""
+"""Uncertain parameters of a mount: rotation vector (rad), translation (m) of the camera in its carrier, delay."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mount:
-    """How the camera is mounted on the tool, and how well that is known."""
+    """How the camera is mounted on a robot's tool or beside the robot, and how well that is known."""
 
-    tool_from_camera: Float64[Array, "4 4"]
+    carrier_from_camera: Float64[Array, "4 4"]
     root: Float64[Array, "6 6"]
-    """R of the covariance R R^T of rotation vector (rad) and translation (m), in the tool frame."""
+    """R of the covariance R R^T of rotation vector (rad) and translation (m), in the carrier's frame."""
+    carrier: PoseFrame = PoseFrame.TOOL
+    """Frame of what carries the camera: the robot's tool, or its base if the camera stands beside it."""
     delay_s: float = 0.0
     """The robot's stamp that belongs to the camera's stamp t is t + delay_s ..."""
     delay_sd_s: float = 0.0
@@ -189,17 +195,12 @@ class Rig:
     stability: RigStability = TYPICAL_STABILITY
     """How far light planes and camera may have moved since the calibration."""
     mount: Mount | None = None
-    """Mount of the camera on a robot's tool; None if it is not known."""
+    """Mount of the camera on a robot's tool, or in its base; None if it is not known."""
     moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
     """Corrections by the laser's name; the light planes are the corrected ones."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""
-
-    @property
-    def tool_from_camera(self) -> Float64[Array, "4 4"] | None:
-        """The camera's pose in the tool frame; None without a mount."""
-        return None if self.mount is None else self.mount.tool_from_camera
 
     @cached_property
     def stripes_along_columns(self) -> bool:

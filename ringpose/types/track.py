@@ -50,7 +50,7 @@ class MotionModel(StrEnum):
     PRECESSION = "precession"
 
 
-CameraMotion = Literal["inertial_assumed", "robot_poses"]
+CameraMotion = Literal["inertial_assumed", "robot_poses", "at_rest"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -51,7 +51,7 @@ WORDS = ("calibrate-mount", "views", "--board", "board.yaml", "--camera", "camer
 def test_the_mount_is_written_and_agrees_with_the_views(session, capsys):
     assert main([*WORDS, "--robot-convention", "kuka", "-o", "mount.yaml"]) == 0
 
-    np.testing.assert_allclose(read_mount(session / "mount.yaml").tool_from_camera, MOUNT, atol=1e-3)
+    np.testing.assert_allclose(read_mount(session / "mount.yaml").carrier_from_camera, MOUNT, atol=1e-3)
     written = yaml.safe_load((session / "mount.yaml").read_text())
     assert written["quality"]["mount"]["held_out_rms_m"] < 5e-4
     assert set(written["provenance"]["inputs"]) >= {"board.yaml", "camera.yaml", "poses.csv"}
@@ -59,7 +59,7 @@ def test_the_mount_is_written_and_agrees_with_the_views(session, capsys):
     assert main([*WORDS, "--robot-convention", "kuka", "--check", "mount.yaml"]) == 0
 
 
-def test_a_camera_beside_the_robot_has_no_mount_on_its_tool(session):
+def test_a_camera_beside_the_robot_has_a_mount_in_its_base(session, capsys):
     header, *rows = (session / "poses.csv").read_text().splitlines()
     inverted = []
     for row in rows:  # the tool carries the board: the given poses turned round
@@ -77,6 +77,10 @@ def test_a_camera_beside_the_robot_has_no_mount_on_its_tool(session):
     written = yaml.safe_load((session / "mount.yaml").read_text())["mount"]
     assert "tool_from_camera" not in written
     np.testing.assert_allclose(written["base_from_camera"], MOUNT, atol=1e-3)
+    check = (*WORDS, "--robot-convention", "kuka", "--check", "mount.yaml")
+    assert main([*check, "--eye-to-hand"]) == 0
+    assert main([*check]) == 2
+    assert "give --eye-to-hand" in capsys.readouterr().err
 
 
 def test_what_is_missing_or_wrong_is_reported_with_its_status(session, capsys):

@@ -122,6 +122,29 @@ def test_a_camera_whose_robot_rests_measures_the_same_and_its_track_is_in_the_ba
     assert np.abs(away_m[[0, 2]]).max() < 5e-4  # y runs along the face, on which the point is chosen anew
 
 
+def test_a_camera_beside_the_robot_gives_poses_and_tracks_in_the_base_without_its_poses(mounted, tmp_path, run):
+    rig, shots = mounted
+    fixed = np.eye(4)
+    fixed[:3, 3] = [1.0, 0.2, 0.3]
+    values = yaml.safe_load(rig.read_text())
+    rig.write_text(yaml.safe_dump({**values, "mount": {"base_from_camera": fixed.tolist()}}))
+    (alone,) = run("pose", shots, "--rig", rig).records
+
+    (in_base,) = run("pose", shots, "--rig", rig, "--frame", "base").records
+    (track,) = run("pose", shots, "--rig", rig, "--frame", "base", "--track").records
+    robot = robot_poses(tmp_path / "robot.jsonl", -1.0, 1.0)
+    (in_tool,) = run("pose", shots, "--rig", rig, "--frame", "tool", "--robot-poses", robot).records
+    without = run("pose", shots, "--rig", rig, "--frame", "tool")
+
+    moved_m = np.add(alone["pose"]["grasp_m"], [1.0, 0.2, 0.3])
+    np.testing.assert_allclose(in_base["pose"]["grasp_m"], moved_m, atol=1e-9)
+    np.testing.assert_allclose(in_tool["pose"]["grasp_m"], alone["pose"]["grasp_m"], atol=1e-9)
+    assert (in_base["frame"], in_tool["frame"]) == ("base", "tool")
+    assert (track["frame"], track["camera"]) == ("base", "at_rest")
+    assert without.status == 2
+    assert "tool needs the poses of the robot" in without.messages[0]
+
+
 def test_poses_of_a_robots_own_table_are_those_of_records(mounted, tmp_path, run):
     rig, shots = mounted
     pose = {"position_m": [1.0, 0.2, 0.3], "orientation_xyzw": [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]}

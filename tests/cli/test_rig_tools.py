@@ -92,7 +92,7 @@ def test_the_mount_is_written_to_the_rig(plane_folder):
 
     calibrate("planes", *ORDER, "--mount", "mount.yaml")
 
-    tool_from_camera = read_rig(plane_folder / "rig.yaml").tool_from_camera
+    tool_from_camera = read_rig(plane_folder / "rig.yaml").mount.carrier_from_camera
     assert tool_from_camera[:3, 3] == pytest.approx([0.1, 0.0, 0.05])
 
 

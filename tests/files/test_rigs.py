@@ -46,7 +46,7 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     np.testing.assert_array_equal(after.lasers.normal, before.lasers.normal)
     np.testing.assert_array_equal(after.lasers.projector_m, before.lasers.projector_m)
     np.testing.assert_array_equal(after.camera.distortion_coefficients, before.camera.distortion_coefficients)
-    np.testing.assert_allclose(after.mount.tool_from_camera, before.mount.tool_from_camera, atol=1e-15)
+    np.testing.assert_allclose(after.mount.carrier_from_camera, before.mount.carrier_from_camera, atol=1e-15)
     np.testing.assert_allclose(after.mount.covariance, before.mount.covariance, atol=1e-15)
     assert after.mount.delay_s == before.mount.delay_s
     assert after.covariance.parameters == names
@@ -122,6 +122,8 @@ def test_a_rounded_normal_is_normalised(rig_file):
         ("mount.tool_from_camera", MIRROR, "mount.tool_from_camera: its upper left 3 x 3 matrix is not a rotation"),
         ("mount.tool_from_camera.2.3", -5.5, "mount.tool_from_camera: is -5.5, must be -5 to 5; give metres"),
         ("mount.tool_from_camera.3.3", 2, "mount.tool_from_camera: must end with the row [0, 0, 0, 1]"),
+        ("mount.tool_from_camera", ..., "mount: has neither tool_from_camera nor base_from_camera"),
+        ("mount.base_from_camera", MIRROR, "mount.base_from_camera: and tool_from_camera exclude each other"),
         ("camera.image_width", 0, "camera.image_width: is 0, must be at least 1"),
         ("camera.camera_matrix.data.0", -700, "camera.camera_matrix: has a focal length that is not positive"),
         ("camera.camera_matrix.data.1", 0.5, "camera.camera_matrix: must have the form"),
@@ -175,12 +177,12 @@ def test_a_covariance_of_rank_one_is_accepted(rig_file):
 
 def test_another_mount_keeps_the_delay_of_the_robots_poses(rig_file, tmp_path):
     file = rig_file("mount.delay_s", 0.02)
-    mount = Mount(tool_from_camera=np.eye(4), root=1e-3 * np.eye(6))
+    mount = Mount(carrier_from_camera=np.eye(4), root=1e-3 * np.eye(6))
 
     write_mount(tmp_path / "mounted.yaml", mount, file, {}, force=False, inputs=[])
 
     written = read_rig(tmp_path / "mounted.yaml", for_rings=False).mount
-    np.testing.assert_array_equal(written.tool_from_camera, np.eye(4))
+    np.testing.assert_array_equal(written.carrier_from_camera, np.eye(4))
     assert written.delay_s == 0.02
 
 

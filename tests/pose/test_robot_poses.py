@@ -38,7 +38,7 @@ def robot(delay_s=0.0, sds=(0.0, 0.0, 0.0), mount=TOOL_FROM_CAMERA, until_s=100.
     return CameraMotion(
         poses=RobotPoses(stamp_s=stamps_s, position_m=poses[:, :3, 3], rotation=poses[:, :3, :3]),
         mount=Mount(
-            tool_from_camera=mount,
+            carrier_from_camera=mount,
             root=np.diag([sds[0]] * 3 + [sds[1]] * 3),
             delay_s=delay_s,
             delay_sd_s=sds[2],

@@ -83,7 +83,7 @@ def test_a_pose_in_the_tool_frame_is_drawn_as_in_the_camera_frame(scene):
     mount = np.eye(4)
     mount[:3, :3] = cv2.Rodrigues(np.array([0.3, -0.5, 1.0]))[0]
     mount[:3, 3] = [0.1, 0.2, -0.3]
-    rig = replace(scene.rig, mount=Mount(tool_from_camera=mount, root=np.zeros((6, 6))))
+    rig = replace(scene.rig, mount=Mount(carrier_from_camera=mount, root=np.zeros((6, 6))))
     image = np.zeros((1200, 1600), np.uint8)
 
     in_tool = overlay(image, NO_POINTS, line_of(pose_in_frame(pose_of(scene), mount), frame=PoseFrame.TOOL), rig)

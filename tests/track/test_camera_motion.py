@@ -143,7 +143,7 @@ def test_a_displaced_mount_displaces_the_track_as_its_covariance_states(in_base,
     """The error that the consider states describe, by its sign: a mount that is off by one standard deviation."""
     lines, sd_m = stream(SeenByRobot(in_base), 1.0, Shots(), rng, 4.0), 0.005
     wrong = Mount(
-        tool_from_camera=TOOL_FROM_CAMERA + sd_m * np.eye(4)[:, [2]] @ np.eye(4)[[3]],
+        carrier_from_camera=TOOL_FROM_CAMERA + sd_m * np.eye(4)[:, [2]] @ np.eye(4)[[3]],
         root=np.diag([0, 0, 0, 0, 0, sd_m]),
     )
     line = newest(track_of(lines, camera=CameraMotion(poses=robot(3.0).poses, mount=wrong)))

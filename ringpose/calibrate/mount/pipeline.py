@@ -39,6 +39,7 @@ from ringpose.geometry.robot_conventions import PoseConvention
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.options import PoseFrame
 from ringpose.types.rig import Camera, Mount
 from ringpose.types.robot import ReportedPose
 
@@ -83,7 +84,11 @@ class MountCalibration:
     def mount(self) -> Mount:
         """The mount as the rig has it."""
         variance, axes = np.linalg.eigh(self.covariance[:6, :6])
-        return Mount(tool_from_camera=self.solution.state.mount.matrix, root=axes * np.sqrt(np.maximum(variance, 0.0)))
+        return Mount(
+            carrier_from_camera=self.solution.state.mount.matrix,
+            carrier=PoseFrame.BASE if self.eye_to_hand else PoseFrame.TOOL,
+            root=axes * np.sqrt(np.maximum(variance, 0.0)),
+        )
 
 
 def stations_of(views: Sequence[BoardView], poses: Sequence[ReportedPose | DataError]) -> list[Station]:

@@ -159,8 +159,8 @@ class MountComparison(NamedTuple):
 def compared_mount(calibration: MountCalibration, given: Mount) -> MountComparison:
     """How far a given mount is from that of the views, by the covariances of both."""
     mount = calibration.solution.state.mount
-    turn_rad = rotation_vector(given.tool_from_camera[:3, :3] @ mount.rotation.T)
-    shift_m = given.tool_from_camera[:3, 3] - mount.translation_m
+    turn_rad = rotation_vector(given.carrier_from_camera[:3, :3] @ mount.rotation.T)
+    shift_m = given.carrier_from_camera[:3, 3] - mount.translation_m
     both = calibration.covariance[:6, :6] + given.covariance[:6, :6]
     difference = np.append(turn_rad, shift_m)
     sigmas = float(np.sqrt(difference @ np.linalg.solve(both, difference) / 6))

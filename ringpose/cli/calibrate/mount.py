@@ -7,10 +7,13 @@ import typer
 
 from ringpose.cli.app import BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option
 from ringpose.cli.options.robot import RobotColumns, RobotConvention, tool_poses
+from ringpose.errors import UsageError
+from ringpose.types.options import PoseFrame
 
 if TYPE_CHECKING:
     from ringpose.calibrate.mount.pipeline import MountCalibration
     from ringpose.types.image import Shot
+    from ringpose.types.rig import Mount
 
 CameraFile = Annotated[
     Path, file_option("--camera", meaning="The calibrated camera, or the rig whose mount is written (rig.yaml).")
@@ -61,13 +64,11 @@ def calibrate_mount(
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.inputs import holds_records
-    from ringpose.files.rigs import read_mount
 
-    _check_mode(check, output, eye_to_hand)
+    known = None if check is None else _given_mount(check, output, eye_to_hand)
     files = [board, camera, *([Path(robot_poses)] if Path(robot_poses).is_file() else [])]
     if check is None:
         reject_existing_outputs(given(output, "--output"), None, force, files)
-    known = None if check is None else read_mount(check)
     poses, convention = tool_poses(robot_poses, robot_convention, robot_columns)
     boards = BoardShots(read_board(board), names_differ=True)
     read_cam = read_camera(camera)
@@ -105,14 +106,17 @@ def calibrate_mount(
     batch.finish()
 
 
-def _check_mode(check: Path | None, output: Path | None, eye_to_hand: bool) -> None:
-    """Reject options that a check would ignore."""
-    from ringpose.errors import UsageError
+def _given_mount(check: Path, output: Path | None, eye_to_hand: bool) -> "Mount":
+    """The mount to compare with the views, of a camera that is where these have it."""
+    from ringpose.files.rigs import read_mount
 
-    if check is not None and output is not None:
+    if output is not None:
         raise UsageError("--check", "only compares", "leave out --output")
-    if check is not None and eye_to_hand:
-        raise UsageError("--check", "is for the mount on a tool", "leave out --eye-to-hand")
+    given = read_mount(check)
+    if (given.carrier is PoseFrame.BASE) != eye_to_hand:
+        remedy = "leave out --eye-to-hand" if eye_to_hand else "give --eye-to-hand"
+        raise UsageError("--check", f"{check} has its camera in the frame of the {given.carrier}", remedy)
+    return given
 
 
 def _write(
@@ -124,6 +128,5 @@ def _write(
     from ringpose.files.rigs import write_mount
 
     verdict = mount_verdict(calibration)
-    quality, on_base = mount_quality(calibration, verdict), calibration.eye_to_hand
-    write_mount(output, calibration.mount, camera, quality, on_base=on_base, force=force, inputs=read)
+    write_mount(output, calibration.mount, camera, mount_quality(calibration, verdict), force=force, inputs=read)
     return report_verdict(verdict, mount_summary(calibration, verdict), quiet=quiet)

@@ -70,7 +70,8 @@ WorkingDistance = Annotated[
 Mount = Annotated[
     Path | None,
     file_option(
-        "--mount", meaning="Where the camera is mounted: tool_from_camera, with covariance and delay if known."
+        "--mount",
+        meaning="Where the camera is mounted: tool_from_camera or base_from_camera, covariance, delay.",
     ),
 ]
 Check = Annotated[

@@ -34,9 +34,7 @@ class Format(StrEnum):
 
 RobotPosesFile = Annotated[
     str | None,
-    typer.Option(
-        "--robot-poses", metavar="FILE|-", help="Poses of the robot that carries the camera; -: from standard input."
-    ),
+    typer.Option("--robot-poses", metavar="FILE|-", help="Poses of the robot with the camera; -: from standard input."),
 ]
 OutputFormat = Annotated[Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.")]
 Newest = Annotated[bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.")]

@@ -198,7 +198,7 @@ def test_a_given_mount_is_judged(rng):
 
     def compared(given):
         return compared_mount(
-            calibration, replace(calibration.mount, tool_from_camera=given.matrix, root=np.zeros((6, 6)))
+            calibration, replace(calibration.mount, carrier_from_camera=given.matrix, root=np.zeros((6, 6)))
         )
 
     assert compared(mount).sigmas < 3.0
@@ -211,7 +211,7 @@ def test_a_given_mount_that_is_too_uncertain_is_not_good(rng):
     calibration = calibrate_mount(stations, TRUE_CAMERA)
     wrong = Transform(mount.rotation, mount.translation_m + np.array([0.1, 0.0, 0.0]))
 
-    given = replace(calibration.mount, tool_from_camera=wrong.matrix, root=0.1 * np.eye(6))
+    given = replace(calibration.mount, carrier_from_camera=wrong.matrix, root=0.1 * np.eye(6))
     verdict = comparison_verdict(compared_mount(calibration, given))
 
     assert verdict.grade is Grade.REDO
