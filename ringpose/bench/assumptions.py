@@ -68,10 +68,10 @@ def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
 
 def counted(assumptions: Iterable[StatedAssumptions | None]) -> tuple[CountedAssumptions, ...]:
     """The different assumptions in the order of their first occurrence, each with the number of shots."""
-    counts = Counter(each for each in assumptions if each is not None)
+    counts = Counter(stated for stated in assumptions if stated is not None)
     return tuple(
-        CountedAssumptions(**{key.name: getattr(each, key.name) for key in fields(each)}, shots=shots)
-        for each, shots in counts.items()
+        CountedAssumptions(**{key.name: getattr(stated, key.name) for key in fields(stated)}, shots=shots)
+        for stated, shots in counts.items()
     )
 
 

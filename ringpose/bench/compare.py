@@ -229,8 +229,10 @@ def compare(
     rows: list[Row] = []
     for decides in (True, False):
         family = [sample for sample in samples if COMPARED[sample.quantity].judged is decides]
-        p_values = np.array([permutation_p_value(each.a, each.b, COMPARED[each.quantity].loss) for each in family])
-        testable = np.array([testable_shots(int(np.sum(each.a != each.b))) for each in family], dtype=bool)
+        p_values = np.array(
+            [permutation_p_value(sample.a, sample.b, COMPARED[sample.quantity].loss) for sample in family]
+        )
+        testable = np.array([testable_shots(int(np.sum(sample.a != sample.b))) for sample in family], dtype=bool)
         adjusted = np.ones(len(family))
         if testable.any():  # rows of the same shots are positively dependent, for which Benjamini-Hochberg is valid
             adjusted[testable] = false_discovery_control(p_values[testable])

@@ -224,7 +224,7 @@ def scores(estimates: Iterable[PoseEstimate], truths: Sequence[Truth], camera: C
     methods = list(dict.fromkeys(estimate.method for estimate in every if estimate.method)) or [""]
     judged = []
     for method in methods:
-        by_shot = {each.shot: each for each in every if each.method in (method, "")}
+        by_shot = {estimate.shot: estimate for estimate in every if estimate.method in (method, "")}
         judged += [score(truth, by_shot.get(truth.shot), method, camera) for truth in truths]
     return judged
 

@@ -101,14 +101,14 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
     points = None if rig is None else detect(shot, rig, edges=False).break_points
     shorter = overexposure(points, images) if isinstance(points, NoBreakPoints) else 1.0
     if shorter > MAX_RATIO:  # the face is brighter than what is seen of the stripes
-        return tuple(each / shorter for each in exposures_of(shot))
+        return tuple(exposure_s / shorter for exposure_s in exposures_of(shot))
     scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
     stripes = list(_stripes_on_face(points, images, rig)) if rig is not None and isinstance(points, BreakPoints) else []
     if not stripes:
         centers = [(i, find_stripes(i.lit, i.dark, saturation_dn=i.threshold_scale_dn).position_px) for i in images]
         stripes = [(image, position_px) for image, position_px in centers if len(position_px) >= MIN_STRIPE_COLUMNS]
     if not stripes:
-        return tuple(factor_without_stripes(shot) * each for each in exposures_of(shot))
+        return tuple(factor_without_stripes(shot) * exposure_s for exposure_s in exposures_of(shot))
     shortest_s = exposures_of(shot)[0]
     best_s = [_best_exposure_s(image, position_px, scale_s, shortest_s) for image, position_px in stripes]
     if max(best_s) > BRACKET_RATIO * min(best_s):

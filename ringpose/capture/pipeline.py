@@ -161,10 +161,10 @@ class _Findings:
 
         Changing ambient light goes first where it alone has used up the attempts.
         """
-        of_shots: list[DeviceError] = [each for each in self.of_shots if not isinstance(each, MissingLasers)]
-        times = sum(isinstance(each, MissingLasers) for each in self.of_shots)
+        of_shots: list[DeviceError] = [error for error in self.of_shots if not isinstance(error, MissingLasers)]
+        times = sum(isinstance(error, MissingLasers) for error in self.of_shots)
         if times:
-            position = next(i for i, each in enumerate(self.of_shots) if isinstance(each, MissingLasers))
+            position = next(i for i, error in enumerate(self.of_shots) if isinstance(error, MissingLasers))
             of_shots.insert(position, MissingLasers(self.missing, times))
         light = [self.light] if self.light is not None else []
         ordered = [*of_shots, *self.interruptions]

@@ -260,7 +260,9 @@ def _ring_strokes(ring: RingPose | Truth | None, color: Color, dash: Dash) -> li
     center_m, normal = (None, None) if ring is None else (ring.center_m, ring.normal)
     if ring is None or center_m is None or normal is None or not np.isfinite([*center_m, *normal]).all():
         return []
-    radii = [each for each in (ring.radius_inner_m, ring.radius_outer_m) if each is not None and np.isfinite(each)]
+    radii = [
+        radius for radius in (ring.radius_inner_m, ring.radius_outer_m) if radius is not None and np.isfinite(radius)
+    ]
     basis = np.array(tilt_basis(normal))
     circles = [Circle(center_m=center_m, axes_m=radius * basis, color=color, dash=dash) for radius in radii]
     return [*circles, Path(points_m=np.array([center_m, center_m + NORMAL_M * normal]), color=color, dash=dash)]
@@ -340,13 +342,13 @@ def target_surfaces(scene: Scene) -> tuple[Surface, ...]:
     for part in (*body, *scene.parts, ring_part(scene.ring)):
         vertices_m, triangles = _box(part.shape) if isinstance(part.shape, Box) else _revolution(part.shape.profile_m)
         same = meshes.setdefault(_color(part), [])
-        known = sum(len(each) for each, _ in same)
+        known = sum(len(before_m) for before_m, _ in same)
         same.append((vertices_m @ part.rotation.T + part.translation_m, triangles + known))
     return tuple(
         Surface(
             name=f"{number}",
-            vertices_m=np.concatenate([each for each, _ in same]),
-            triangles=np.concatenate([each for _, each in same]),
+            vertices_m=np.concatenate([of_part_m for of_part_m, _ in same]),
+            triangles=np.concatenate([of_part for _, of_part in same]),
             color=color,
         )
         for number, (color, same) in enumerate(meshes.items())

@@ -134,11 +134,11 @@ def board_print(
     if board.square_m is not None:
         counts = (board.squares_x or 0, board.squares_y or 0)
         lines = [
-            np.append(each, side_m * np.arange(count + 1))
-            for each, side_m, count in zip(lines, board.square_size_m, counts, strict=True)
+            np.append(positions, side_m * np.arange(count + 1))
+            for positions, side_m, count in zip(lines, board.square_size_m, counts, strict=True)
         ]
-    print_x, print_y = (np.unique(each.round(12)) for each in lines)
-    middle_x, middle_y = ((each[1:] + each[:-1]) / 2 for each in (print_x, print_y))
+    print_x, print_y = (np.unique(positions.round(12)) for positions in lines)
+    middle_x, middle_y = ((positions[1:] + positions[:-1]) / 2 for positions in (print_x, print_y))
     black = np.zeros((len(print_y) + 1, len(print_x) + 1), dtype=np.uint8)
     if board.square_m is not None:
         columns, rows = (

@@ -233,12 +233,12 @@ def _displaced(
     camera: CameraMotion, reference_s: float, instant_s: tuple[float, ...]
 ) -> tuple[Float64[Array, "instant 3 3"], Float64[Array, "instant 3"]] | None:
     """R and t of P = R P_0 + t, from the camera frame at the reference time to that at each instant."""
-    states = [camera.at(reference_s + each) for each in (0.0, *instant_s)]
-    first, moved = states[0], [each for each in states[1:] if each is not None]
+    states = [camera.at(reference_s + after_s) for after_s in (0.0, *instant_s)]
+    first, moved = states[0], [state for state in states[1:] if state is not None]
     if first is None or len(moved) < len(instant_s):
         return None
-    rotations = np.array([each.rotation.T @ first.rotation for each in moved])
-    return rotations, np.array([each.rotation.T @ (first.origin_m - each.origin_m) for each in moved])
+    rotations = np.array([state.rotation.T @ first.rotation for state in moved])
+    return rotations, np.array([state.rotation.T @ (first.origin_m - state.origin_m) for state in moved])
 
 
 def _logarithm(

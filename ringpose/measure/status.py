@@ -381,12 +381,12 @@ def seen_lasers(
 def _why_missing(point_flags: list[int]) -> Finding:
     """Why break points that should be in view were not used, from the detector's flags."""
     findings = NOTHING
-    for each in point_flags:
-        if each & BreakPointFlag.OCCLUDED:
+    for flags in point_flags:
+        if flags & BreakPointFlag.OCCLUDED:
             findings |= Finding.POINT_UNUSED
-        elif each & BreakPointFlag.CLIPPED:
+        elif flags & BreakPointFlag.CLIPPED:
             findings |= Finding.POINT_CUT_OFF
-        elif each & BreakPointFlag.SATURATED:
+        elif flags & BreakPointFlag.SATURATED:
             findings |= Finding.POINT_SATURATED
         else:
             findings |= Finding.POINT_UNUSED
@@ -487,8 +487,12 @@ def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | N
 
 def rejection_remark(rejected: Sequence[Rejection]) -> str:
     """The break points and stripes that the detector rejected, in words; empty if there are none."""
-    names = [f"the {each.edge} break point of laser {each.laser}" for each in rejected if each.what == "point"]
-    names += [f"the stripe of laser {each.laser}" for each in rejected if each.what == "stripe"]
+    names = [
+        f"the {rejection.edge} break point of laser {rejection.laser}"
+        for rejection in rejected
+        if rejection.what == "point"
+    ]
+    names += [f"the stripe of laser {rejection.laser}" for rejection in rejected if rejection.what == "stripe"]
     if not names:
         return ""
     verbs = ("contradict", "were") if len(names) > 1 else ("contradicts", "was")

@@ -231,7 +231,9 @@ def _displaced(rejected: Sequence[Rejection]) -> str:
 
     Two stripes always agree with some ring, so that each of the three may be the wrong one.
     """
-    return next((each.laser or "" for each in rejected if each.what == "stripe" and isnan(each.chi2)), "")
+    return next(
+        (rejection.laser or "" for rejection in rejected if rejection.what == "stripe" and isnan(rejection.chi2)), ""
+    )
 
 
 def _doubts(best: Explanation, break_points: BreakPoints) -> Finding:

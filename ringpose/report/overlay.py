@@ -213,9 +213,12 @@ def _rejected(line: PoseLine | None, rig: Rig | None) -> Rejected:
         if state is LaserState.REJECTED and name in names
     }
     listed = {
-        (names.index(str(each.laser)), None if each.edge is None or each.what == "stripe" else EDGES.index(each.edge))
-        for each in line.rejected
-        if each.what in ("point", "stripe") and each.laser in names
+        (
+            names.index(str(rejection.laser)),
+            None if rejection.edge is None or rejection.what == "stripe" else EDGES.index(rejection.edge),
+        )
+        for rejection in line.rejected
+        if rejection.what in ("point", "stripe") and rejection.laser in names
     }
     return frozenset(by_state | listed)
 

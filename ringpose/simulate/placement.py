@@ -137,10 +137,12 @@ class RingViews(Sequence[RingView]):
     def _reject_equal_names(self) -> None:
         """Reject two views of one name. Drawn views of two sets have equal names if the first ones have."""
         given = {view.name for view in self._scene.views}
-        drawn = [replace(each, count=min(each.count, 1)) for each in self._scene.approaches]
-        names = Counter([view.name for view in self._scene.views] + [name for each in drawn for name in _names(each)])
+        drawn = [replace(approach, count=min(approach.count, 1)) for approach in self._scene.approaches]
+        names = Counter(
+            [view.name for view in self._scene.views] + [name for approach in drawn for name in _names(approach)]
+        )
         doubled = [name for name, count in names.items() if count > 1]
-        doubled += [name for each in self._scene.approaches if given for name in _names(each) if name in given]
+        doubled += [name for approach in self._scene.approaches if given for name in _names(approach) if name in given]
         if doubled:
             finding = f"two views are called {doubled[0]!r}"
             raise DataError("the scene's trajectory", finding, "give each generated set its own name")

@@ -241,7 +241,7 @@ def _evidence(bank: Bank) -> float:
     curvature = bank.chart.curvature + bank.coordinates[:, CURVATURE] - MIN_CURVATURE
     own, common = bank.own[:, CURVATURE, CURVATURE], bank.common[:, CURVATURE]
     sd = np.sqrt(own + (common * common).sum(axis=1))
-    each = scores + log_ndtr(curvature / sd)
-    each = np.where(np.isfinite(each), each, _IMPOSSIBLE)
-    highest = float(each.max())
-    return highest + float(np.log(np.exp(each - highest).sum()))
+    of_models = scores + log_ndtr(curvature / sd)
+    of_models = np.where(np.isfinite(of_models), of_models, _IMPOSSIBLE)
+    highest = float(of_models.max())
+    return highest + float(np.log(np.exp(of_models - highest).sum()))

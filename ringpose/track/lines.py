@@ -116,11 +116,11 @@ def track_line(
         ),
         hypotheses=tuple(
             SideHypothesis(
-                side=each.side,
+                side=hypothesis.side,
                 weight=weight,
-                center_m=(reported if each is bank else _Reported(each, stamp_s)).value[_CENTER],
+                center_m=(reported if hypothesis is bank else _Reported(hypothesis, stamp_s)).value[_CENTER],
             )
-            for each, weight in zip(track.banks, weights.tolist(), strict=True)
+            for hypothesis, weight in zip(track.banks, weights.tolist(), strict=True)
         ),
         flags=flags,
         model=MotionModel.PRECESSION if models.precession[chosen] else MotionModel.CONSTANT_VELOCITY,

@@ -333,7 +333,7 @@ def greeting_in(header: Header) -> Greeting:
 def frame_header(frame: ServedFrame) -> dict[str, Any]:
     """The header of a frame."""
     height, width = frame.image.shape
-    values = {each.name: getattr(frame, each.name) for each in fields(frame) if each.name != "image"}
+    values = {field.name: getattr(frame, field.name) for field in fields(frame) if field.name != "image"}
     return {"type": "frame", "width": width, "height": height, "pixel_bytes": frame.image.dtype.itemsize, **values}
 
 

@@ -98,14 +98,14 @@ def crossing_table(of_distances: Sequence[Crossings]) -> Table:
     """A row of text for each distance."""
     rows = [
         [
-            f"{1e3 * each.distance_m:.0f} mm",
-            str(int(each.arc.sum())),
-            str(int(each.whole.sum())),
-            f"{each.step_px:.1f}",
-            f"{each.width_px:.1f}",
-            "yes" if each.is_resolved else "no",
+            f"{1e3 * crossing.distance_m:.0f} mm",
+            str(int(crossing.arc.sum())),
+            str(int(crossing.whole.sum())),
+            f"{crossing.step_px:.1f}",
+            f"{crossing.width_px:.1f}",
+            "yes" if crossing.is_resolved else "no",
         ]
-        for each in of_distances
+        for crossing in of_distances
     ]
     headings = ["distance", "stripes on an arc", "on the whole ring", "step px", "stripe px", "step resolved"]
     return Table(headings=headings, rows=rows)

@@ -290,21 +290,23 @@ def _nees(summary: StudySummary) -> Picture:
     for axis, (name, dof) in zip(figure.subplots(1, 2), NEES_DOF.items(), strict=True):
         shown = [method for method in summary.methods if summary.all(method).count(name)]
         for place, method in enumerate(shown):
-            for at, each in enumerate(wide_columns(summary, method)[1]):
-                count = each.count(name)
+            for at, cell in enumerate(wide_columns(summary, method)[1]):
+                count = cell.count(name)
                 if not count:
                     continue
                 x = at + 0.6 * ((place + 0.5) / len(shown) - 0.5)
                 low, high = (float(chi2.ppf(p, count * dof)) / (count * dof) for p in (0.005, 0.995))
                 axis.plot([x, x], [low, high], color="0.75", linewidth=6, solid_capstyle="butt")
-                axis.plot(x, each.mean(name), "o", color=_color(summary.methods, method), markersize=5)
+                axis.plot(x, cell.mean(name), "o", color=_color(summary.methods, method), markersize=5)
         axis.axhline(1.0, color="black", linewidth=0.7)
         axis.set_title(
             f"NEES of the {name.removesuffix('_nees').replace('center', 'centre')}, by degree of freedom", fontsize=10
         )
         axis.grid(alpha=0.3, axis="y", which="both")
         _by_main_factor(axis, summary, np.arange(len(wide_columns(summary, summary.methods[0])[0])))
-    _legend(figure, summary.methods, [each for each in summary.methods if summary.all(each).count("center_nees")], {})
+    _legend(
+        figure, summary.methods, [method for method in summary.methods if summary.all(method).count("center_nees")], {}
+    )
     caption = (
         "Mean NEES of all poses, also flagged ones; grey: 99 % band of a correct covariance. Above: too small a "
         "covariance; below: too large."

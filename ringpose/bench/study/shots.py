@@ -277,11 +277,11 @@ def run_result(
         is_track = method is StudyMethod.TRACK
         stream = Stream(setup, track_options(options) if is_track else None)
         measured = [stream.measure(source) for source in (run if is_track or not detections else detections)]
-        detection_s = sum(each.line.stage_s.get("detect", 0.0) for each in measured)
+        detection_s = sum(result.line.stage_s.get("detect", 0.0) for result in measured)
         lines[method] = _line_of_track(measured[-1]) if is_track else measured[-1].line
         pose_s[method] = perf_counter() - start_s - detection_s
         if method is detecting:
-            detections = [each.detection for each in measured if each.detection is not None]
+            detections = [result.detection for result in measured if result.detection is not None]
             detect_s = detection_s
     return RunResult(lines, pose_s, detections[-1], detect_s)
 

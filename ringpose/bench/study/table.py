@@ -196,13 +196,15 @@ def factor_text(factor: Factor) -> str:
 def paper_table(study: Study, summary: StudySummary, method: str) -> Table:
     """The table in the paper's form: a column for each distance or light, a row for each component of the error."""
     keys, wide = wide_columns(summary, method)
-    rows = [[label, *(number(each.rms(name) * factor) for each in wide)] for label, name, factor in PAPER_ROWS]
+    rows = [[label, *(number(column.rms(name) * factor) for column in wide)] for label, name, factor in PAPER_ROWS]
     if study.level == "images":
-        rows += [[label, *(number(each.median(name) * 1e3) for each in wide)] for label, name in PAPER_TIMES]
-    rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in wide)])
-    rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in wide)])
-    if any(each.targets < each.shots for each in wide):
-        rows.append(["poses without a ring", *(f"{each.false_poses}/{each.shots - each.targets}" for each in wide)])
+        rows += [[label, *(number(column.median(name) * 1e3) for column in wide)] for label, name in PAPER_TIMES]
+    rows.append(["shots with a pose", *(f"{column.answers}/{column.targets}" for column in wide)])
+    rows.append(["shots with a centre", *(f"{column.count('center_m')}/{column.targets}" for column in wide)])
+    if any(column.targets < column.shots for column in wide):
+        rows.append(
+            ["poses without a ring", *(f"{column.false_poses}/{column.shots - column.targets}" for column in wide)]
+        )
     columns = [value_text(study.table, key[0]) if key else "all" for key in keys]
     return Table(headings=[f"{method}, root mean square", *columns], rows=rows)
 
@@ -253,26 +255,26 @@ def cell_table(summary: StudySummary, shown: Sequence[str]) -> Table:
     return Table(headings=[*summary.by, "method", *shown], rows=rows)
 
 
-def _statistics_cells(each: Statistics) -> list[str]:
+def _statistics_cells(statistics: Statistics) -> list[str]:
     """The cells under `HEADINGS`."""
     return [
-        str(each.shots),
-        _percent(each.answers, each.targets),
-        _percent(each.count("center_m"), each.targets),
-        _percent(each.available, each.targets),
-        f"{each.wrong}/{each.judged}",
-        number(each.rms("center_m") * 1e3),
-        number(each.median("center_m") * 1e3),
-        number(each.rms("bound_center_m") * 1e3),
-        number(each.rms("ratio_center_m")),
-        number(degrees(each.rms("normal_rad"))),
-        number(degrees(each.rms("bound_normal_rad"))),
-        number(each.rms("ratio_normal_rad")),
-        number(each.rms("radius_outer_m") * 1e3),
-        number(each.rms("grasp_m") * 1e3),
-        number(each.mean("center_nees")),
-        number(each.mean("normal_nees")),
-        number(each.median("pose_s") * 1e3),
+        str(statistics.shots),
+        _percent(statistics.answers, statistics.targets),
+        _percent(statistics.count("center_m"), statistics.targets),
+        _percent(statistics.available, statistics.targets),
+        f"{statistics.wrong}/{statistics.judged}",
+        number(statistics.rms("center_m") * 1e3),
+        number(statistics.median("center_m") * 1e3),
+        number(statistics.rms("bound_center_m") * 1e3),
+        number(statistics.rms("ratio_center_m")),
+        number(degrees(statistics.rms("normal_rad"))),
+        number(degrees(statistics.rms("bound_normal_rad"))),
+        number(statistics.rms("ratio_normal_rad")),
+        number(statistics.rms("radius_outer_m") * 1e3),
+        number(statistics.rms("grasp_m") * 1e3),
+        number(statistics.mean("center_nees")),
+        number(statistics.mean("normal_nees")),
+        number(statistics.median("pose_s") * 1e3),
     ]
 
 
@@ -314,14 +316,14 @@ def _limit_in(stated: float | Mapping[str, float], summary: StudySummary, key: K
     return stated.get(case)
 
 
-def _limited(each: Statistics, what: str) -> float:
+def _limited(statistics: Statistics, what: str) -> float:
     if what == "available":
-        return each.available / each.targets if each.targets else nan
+        return statistics.available / statistics.targets if statistics.targets else nan
     if what == "no_pose":
-        return 1.0 - each.answers / each.targets if each.targets else nan
+        return 1.0 - statistics.answers / statistics.targets if statistics.targets else nan
     if what == "ok_wrong":
-        return each.ok_wrong / each.shots if each.shots else nan
-    return float(each.wrong) if what == "wrong" else each.rms(what)
+        return statistics.ok_wrong / statistics.shots if statistics.shots else nan
+    return float(statistics.wrong) if what == "wrong" else statistics.rms(what)
 
 
 def sorted_keys(keys: Iterable[Key]) -> list[Key]:

@@ -92,7 +92,9 @@ def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[st
             without.distance_m.tolist(), without.angle_rad.tolist(), strict=True,
         )
     ]  # fmt: skip
-    known = [{key: each for key, each in view.items() if isinstance(each, str) or np.isfinite(each)} for view in views]
+    known = [
+        {key: value for key, value in view.items() if isinstance(value, str) or np.isfinite(value)} for view in views
+    ]
     return {
         "verdict": verdict_values(verdict),
         "held_out_rms_m": held_out_rms_m(calibration) if np.isfinite(held_out_rms_m(calibration)) else None,
@@ -127,11 +129,11 @@ def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
     frame = "base" if calibration.eye_to_hand else "tool"
     mount, sd = solution.state.mount, np.sqrt(np.diag(calibration.covariance))
     place = ", ".join(
-        f"{1e3 * value:.2f} ± {1e3 * each:.2f}" for value, each in zip(mount.translation_m, sd[3:6], strict=True)
+        f"{1e3 * value:.2f} ± {1e3 * sigma:.2f}" for value, sigma in zip(mount.translation_m, sd[3:6], strict=True)
     )
     turn = ", ".join(
-        f"{degrees(value):.3f} ± {degrees(each):.3f}"
-        for value, each in zip(rotation_vector(mount.rotation), sd[:3], strict=True)
+        f"{degrees(value):.3f} ± {degrees(sigma):.3f}"
+        for value, sigma in zip(rotation_vector(mount.rotation), sd[:3], strict=True)
     )
     lines += [f"camera in the {frame} frame: {place} mm", f"  rotation vector: {turn} degrees"]
     if np.isfinite(held_out_rms_m(calibration)):

@@ -76,7 +76,7 @@ def validated_covariance(
         inner = np.linalg.inv(covariance[block, block])
         jackknife = sum(float(step[block] @ inner @ step[block]) for step in without.step)
         expected = sum(
-            float(np.trace(inner @ (each[block, block] - covariance[block, block]))) for each in without.covariance
+            float(np.trace(inner @ (fewer[block, block] - covariance[block, block]))) for fewer in without.covariance
         )
         factors.append(jackknife / max(expected, 1e-12))
     degrees_of_freedom = 3 * views - 6 + (views < MIN_FREE_VIEWS)
@@ -111,23 +111,22 @@ def wrong_views(solution: MountSolution) -> WrongViews | None:
         return None
     alone = [WrongViews((view,), slipped=False) for view in range(views)]
     moved = [WrongViews(_fewer(np.arange(views) >= first), slipped=True) for first in range(2, views - 1)]
-    chi2 = [_chi2(_with(numbers, each), weights, solution.prior) for each in (*alone, *moved)]
+    chi2 = [_chi2(_with(numbers, views_off), weights, solution.prior) for views_off in (*alone, *moved)]
     before = _chi2(numbers, weights, solution.prior)
     count, degrees_of_freedom = len(chi2), 6 * views - 18
     if views >= MIN_FREE_VIEWS and count * _chance(before, min(chi2), degrees_of_freedom) > MAX_USUAL_CHANCE:
         return None
     ranked = sorted(zip(chi2, (*alone, *moved), strict=True), key=lambda pair: pair[0])
-    tried = [each for _, each in ranked if not each.slipped][:TRIED] + [each for _, each in ranked if each.slipped][
-        :TRIED
-    ]
+    tried = [views_off for _, views_off in ranked if not views_off.slipped][:TRIED]
+    tried += [views_off for _, views_off in ranked if views_off.slipped][:TRIED]
     wrong = []
-    for each in tried:
-        explained = _with(numbers, each)
+    for views_off in tried:
+        explained = _with(numbers, views_off)
         sigmas = robot_sigmas(explained, _padded(solution.prior, explained))
         own = inverse_marginal(numbers, sigmas)
         chance = _chance(_chi2(numbers, own, solution.prior), _chi2(explained, own, solution.prior), degrees_of_freedom)
-        wrong.append((chance, sigmas.translation_m, each))
-    chance, _, best = min(wrong, key=lambda each: each[:2])
+        wrong.append((chance, sigmas.translation_m, views_off))
+    chance, _, best = min(wrong, key=lambda entry: entry[:2])
     return best if count * chance < CHANCE and views - len(best.views) >= MIN_VIEWS else None
 
 

@@ -175,14 +175,14 @@ def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) 
 
     The pose is chosen whose stripes lie closer to the planes of the unambiguous boards.
     """
-    unambiguous = [index for index, each in enumerate(poses) if len(each) == 1]
+    unambiguous = [index for index, candidates in enumerate(poses) if len(candidates) == 1]
     if len(unambiguous) == len(poses) or len(unambiguous) < 2:
         return evidence
     planes = _planes_of(evidence.only(unambiguous))
     chosen = []
-    for view, each in zip(evidence.views, poses, strict=True):
-        sums_m2 = [_sum_of_squares_m2(view, pose, evidence.camera, planes) for pose in each]
-        chosen.append(each[int(np.argmin(sums_m2))])
+    for view, candidates in zip(evidence.views, poses, strict=True):
+        sums_m2 = [_sum_of_squares_m2(view, pose, evidence.camera, planes) for pose in candidates]
+        chosen.append(candidates[int(np.argmin(sums_m2))])
     return replace(evidence, poses=tuple(chosen))
 
 

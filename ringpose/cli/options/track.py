@@ -165,8 +165,8 @@ def track_writer(
         write(ros_messages(line) if output_format is Format.ROS else track_record(line, brief))
         if line.pose is None:
             batch.record_status(NO_POSE)
-        for each in line.attempts if verbose else ():
-            why = f" ({each.reason})" if each.reason else ""
-            messages.echo(f"{each.shot}: {each.fusion_status}{why}, the track is {line.validity}")
+        for attempt in line.attempts if verbose else ():
+            why = f" ({attempt.reason})" if attempt.reason else ""
+            messages.echo(f"{attempt.shot}: {attempt.fusion_status}{why}, the track is {line.validity}")
 
     return written

@@ -233,8 +233,8 @@ class Flags(Value):
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> IntFlag:
         known, flags = flags_by_name(self.kind), self.kind(0)
-        for each in fields.texts(name):
-            flags |= known.get(each, self.kind(0))
+        for word in fields.texts(name):
+            flags |= known.get(word, self.kind(0))
         return flags
 
     def write(self, value: IntFlag) -> list[str]:
@@ -375,28 +375,28 @@ class OneOf(Value):
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
         given = fields.raw(name)
-        kinds = [each for each in self.kinds if each.takes(given)] or [self.kinds[0]]
+        kinds = [kind for kind in self.kinds if kind.takes(given)] or [self.kinds[0]]
         kind = kinds[0] if len(kinds) == 1 else self._tagged(fields.fields(name))
         return kind.read(fields, name, context, axes)
 
     def _tagged(self, fields: Fields) -> Value:
         """The data class of a mapping: that whose tag has its word, or that alone has the tag."""
         tag = self.key.tag
-        tags = {each: each.of.kind(tag) for each in self.kinds if isinstance(each, Object)}
-        words = {word: each for each, kind in tags.items() if isinstance(kind, Choice) for word in kind.words}
+        tags = {kind: kind.of.kind(tag) for kind in self.kinds if isinstance(kind, Object)}
+        words = {word: kind for kind, choice in tags.items() if isinstance(choice, Choice) for word in choice.words}
         if words:
             return words[fields.choice(tag, words)]
-        return next(each for each, kind in tags.items() if (kind is not None) == fields.has(tag))
+        return next(kind for kind, choice in tags.items() if (choice is not None) == fields.has(tag))
 
     def write(self, value: Any) -> Any:
-        return next(each for each in self.kinds if each.takes(value)).write(value)
+        return next(kind for kind in self.kinds if kind.takes(value)).write(value)
 
     def schema(self, definitions: Schema) -> Schema:
-        return {"anyOf": [each.schema(definitions) for each in self.kinds]}
+        return {"anyOf": [kind.schema(definitions) for kind in self.kinds]}
 
     @property
     def parts(self) -> "tuple[Definition[Any], ...]":
-        return tuple(part for each in self.kinds for part in each.parts)
+        return tuple(part for kind in self.kinds for part in kind.parts)
 
 
 @dataclass(frozen=True)
@@ -459,23 +459,23 @@ class ByName(Value):
 
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> dict[str, Any]:
         values, by_name = fields.fields(name), {}
-        if not all(isinstance(each, str) for each in values.values):  # in YAML, `1` is a number
-            values = Fields(values.file, {str(each): value for each, value in values.values.items()}, path=values.path)
-        for each in values.values:
-            if self.names is None or each in tuple(self.names):
+        if not all(isinstance(key, str) for key in values.values):  # in YAML, `1` is a number
+            values = Fields(values.file, {str(key): value for key, value in values.values.items()}, path=values.path)
+        for key in values.values:
+            if self.names is None or key in tuple(self.names):
                 with suppress(Unknown):
-                    by_name[self.names(each) if self.names else each] = self.of.read(values, each, context, {})
+                    by_name[self.names(key) if self.names else key] = self.of.read(values, key, context, {})
         return by_name
 
     def takes(self, value: Any) -> bool:
         return isinstance(value, Mapping)
 
     def write(self, value: Mapping[Any, Any]) -> dict[str, Any]:
-        return {str(name): self.of.write(each) for name, each in value.items()}
+        return {str(name): self.of.write(member) for name, member in value.items()}
 
     def schema(self, definitions: Schema) -> Schema:
         of = self.of.schema(definitions)
-        required = {} if self.names is None else {"required": [str(each) for each in self.names]}
+        required = {} if self.names is None else {"required": [str(name) for name in self.names]}
         return {"type": "object", **required, "additionalProperties": of}
 
     @property
@@ -576,7 +576,7 @@ def _whole_number(key: Key) -> Number:
 class Attribute(NamedTuple):
     """A key of a data class."""
 
-    attribute: str
+    member: str
     """Name of the field or property ..."""
     name: str
     """... and in the record."""
@@ -610,7 +610,7 @@ class Attribute(NamedTuple):
 class Writer(NamedTuple):
     """How a key is written; what does not depend on the value is looked up once."""
 
-    attribute: str
+    member: str
     name: str
     is_omitted: Callable[[Any], bool] | None
     """None if it is always written."""
@@ -620,7 +620,7 @@ class Writer(NamedTuple):
 
 def _writer(key: Attribute) -> Writer:
     is_omitted = key.is_default if key.key.presence is Presence.IF_KNOWN else None
-    return Writer(key.attribute, key.name, is_omitted, None if key.slot.value.is_plain else key.slot.write)
+    return Writer(key.member, key.name, is_omitted, None if key.slot.value.is_plain else key.slot.write)
 
 
 @dataclass(frozen=True, eq=False)
@@ -633,7 +633,7 @@ class Definition(Generic[T]):
     @property
     def names(self) -> tuple[str, ...]:
         """All keys."""
-        return tuple(each.name for each in self.attributes)
+        return tuple(attribute.name for attribute in self.attributes)
 
     def read(self, fields: Fields, context: Context) -> T:
         """The object in a mapping; `from_record` of its class makes it, if there is one.
@@ -644,11 +644,11 @@ class Definition(Generic[T]):
             fields.reject_unknown(self.names)
         axes: Axes = {}
         values = {}
-        for each in self.attributes:
-            if each.is_read:
-                value = each.read(fields, context, axes)
-                if each.is_argument:
-                    values[each.attribute] = value
+        for attribute in self.attributes:
+            if attribute.is_read:
+                value = attribute.read(fields, context, axes)
+                if attribute.is_argument:
+                    values[attribute.member] = value
         make: Callable[..., T] = getattr(self.cls, "from_record", self.cls)
         made = make(**values)
         contradiction: tuple[str, str] | None = getattr(made, "contradiction", None)
@@ -659,17 +659,17 @@ class Definition(Generic[T]):
 
     def kind(self, name: str) -> Value | None:
         """The kind of value of a key; None if there is no such key."""
-        return next((each.slot.value for each in self.attributes if each.name == name), None)
+        return next((attribute.slot.value for attribute in self.attributes if attribute.name == name), None)
 
     def value(self, name: str, fields: Fields) -> Any:
         """The value of one key, in another mapping that has it."""
-        return next(each for each in self.attributes if each.name == name).read(fields, Context(), {})
+        return next(attribute for attribute in self.attributes if attribute.name == name).read(fields, Context(), {})
 
     def write(self, instance: T, brief: bool = False) -> dict[str, Any]:
         """The mapping of an object; with `brief`, without the keys that are then left out."""
         record: dict[str, Any] = {}
-        for attribute, name, is_omitted, write in self.brief_writers if brief else self.writers:
-            value = getattr(instance, attribute)
+        for member, name, is_omitted, write in self.brief_writers if brief else self.writers:
+            value = getattr(instance, member)
             if is_omitted is None or not is_omitted(value):
                 record[name] = value if write is None else write(value)
         return record
@@ -677,22 +677,22 @@ class Definition(Generic[T]):
     def values(self, instance: T) -> dict[str, Any]:
         """The values of an object by key, arrays as they are, and those of its parts as mappings."""
         record: dict[str, Any] = {}
-        for each in self.attributes:
-            value, kind = getattr(instance, each.attribute), each.slot.value
+        for attribute in self.attributes:
+            value, kind = getattr(instance, attribute.member), attribute.slot.value
             if isinstance(kind, Object) and value is not None:
                 value = kind.of.values(value)
-            record[each.name] = kind.write(value) if isinstance(kind, Text) and value is not None else value
+            record[attribute.name] = kind.write(value) if isinstance(kind, Text) and value is not None else value
         return record
 
     @cached_property
     def writers(self) -> list[Writer]:
         """How each key is written."""
-        return [_writer(each) for each in self.attributes]
+        return [_writer(attribute) for attribute in self.attributes]
 
     @cached_property
     def brief_writers(self) -> list[Writer]:
         """How each key of a brief record is written."""
-        return [_writer(each) for each in self.attributes if each.key.presence is not Presence.NOT_BRIEF]
+        return [_writer(attribute) for attribute in self.attributes if attribute.key.presence is not Presence.NOT_BRIEF]
 
     def reference(self, definitions: Schema) -> Schema:
         """Reference to the JSON Schema of an object, which is added to `definitions`."""
@@ -704,15 +704,19 @@ class Definition(Generic[T]):
     def schema(self, definitions: Schema) -> Schema:
         """JSON Schema of a mapping."""
         properties = {}
-        for each in self.attributes:
-            description = each.key.description.replace("`", "")
-            if isinstance(each.slot.value, Flags):
-                description += f" {' '.join(flags_by_name(each.slot.value.kind))}."
-            properties[each.name] = each.slot.schema(definitions) | (
+        for attribute in self.attributes:
+            description = attribute.key.description.replace("`", "")
+            if isinstance(attribute.slot.value, Flags):
+                description += f" {' '.join(flags_by_name(attribute.slot.value.kind))}."
+            properties[attribute.name] = attribute.slot.schema(definitions) | (
                 {"description": description} if description else {}
             )
-        always = [each for each in self.attributes if each.key.presence is Presence.ALWAYS and not each.key.added]
-        return {"type": "object", "required": [each.name for each in always], "properties": properties}
+        always = [
+            attribute
+            for attribute in self.attributes
+            if attribute.key.presence is Presence.ALWAYS and not attribute.key.added
+        ]
+        return {"type": "object", "required": [attribute.name for attribute in always], "properties": properties}
 
 
 _DEFINITIONS: dict[type, Definition[Any]] = {}
@@ -733,7 +737,7 @@ def _attributes_of(cls: type) -> tuple[Attribute, ...]:
             hint = get_type_hints(member.fget, include_extras=True).get("return")
             key = key_of(hint)
             if key is not None:
-                place = 0 if not key.after else 1 + [each.name for each in attributes].index(key.after)
+                place = 0 if not key.after else 1 + [attribute.name for attribute in attributes].index(key.after)
                 is_read = key.is_read or key.constant is not None
                 slot = slot_of(hint, key)
                 attributes.insert(place, Attribute(name, key.name or name, slot, None, is_read, key.is_read))
@@ -742,14 +746,14 @@ def _attributes_of(cls: type) -> tuple[Attribute, ...]:
 
 def _fields_of(cls: type) -> Iterator[Attribute]:
     hints = get_type_hints(cls, include_extras=True)
-    for each in fields(cls):
-        key = key_of(hints[each.name])
+    for field in fields(cls):
+        key = key_of(hints[field.name])
         if key is not None:
-            default = None if each.default_factory is MISSING else each.default_factory
-            if each.default is not MISSING:
-                default = lambda value=each.default: value  # noqa: E731
-            slot = slot_of(hints[each.name], key)
-            yield Attribute(each.name, key.name or each.name, slot, None if key.needed else default, True, True)
+            default = None if field.default_factory is MISSING else field.default_factory
+            if field.default is not MISSING:
+                default = lambda value=field.default: value  # noqa: E731
+            slot = slot_of(hints[field.name], key)
+            yield Attribute(field.name, key.name or field.name, slot, None if key.needed else default, True, True)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

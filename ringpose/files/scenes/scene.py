@@ -219,7 +219,7 @@ def _views(
 
 def _check_number_of_shots(fields: Fields, values: dict[str, Any]) -> None:
     approaches: tuple[Approach, ...] = values["approaches"]
-    drawn = sum(each.count * len(each.distances_m) * len(each.lights) for each in approaches)
+    drawn = sum(approach.count * len(approach.distances_m) * len(approach.lights) for approach in approaches)
     shots = (len(values["views"]) + drawn) * values.get("shots", 1)
     if shots > MAX_SCENE_SHOTS:
         finding = f"gives {shots:g} shots, must give at most {MAX_SCENE_SHOTS:g}"

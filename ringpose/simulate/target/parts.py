@@ -147,9 +147,15 @@ def target_tables(parts: Sequence[Part]) -> TargetTables:
         print_x=np.empty(0),
         print_y=np.empty(0),
         print_cells=np.zeros((1, 1), dtype=np.uint8),
-        texels_m=np.array([[each.texel_m, np.abs(each.height_m).max()] for each in reliefs]).reshape(-1, 2),
-        heights_m=np.array([each.height_m for each in reliefs], dtype=np.float32).reshape(-1, TEXELS, TEXELS),
-        slopes=np.array([each.slope for each in reliefs], dtype=np.float32).reshape(-1, TEXELS, TEXELS, 2),
+        texels_m=np.array(
+            [[foil_relief.texel_m, np.abs(foil_relief.height_m).max()] for foil_relief in reliefs]
+        ).reshape(-1, 2),
+        heights_m=np.array([foil_relief.height_m for foil_relief in reliefs], dtype=np.float32).reshape(
+            -1, TEXELS, TEXELS
+        ),
+        slopes=np.array([foil_relief.slope for foil_relief in reliefs], dtype=np.float32).reshape(
+            -1, TEXELS, TEXELS, 2
+        ),
     )
 
 
