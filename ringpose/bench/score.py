@@ -13,15 +13,7 @@ import numpy as np
 
 from ringpose.bench.assumptions import StatedAssumptions, assumptions_of
 from ringpose.errors import DataError
-from ringpose.estimate.pose_errors import (
-    MAX_PROPAGATION_S,
-    circle_error,
-    mahalanobis_squared,
-    mid_radius_m,
-    misses_band,
-    tilt_error_rad,
-    truth_at,
-)
+from ringpose.estimate import pose_errors
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.measure.status import flags_forbidding
 from ringpose.types.arrays import Array, Float64
@@ -208,7 +200,7 @@ def named_by_stamp(estimates: Iterable[PoseEstimate], truths: Iterable[Truth]) -
         if len(dated):
             away_s = np.abs(stamps_s - estimate.stamp_s)
             nearest = int(np.argmin(away_s))
-            if away_s[nearest] <= MAX_PROPAGATION_S:
+            if away_s[nearest] <= pose_errors.MAX_PROPAGATION_S:
                 apart_s, shot = float(away_s[nearest]), dated[nearest].shot
         if shot not in kept or apart_s < kept[shot][0]:
             kept[shot] = (apart_s, replace(estimate, shot=shot))
@@ -253,10 +245,10 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
     scored = partial(Score, shot=truth.shot, method=method, has_target=has_target, groups=truth.groups)
     if estimate is None:
         return scored(outcome=Outcome.LOST, status="lost")
-    line, truth_now = estimate.line, truth_at(truth, estimate.stamp_s, estimate.line.stamp_s)
+    line, truth_now = estimate.line, pose_errors.truth_at(truth, estimate.stamp_s, estimate.line.stamp_s)
     compared = _compared(truth_now, line)
     distances = {
-        name: math.sqrt(mahalanobis_squared(error, covariance))
+        name: math.sqrt(pose_errors.mahalanobis_squared(error, covariance))
         for name, (error, covariance) in compared.items()
         if covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
     }
@@ -291,7 +283,7 @@ Compared = dict[str, tuple[Float64[Array, "n"], Float64[Array, "n n"] | None]]
 
 def _compared(truth: Truth, line: PoseLine) -> Compared:
     pose, velocity, reported = line.pose, line.velocity, _reported(line)
-    center_m, normal, radius_m = truth.center_m, truth.normal, mid_radius_m(truth)
+    center_m, normal, radius_m = truth.center_m, truth.normal, pose_errors.mid_radius_m(truth)
     errors: Compared = {}
     if pose is None or center_m is None or normal is None:
         return errors
@@ -299,9 +291,9 @@ def _compared(truth: Truth, line: PoseLine) -> Compared:
     if "center" in reported:
         errors["center"] = pose.center_m - center_m, pose.covariance_center_m2
     if "normal" in reported:
-        errors["normal"] = tilt_error_rad(pose.normal, normal), full[:2, :2]
+        errors["normal"] = pose_errors.tilt_error_rad(pose.normal, normal), full[:2, :2]
     if "grasp" in reported and radius_m is not None:
-        axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
+        axes, beside_m = pose_errors.circle_error(pose.grasp_m, center_m, normal, radius_m)
         grasp_m2 = pose.covariance_grasp_m2
         errors["grasp"] = beside_m, None if grasp_m2 is None else axes @ grasp_m2 @ axes.T
     if "radius_inner" in reported and truth.radius_inner_m is not None:
@@ -338,7 +330,7 @@ def _judgements(
         if line.flags & FLAGS_OF_QUANTITY[name]:
             yield name, (Judgement.FLAGGED, False)
         elif truth.expect == "no_target" or (
-            name == "grasp" and line.pose is not None and misses_band(line.pose.grasp_m, truth, camera)
+            name == "grasp" and line.pose is not None and pose_errors.misses_band(line.pose.grasp_m, truth, camera)
         ):
             yield name, (Judgement.WRONG, True)
         elif name in distances:

@@ -9,17 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.capture import laser_check
 from ringpose.capture.ambient import LOST_SHARE_OF_FULL, AmbientChange, ambient_change, same_ambient_light
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.hdr import scaled_like
-from ringpose.capture.laser_check import (
-    Image,
-    LitPixels,
-    diffuse_light_dn,
-    lasers_out_of_sequence,
-    seen_lasers,
-    shows_stripe,
-)
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.types.image import Frame, Shot
@@ -71,7 +64,7 @@ class ShotChecker:
         self._camera = camera
         self._lasers = lasers
         self._must_see = must_see
-        self._pixels: dict[int, LitPixels] = {}
+        self._pixels: dict[int, laser_check.LitPixels] = {}
         self._last_shot: Shot | None = None
         """The last shot that was checked; its scale is that of the pixels."""
 
@@ -82,7 +75,7 @@ class ShotChecker:
             self._check_reported_off()
             return shot, DeviceError("lasers", f"{laser_list(reported)} reported on in frames of others")
         self._last_shot = shot
-        seen, pixels = seen_lasers(shot)
+        seen, pixels = laser_check.seen_lasers(shot)
         if seen is None:
             return shot, None
         extra = int(np.bitwise_or.reduce(seen & ~shot.lasers))
@@ -97,7 +90,7 @@ class ShotChecker:
         suspects = {laser: lit for laser, lit in (pixels | remembered).items() if (extra | missing) >> laser & 1}
         if suspects:
             _reject_lit(suspects, self._dark_image(shot))
-        diffuse_dn = diffuse_light_dn(shot, seen, pixels)
+        diffuse_dn = laser_check.diffuse_light_dn(shot, seen, pixels)
         if diffuse_dn:
             share = diffuse_dn / shot.usual_full_dn
             return shot, AmbientLightChanged([AmbientChange(size_dn=diffuse_dn, share_of_full=share)])
@@ -115,7 +108,7 @@ class ShotChecker:
         Raises a safety fault if a laser is on in frames in which it should be off, and remains on.
         """
         same_light = same_ambient_light(shot.images, shot.usual_full_dn)
-        self._pixels, suspects = lasers_out_of_sequence(shot, self._pixels, same_light)
+        self._pixels, suspects = laser_check.lasers_out_of_sequence(shot, self._pixels, same_light)
         for _ in range(DARK_CHECKS if suspects else 0):
             _reject_lit(suspects, self._dark_image(shot))
         never_seen = self._not_remembered(int(np.bitwise_or.reduce(shot.lasers)))
@@ -160,7 +153,7 @@ class ShotChecker:
         if reported:
             raise LaserSafetyError("lasers", f"{laser_list(reported)} reported on while all are off", "cut the power")
 
-    def _dark_image(self, shot: Shot) -> Image:
+    def _dark_image(self, shot: Shot) -> laser_check.Image:
         """An image with all lasers off, on the grey-value scale of a shot."""
         frame = _dark_frame(self._camera, self._lasers)
         return scaled_like(frame.image, frame.exposure_s, shot)
@@ -170,10 +163,10 @@ def require_off(
     camera: CameraDriver,
     lasers: LaserDriver,
     laser: int,
-    pixels: LitPixels | None,
+    pixels: laser_check.LitPixels | None,
     wait_s: float,
     exposure_s: float | None = None,
-) -> Image:
+) -> laser_check.Image:
     """An image with all lasers off, taken `wait_s` after they were switched off.
 
     Raises `LaserSafetyError` if it shows the laser that was on alone before, by the `pixels` that it lit; or, if that
@@ -206,15 +199,17 @@ def laser_list(mask: int) -> str:
     return f"laser {numbers[0]} was" if len(numbers) == 1 else f"lasers {', '.join(numbers)} were"
 
 
-def _reject_lit(pixels: Mapping[int, LitPixels], dark_image: Image, *, by_lamp: bool = True) -> None:
+def _reject_lit(
+    pixels: Mapping[int, laser_check.LitPixels], dark_image: laser_check.Image, *, by_lamp: bool = True
+) -> None:
     """Raise a safety fault if the dark image shows lasers by the pixels that they have lit (see `are_on_in`)."""
     mask = sum(1 << laser for laser, lit in pixels.items() if lit.are_on_in(dark_image, by_lamp=by_lamp))
     if mask:
         raise LaserSafetyError("lasers", f"{laser_list(mask)} seen while all are off", "cut the power")
 
 
-def _reject_stripe(missing: int, dark_image: Image) -> None:
+def _reject_stripe(missing: int, dark_image: laser_check.Image) -> None:
     """Raise a safety fault if the dark image shows a stripe: one of the missing lasers may be on all the time."""
-    if shows_stripe(dark_image):
+    if laser_check.shows_stripe(dark_image):
         finding = f"{laser_list(missing)} not seen to go on or off, and a stripe shows while all are off"
         raise LaserSafetyError("lasers", finding, "cut the power; a line that stays then is not a laser's")

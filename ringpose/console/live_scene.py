@@ -9,19 +9,7 @@ import numpy as np
 import viser
 import viser.transforms
 
-from ringpose.console.drawing import (
-    SIDES,
-    Arrow,
-    Ball,
-    Circle,
-    Element,
-    Ellipsoid,
-    Frustum,
-    Label,
-    Lines,
-    Path,
-    Surface,
-)
+from ringpose.console import drawing
 from ringpose.types.arrays import Array, Float64
 
 FRUSTUM_PX = 160
@@ -55,7 +43,7 @@ class LiveScene:
         self._handles[name].wxyz = viser.transforms.SO3.from_matrix(rotation).wxyz
         self._handles[name].position = translation_m
 
-    def show(self, group: str, elements: Iterable[Element]) -> None:
+    def show(self, group: str, elements: Iterable[drawing.Element]) -> None:
         """Draw the elements of a group, and hide those that it had before."""
         shown = {f"/{group}/{element.name}": element for element in elements}
         for name in self._handles.keys() - shown.keys():
@@ -77,7 +65,7 @@ class LiveScene:
 # One function for each kind of element: it changes the handle, or creates it if there is none
 
 
-def _lines(scene: viser.SceneApi, name: str, handle: Any, lines: Lines) -> Any:
+def _lines(scene: viser.SceneApi, name: str, handle: Any, lines: drawing.Lines) -> Any:
     if handle is None:
         blank = np.zeros((1, 2, 3))
         width: Any = {"thickness": lines.width_px, "thickness_units": "screen"}
@@ -92,18 +80,18 @@ def _lines(scene: viser.SceneApi, name: str, handle: Any, lines: Lines) -> Any:
     return handle
 
 
-def _segments(stroke: Path | Circle) -> Float64[Array, "n 2 xyz=3"]:
-    points_m = stroke.points_m if isinstance(stroke, Path) else _polygon(stroke)
+def _segments(stroke: drawing.Path | drawing.Circle) -> Float64[Array, "n 2 xyz=3"]:
+    points_m = stroke.points_m if isinstance(stroke, drawing.Path) else _polygon(stroke)
     return np.stack([points_m[:-1], points_m[1:]], axis=1)
 
 
-def _polygon(circle: Circle) -> Float64[Array, "n xyz=3"]:
-    angle = np.linspace(0.0, 2 * np.pi, SIDES + 1)
+def _polygon(circle: drawing.Circle) -> Float64[Array, "n xyz=3"]:
+    angle = np.linspace(0.0, 2 * np.pi, drawing.SIDES + 1)
     offset_m = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ circle.axes_m
     return np.asarray(circle.center_m + offset_m)
 
 
-def _surface(scene: viser.SceneApi, name: str, handle: Any, surface: Surface) -> Any:
+def _surface(scene: viser.SceneApi, name: str, handle: Any, surface: drawing.Surface) -> Any:
     if handle is None:
         triangles, look = surface.triangles, {"side": "double", **CHEAP}
         if surface.opacity < 1:  # side="double" would draw a transparent mesh twice
@@ -114,7 +102,7 @@ def _surface(scene: viser.SceneApi, name: str, handle: Any, surface: Surface) ->
     return handle
 
 
-def _ellipsoid(scene: viser.SceneApi, name: str, handle: Any, ellipsoid: Ellipsoid) -> Any:
+def _ellipsoid(scene: viser.SceneApi, name: str, handle: Any, ellipsoid: drawing.Ellipsoid) -> Any:
     if handle is None:
         handle = scene.add_icosphere(name, 1.0, ellipsoid.color, **CHEAP)
     lengths_m = np.linalg.norm(ellipsoid.half_axes_m, axis=1)
@@ -125,7 +113,7 @@ def _ellipsoid(scene: viser.SceneApi, name: str, handle: Any, ellipsoid: Ellipso
     return handle
 
 
-def _ball(scene: viser.SceneApi, name: str, handle: Any, ball: Ball) -> Any:
+def _ball(scene: viser.SceneApi, name: str, handle: Any, ball: drawing.Ball) -> Any:
     if handle is None:
         handle = scene.add_icosphere(name, 1.0, ball.color, subdivisions=BALL_SUBDIVISIONS, **CHEAP)
     handle.radius, handle.color = ball.radius_m, ball.color
@@ -133,21 +121,21 @@ def _ball(scene: viser.SceneApi, name: str, handle: Any, ball: Ball) -> Any:
     return handle
 
 
-def _arrow(scene: viser.SceneApi, name: str, handle: Any, arrow: Arrow) -> Any:
+def _arrow(scene: viser.SceneApi, name: str, handle: Any, arrow: drawing.Arrow) -> Any:
     if handle is None:
         handle = scene.add_arrows(name, arrow.ends_m[None], arrow.color, **ARROW)
     handle.points, handle.visible = arrow.ends_m[None], True
     return handle
 
 
-def _label(scene: viser.SceneApi, name: str, handle: Any, label: Label) -> Any:
+def _label(scene: viser.SceneApi, name: str, handle: Any, label: drawing.Label) -> Any:
     if handle is None:
         handle = scene.add_label(name, label.text)
     handle.position, handle.visible = label.position_m, True
     return handle
 
 
-def _frustum(scene: viser.SceneApi, name: str, handle: Any, frustum: Frustum) -> Any:
+def _frustum(scene: viser.SceneApi, name: str, handle: Any, frustum: drawing.Frustum) -> Any:
     width, height = (frustum.corners_m[2] - frustum.corners_m[0])[:2].tolist()
     angle_rad, aspect = 2 * math.atan(height / 2), width / height
     if handle is None:
@@ -157,11 +145,11 @@ def _frustum(scene: viser.SceneApi, name: str, handle: Any, frustum: Frustum) ->
 
 
 _DRAWN_BY: Mapping[type, Callable[..., Any]] = {
-    Lines: _lines,
-    Surface: _surface,
-    Ellipsoid: _ellipsoid,
-    Ball: _ball,
-    Arrow: _arrow,
-    Label: _label,
-    Frustum: _frustum,
+    drawing.Lines: _lines,
+    drawing.Surface: _surface,
+    drawing.Ellipsoid: _ellipsoid,
+    drawing.Ball: _ball,
+    drawing.Arrow: _arrow,
+    drawing.Label: _label,
+    drawing.Frustum: _frustum,
 }

@@ -15,26 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.console.controls import (
-    END_S,
-    Number,
-    Value,
-    changed_state,
-    console_controls,
-    motion_values,
-    taken_over,
-    view_values,
-)
-from ringpose.console.display import (
-    Field,
-    ImagePanel,
-    Plots,
-    line_text,
-    plain,
-    plotted,
-    track_text,
-)
-from ringpose.console.drawing import rig_elements, ring_words, rings, sky, stripes, target_surfaces
+from ringpose.console import controls, display, drawing
 from ringpose.console.engine import ConsolePicture, Engine, Stage
 from ringpose.console.live_scene import LiveScene
 from ringpose.console.playback import IN_STEP, STEP_S, Playback
@@ -91,10 +72,10 @@ class ConsolePage:
         if not self._views:
             raise DataError("the scene", "has no view of a ring", "add one to its trajectory")
         self._lasers = scene.rig.lasers.names
-        self._controls = console_controls(scene, self._views, width)
-        self._values: dict[str, Value] = {name: control.initial for name, control in self._controls.items()}
-        self._fields: dict[str, Field] = {}
-        self._state = changed_state(first_state(scene, self._views[0]), self._values, self._lasers)
+        self._controls = controls.console_controls(scene, self._views, width)
+        self._values: dict[str, controls.Value] = {name: control.initial for name, control in self._controls.items()}
+        self._fields: dict[str, display.Field] = {}
+        self._state = controls.changed_state(first_state(scene, self._views[0]), self._values, self._lasers)
         self._reported: set[str] = set()
         self._record, self._save, self._load, self._load_rig = record, save, load, load_rig
         self._lock = threading.RLock()
@@ -116,7 +97,7 @@ class ConsolePage:
     def __enter__(self) -> "ConsolePage":
         self._view3d = LiveScene(self._server, self._state.center_m)
         self._view3d.place("target", np.eye(3), self._state.center_m)
-        self._view3d.show("target", target_surfaces(self._scene))
+        self._view3d.show("target", drawing.target_surfaces(self._scene))
         self._add_gui()
         self._orbit.start()
         self._engine.__enter__()
@@ -148,7 +129,7 @@ class ConsolePage:
     def _add_gui(self) -> None:
         gui = self._server.gui
         self._problem = gui.add_markdown("")
-        self._live = ImagePanel(self._server, "camera")
+        self._live = display.ImagePanel(self._server, "camera")
         self._text = gui.add_markdown("waiting for the first measurement")
         self._playing = gui.add_checkbox("play", False)
         tabs = gui.add_tab_group()
@@ -158,10 +139,10 @@ class ConsolePage:
             self._add_rig_controls()
             self._add_light_controls()
         with tabs.add_tab("Measured"):
-            self._result = ImagePanel(self._server, "newest measurement")
+            self._result = display.ImagePanel(self._server, "newest measurement")
             self._details = gui.add_markdown("")
         with tabs.add_tab("Errors"):
-            self._plots = Plots(self._server, "number")
+            self._plots = display.Plots(self._server, "number")
 
     def _add_target_controls(self) -> None:
         gui = self._server.gui
@@ -200,7 +181,7 @@ class ConsolePage:
         """Add the fields of these controls."""
         actions = {"view": self._apply_view, "motion": self._apply_motion, "time_s": self._seek, "speed": lambda: None}
         for name in names:
-            self._fields[name] = Field(self._server, self._controls[name])
+            self._fields[name] = display.Field(self._server, self._controls[name])
             action = actions.get(name, self._change)
             self._fields[name].on_update(partial(self._guarded, partial(self._take_over, action)))
 
@@ -223,20 +204,20 @@ class ConsolePage:
             self._reported.add(text)
             traceback.print_exception(problem, file=sys.stderr)
         self._failed = self._state.number
-        self._problem.content = f"**internal error** in state {self._failed}: {plain(text)}"
+        self._problem.content = f"**internal error** in state {self._failed}: {display.plain(text)}"
 
     def _take_over(self, action: Callable[[], None]) -> None:
         """Take over what is in the fields and act; say at each field what was not taken."""
         with self._lock:
             given = {name: field.value for name, field in self._fields.items()}
-            values, refusals = taken_over(self._controls, given, self._values)
+            values, refusals = controls.taken_over(self._controls, given, self._values)
             for name, field in self._fields.items():
                 field.report(refusals.get(name, ""))
             if values != self._values:
                 self._values = values
                 action()
 
-    def _set(self, values: Mapping[str, Value]) -> None:
+    def _set(self, values: Mapping[str, controls.Value]) -> None:
         """Put values into the fields."""
         self._values.update(values)
         for name, value in values.items():
@@ -247,7 +228,7 @@ class ConsolePage:
         with self._lock:
             number = self._state.number + 1
             self._state = replace(
-                changed_state(self._state, self._values, self._lasers),
+                controls.changed_state(self._state, self._values, self._lasers),
                 time_s=self._state.time_s if time_s is None else time_s,
                 number=number,
                 since=self._state.since if is_time_only else number,
@@ -259,19 +240,19 @@ class ConsolePage:
         view = next(each for each in self._views if each.name == self._values["view"])
         with self._lock:
             self._state = replace(self._state, light=first_state(self._scene, view).light)
-            self._set(view_values(self._scene, view))
+            self._set(controls.view_values(self._scene, view))
             self._change(0.0)
 
     def _apply_motion(self) -> None:
         """Set the controls of spin and tumble to those of the motion that is chosen by name."""
-        self._set(motion_values(str(self._values["motion"])))
+        self._set(controls.motion_values(str(self._values["motion"])))
         self._change()
 
     def _load_trajectory(self, uploaded: Any) -> None:
         try:
             trajectory = self._load(uploaded.content, uploaded.name)
         except RingposeError as problem:
-            self._loaded.content = plain(f"not loaded: {problem}")
+            self._loaded.content = display.plain(f"not loaded: {problem}")
             return
         self._follow(trajectory, f"{uploaded.name}: {len(trajectory.time_s)} poses, {trajectory.time_s[-1]:.1f} s")
 
@@ -279,9 +260,9 @@ class ConsolePage:
         """Show the poses of a trajectory from its beginning, or, for None, the pose that the controls set."""
         with self._lock:
             self._state = replace(self._state, trajectory=trajectory)
-            end_s = END_S if trajectory is None else max(float(trajectory.time_s[-1]), MIN_END_S)
+            end_s = controls.END_S if trajectory is None else max(float(trajectory.time_s[-1]), MIN_END_S)
             self._controls["time_s"] = self._fields["time_s"].extended_to(end_s)
-            self._loaded.content = plain(text)
+            self._loaded.content = display.plain(text)
             self._change(0.0)
 
     def _pick_rig(self, uploaded: Any) -> None:
@@ -292,11 +273,11 @@ class ConsolePage:
                 finding = f"has the lasers {', '.join(rig.lasers.names)}"
                 raise DataError(uploaded.name, finding, "give a rig with the lasers of the scene")
         except RingposeError as problem:
-            self._picked.content = plain(f"not taken over: {problem}")
+            self._picked.content = display.plain(f"not taken over: {problem}")
             return
         with self._lock:
             self._state = replace(self._state, rig_change=replace(self._state.rig_change, rig=rig))
-        self._picked.content = plain(f"{uploaded.name}: {rig.camera.camera_name}")
+        self._picked.content = display.plain(f"{uploaded.name}: {rig.camera.camera_name}")
         self._change()
 
     def _save_state(self) -> None:
@@ -317,9 +298,9 @@ class ConsolePage:
             self._record(picture)
         except RingposeError as problem:
             self._recording.value = False
-            self._recorded.content = plain(f"recording is switched off: {problem}")
+            self._recorded.content = display.plain(f"recording is switched off: {problem}")
             return
-        self._recorded.content = plain(f"recorded {picture.shot.name}")
+        self._recorded.content = display.plain(f"recorded {picture.shot.name}")
 
     def _play(self) -> None:
         while not self._ended.wait(PERIOD_S):
@@ -343,7 +324,7 @@ class ConsolePage:
         """Advance the time by a step; the slider follows when the picture is shown."""
         with self._lock:
             end = self._controls["time_s"]
-            assert isinstance(end, Number)
+            assert isinstance(end, controls.Number)
             self._change((self._state.time_s + step_s) % end.high, is_time_only=True, measure_now=measure_now)
 
     def _seek(self) -> None:
@@ -362,10 +343,10 @@ class ConsolePage:
         self._view3d.place("target", placement.rotation, placement.translation_m)
         if self._drawn_since != state.since:
             self._drawn_since = state.since
-            self._view3d.show("rig", rig_elements(rig, state.mask, view.center_m))
-            self._view3d.show("sky", sky(self._scene, state.center_m, state.light))
+            self._view3d.show("rig", drawing.rig_elements(rig, state.mask, view.center_m))
+            self._view3d.show("sky", drawing.sky(self._scene, state.center_m, state.light))
         radii_m = (self._scene.ring.radius_inner_m, self._scene.ring.radius_outer_m)
-        self._view3d.show("ring", [stripes(rig, state.mask, view.center_m, view.normal, radii_m)])
+        self._view3d.show("ring", [drawing.stripes(rig, state.mask, view.center_m, view.normal, radii_m)])
 
     # Pictures
 
@@ -407,7 +388,7 @@ class ConsolePage:
         elif not then.shows_target_of(now):
             outdated = f"the target has moved for {now.time_s - then.time_s:.2f} s since"
         stamp = f"state {then.number}, {then.time_s:.2f} s"
-        text = line_text(picture.line, stamp, picture.errors or {}, outdated)
+        text = display.line_text(picture.line, stamp, picture.errors or {}, outdated)
         if self._text.content != text:
             self._text.content = text
 
@@ -433,7 +414,9 @@ class ConsolePage:
                 track = measured.track
                 is_outdated = not measured.state.shows_target_of(picture.state)
                 track_pose = None if track is None else track.pose
-                self._view3d.show("measured", rings(measured.line.pose, None, track_pose, is_outdated=is_outdated))
+                self._view3d.show(
+                    "measured", drawing.rings(measured.line.pose, None, track_pose, is_outdated=is_outdated)
+                )
         self._ended.wait(ORBIT_PERIOD_S - PANEL_FIRST_S)
 
     def _show_measurement(self, picture: ConsolePicture, jpeg: bytes, stamp: str) -> None:
@@ -443,11 +426,11 @@ class ConsolePage:
         self._show_text()
         if track is not None:
             status = f"{track.validity}, {track.fusion_status}"
-            text = track_text(track.pose, track.velocity, status, picture.track_error_m)
+            text = display.track_text(track.pose, track.velocity, status, picture.track_error_m)
             self._details.content = (
-                f"{text}  \nrings: {ring_words('pose', 'track')}, pale if outdated; the target shows the truth"
+                f"{text}  \nrings: {drawing.ring_words('pose', 'track')}, pale if outdated; the target shows the truth"
             )
         self._measured += 1
-        self._rows.append((float(self._measured), *plotted(line.pose, errors)))
+        self._rows.append((float(self._measured), *display.plotted(line.pose, errors)))
         rows = list(self._rows)
         self._plots.show([row[0] for row in rows], [row[1:] for row in rows])

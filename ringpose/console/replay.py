@@ -15,19 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.console.drawing import (
-    CENTER_COLOR,
-    CENTER_SIGMAS,
-    GRASP_COLOR,
-    RING_STYLES,
-    Circle,
-    Color,
-    Element,
-    Path,
-    bounds,
-    recorded_elements,
-    rig_elements,
-)
+from ringpose.console import drawing
 from ringpose.errors import DataError
 from ringpose.report.overlay import pose_in_camera_frame, pose_texts
 from ringpose.types.arrays import Array, Float64, UInt8
@@ -88,11 +76,11 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
     if not shots:
         raise DataError("the replay", "has no shots")
     poses = [None if shot.line is None else pose_in_camera_frame(shot.line, rig) for shot in shots]
-    about = bounds([*poses, *(shot.truth for shot in shots)])
+    about = drawing.bounds([*poses, *(shot.truth for shot in shots)])
     data = {
         "middle_m": about.middle_m.tolist(),
         "radius_m": about.radius_m,
-        "elements": [_values_of(element) for element in rig_elements(rig, ALL_LASERS, about.target_m)],
+        "elements": [_values_of(element) for element in drawing.rig_elements(rig, ALL_LASERS, about.target_m)],
         "legend": [{"text": text, "color": _css(color)} for text, color in LEGEND],
         "times_s": times_s(shots),
         "timed": are_timed(shots) and len(shots) > 1,
@@ -105,11 +93,11 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
 
 
 LEGEND = (
-    ("estimate", RING_STYLES["pose"].color),
-    ("truth, dashed", RING_STYLES["truth"].color),
-    ("track, dotted", RING_STYLES["track"].color),
-    ("grasp point", GRASP_COLOR),
-    (f"centre, {CENTER_SIGMAS:g} sigma", CENTER_COLOR),
+    ("estimate", drawing.RING_STYLES["pose"].color),
+    ("truth, dashed", drawing.RING_STYLES["truth"].color),
+    ("track, dotted", drawing.RING_STYLES["track"].color),
+    ("grasp point", drawing.GRASP_COLOR),
+    (f"centre, {drawing.CENTER_SIGMAS:g} sigma", drawing.CENTER_COLOR),
 )
 
 
@@ -120,11 +108,11 @@ def _shot_values(shot: ReplayShot, pose: RingPose | None, rig: Rig) -> dict[str,
         "status": UNMEASURED if shot.line is None else shot.line.status,
         "picture": f"data:image/jpeg;base64,{base64.b64encode(shot.jpeg).decode('ascii')}",
         "texts": _texts(shot, pose),
-        "elements": [_values_of(element) for element in recorded_elements(rig, pose, shot.truth, track)],
+        "elements": [_values_of(element) for element in drawing.recorded_elements(rig, pose, shot.truth, track)],
     }
 
 
-def _values_of(element: Element | Path | Circle) -> dict[str, Any]:
+def _values_of(element: drawing.Element | drawing.Path | drawing.Circle) -> dict[str, Any]:
     """The attributes of an element and its kind, as the script of the page expects them."""
     values: dict[str, Any] = {"kind": type(element).__name__.lower()}
     for name in (each.name for each in fields(element)):
@@ -137,7 +125,7 @@ def _values_of(element: Element | Path | Circle) -> dict[str, Any]:
     return values
 
 
-def _css(color: Color) -> str:
+def _css(color: drawing.Color) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 

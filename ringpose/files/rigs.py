@@ -11,13 +11,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.cameras.ros import (
-    CameraInfo,
-    camera_info,
-    checked_camera,
-    checked_parameters,
-    without_hints,
-)
+from ringpose.files.cameras import ros
 from ringpose.files.io import provenance, read_bytes
 from ringpose.files.records import plain
 from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
@@ -105,7 +99,7 @@ class RigFile:
     provenance: Annotated[
         Mapping[str, Any] | None, Key("Version, command, time and inputs.", presence=Presence.IF_KNOWN)
     ] = None
-    camera: Annotated[CameraInfo, Key("The camera, with the keys of ROS camera_info; see camera.yaml below.")]
+    camera: Annotated[ros.CameraInfo, Key("The camera, with the keys of ROS camera_info; see camera.yaml below.")]
     lasers: Annotated[tuple[LaserEntry, ...], Key("The lasers, in the order of a mask's bits.")]
     covariance: Annotated[
         ParameterCovariance | None,
@@ -156,12 +150,12 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
     """The rig in a mapping."""
     fields.choice("ringpose", (SCHEMA,))
     entry = definition_of(RigFile).read(fields, OF_FILE)
-    camera, lasers = checked_camera(fields.fields("camera"), entry.camera), _lasers(fields, entry.lasers)
+    camera, lasers = ros.checked_camera(fields.fields("camera"), entry.camera), _lasers(fields, entry.lasers)
     known = camera_parameters(len(camera.distortion_coefficients)) + laser_parameters(lasers.names)
     return Rig(
         camera=camera,
         lasers=lasers,
-        covariance=checked_parameters(fields, entry.covariance, known),
+        covariance=ros.checked_parameters(fields, entry.covariance, known),
         mount=None if entry.mount is None else _mount(fields.fields("mount"), entry.mount),
         stability=entry.stability,
         provenance=entry.provenance or {},
@@ -228,7 +222,7 @@ def write_rig(
     A rig that `rig_of` would reject is not written. A rig with steep stripes is written, as its light planes are valid.
     """
     values = rig_values(rig)
-    with without_hints():
+    with ros.without_hints():
         rig_of(Fields(str(path), plain(values), RECORD.keys))
     head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
@@ -278,7 +272,7 @@ def rig_values(rig: Rig) -> dict[str, Any]:
     )
     return RECORD.write(
         RigFile(
-            camera=camera_info(rig.camera),
+            camera=ros.camera_info(rig.camera),
             lasers=entries,
             covariance=rig.covariance,
             stability=rig.stability,

@@ -11,18 +11,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
-from ringpose.optics.feature_errors import (
-    BLUR_SIGMA_PX,
-    MINIMUM_POINTS,
-    POINT_SIGMA_PX,
-    STEP_DN,
-    STEP_SIGMAS,
-    CenterErrors,
-    Stripe,
-    center_errors,
-    edge_step_influence,
-    end_errors_px,
-)
+from ringpose.optics import feature_errors
 from ringpose.optics.image_noise import PIXEL_GRAIN, PIXEL_VARIANCE, ImageNoise
 from ringpose.optics.sensor import electrons_per_radiance, saturation_dn
 from ringpose.simulate.break_points import inside_image
@@ -83,7 +72,7 @@ class Appearance(NamedTuple):
     """Columns: x, y and z axis of the ring."""
     lit: Bool[Array, "laser"]
     """Which light planes reach the whole face on the side that is in view."""
-    centers: tuple[CenterErrors | None, ...]
+    centers: tuple[feature_errors.CenterErrors | None, ...]
     """Errors of the centres of each laser's stripe; None for a laser whose stripe the detector would not find."""
     end_sigma_px: Float64[Array, "laser edge=2"]
     """Standard deviation of the break points along the stripe."""
@@ -116,7 +105,7 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
     illuminated, lasers = illuminated_ring(scene, view, scene.sequence), scene.rig.lasers
     frames = laser_frames(scene.sequence, len(lasers.names))
     exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)
-    centers: list[CenterErrors | None] = [None] * len(lasers.names)
+    centers: list[feature_errors.CenterErrors | None] = [None] * len(lasers.names)
     end_sigma_px = np.full((len(centers), 2), np.nan)
     edges = NO_EDGES
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
@@ -134,15 +123,15 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
             background_e = rate * radiance_along(illuminated, middle_m)[0].astype(np.float64)
         for number, laser in enumerate(lit):
             noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
-            stripe = Stripe(
+            stripe = feature_errors.Stripe(
                 sigma_px=float(sigma_px[number]),
                 peak_e=float(peak_e[number]),
                 background_e=float(background_e[number]),
             )
-            centers[laser] = center = center_errors(stripe, noise)
+            centers[laser] = center = feature_errors.center_errors(stripe, noise)
             if center is not None:
                 pooled = 2 * int((frames.number[lit] == frames.number[laser]).sum())
-                end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
+                end_sigma_px[laser] = feature_errors.end_errors_px(stripe, noise, edge_per_row[number], pooled)
         if illuminated.has_ambient_light:
             edges = visible_edges(scene, illuminated, arcs, point_m[lit], exposure_s)
     return Appearance(
@@ -254,12 +243,15 @@ def visible_edges(
         stripe_px = project(point_m, camera).reshape(-1, 1, 2)
         near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
         shown &= near_px > BESIDE_STRIPE_PX
-    if np.count_nonzero(shown) < MINIMUM_POINTS:
+    if np.count_nonzero(shown) < feature_errors.MINIMUM_POINTS:
         return NO_EDGES._replace(frame=number)
     along_m, edge, place_m = along_m[shown], edge[shown], place_m[shown]
     off_face = np.array(EDGE_SIGN)[edge, None] * outward[shown]
 
-    noise, (influence, gain) = image_noise(scene, subtracted=False), edge_step_influence(scene.lens.blur_px)
+    noise, (influence, gain) = (
+        image_noise(scene, subtracted=False),
+        feature_errors.edge_step_influence(scene.lens.blur_px),
+    )
     rate = electrons_per_radiance(sensor, scene.lens) * exposure_s
     _, px_per_m = edge_normals_px(place_m, off_face, arcs, camera)
     steps_m = (np.array(LIGHT_OFFSETS_PX) / px_per_m[:, None])[..., None] * off_face[:, None]
@@ -273,10 +265,12 @@ def visible_edges(
         sensor_px = gain * pixel_e / height_e / np.sqrt(EDGE_SPACING_PX)
         displaced_px = (beyond_e - beyond_e[:, :1]) @ of_offset / height_e
     scatter_px = np.sqrt(_means_of_neighbours(np.fmin(displaced_px**2, 1.0), edge))
-    sigma_px = np.sqrt(sensor_px**2 + scatter_px**2 + BLUR_SIGMA_PX**2)
-    seen = (height_e * sensor.overall_system_gain_dn_per_e > STEP_DN) & (sigma_px < POINT_SIGMA_PX)
-    seen &= height_e > STEP_SIGMAS * pixel_e / 2.0
-    if np.count_nonzero(seen) < MINIMUM_POINTS:
+    sigma_px = np.sqrt(sensor_px**2 + scatter_px**2 + feature_errors.BLUR_SIGMA_PX**2)
+    seen = (height_e * sensor.overall_system_gain_dn_per_e > feature_errors.STEP_DN) & (
+        sigma_px < feature_errors.POINT_SIGMA_PX
+    )
+    seen &= height_e > feature_errors.STEP_SIGMAS * pixel_e / 2.0
+    if np.count_nonzero(seen) < feature_errors.MINIMUM_POINTS:
         return NO_EDGES._replace(frame=number)
     return VisibleEdges(number, along_m[seen], edge[seen], sigma_px[seen])
 

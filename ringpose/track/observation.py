@@ -10,15 +10,8 @@ from math import sqrt
 import numpy as np
 
 from ringpose.estimate.covariance import POSE, RATES
+from ringpose.geometry import ring
 from ringpose.geometry.camera_motion import CameraState
-from ringpose.geometry.ring import (
-    STEP,
-    RingArcs,
-    displacement_increments,
-    public_wrt_rates,
-    public_wrt_step,
-    ring_arcs,
-)
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.common_errors import CommonErrors
 from ringpose.track.states import (
@@ -58,7 +51,7 @@ class Observation:
 
     shot: str
     stamp_s: float
-    arcs: RingArcs
+    arcs: ring.RingArcs
     """The linearisation point, described about the place where the ring was seen."""
     step_rates: Float64[Array, "5"]
     """Rates of the increments `MOVING` at the linearisation point."""
@@ -108,13 +101,13 @@ def observation(
     """
     at, root = measurement.linearized_at, measurement.square_root / sqrt(inflation)
     near_m = at.center_m + _place_seen(measurement)
-    arcs = ring_arcs(at.center_m, at.normal, np.array([at.radius_inner_m, at.radius_outer_m]), near_m)
+    arcs = ring.ring_arcs(at.center_m, at.normal, np.array([at.radius_inner_m, at.radius_outer_m]), near_m)
     count = len(MEASURED_PARAMETERS)
     rows = root[: root.shape[1] - 1]  # what follows is the residual of the shot alone
     # features move with the rates of the increments, which depend on velocity and angular velocity linearly only here
     basis = tilt_basis(at.normal)
-    wrt_step = public_wrt_step(arcs, basis)
-    rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m, basis))[list(MOVING)]
+    wrt_step = ring.public_wrt_step(arcs, basis)
+    rates_wrt_motion = np.linalg.solve(wrt_step, ring.public_wrt_rates(at.normal, at.center_m, basis))[list(MOVING)]
     wrt_step_rates = np.linalg.solve(rates_wrt_motion.T, rows[:, RATES].T).T
     # rows[:, POSE] are derivatives at a given motion of the centre, wrt_step those at given rates of the increments
     step_rates, rates_wrt_step = _rates_near(arcs, at, camera if measurement.camera_motion == "none" else None)
@@ -135,7 +128,7 @@ def observation(
 
 
 def _rates_near(
-    arcs: RingArcs, at: LinearizationPoint, camera: CameraState | None
+    arcs: ring.RingArcs, at: LinearizationPoint, camera: CameraState | None
 ) -> tuple[Float64[Array, "5"], Float64[Array, "5 step=7"]]:
     """Rates of the increments `MOVING` at the record's velocities, and their derivatives by the increments.
 
@@ -153,10 +146,10 @@ def _rates_near(
     coordinates[:, VELOCITY] = (rings.axes * np.expand_dims(velocity, -2)).sum(axis=-1)
     coordinates[:, VELOCITY.stop - 1] += rings.mean_radius_m * coordinates[:, RATE_ALONG]
     rates = step_rates(chart, LocalCoordinates(coordinates, rings.axes @ chart.axes[0].T))
-    return rates[0], jacobians(rates[1:])[0, :, : len(STEP)]
+    return rates[0], jacobians(rates[1:])[0, :, : len(ring.STEP)]
 
 
-def _chart(arcs: RingArcs) -> RingStates:
+def _chart(arcs: ring.RingArcs) -> RingStates:
     return RingStates(
         origin=arcs.origin[None],
         axes=arcs.axes[None],
@@ -174,7 +167,7 @@ def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Obse
     """
     origin, axes = camera.rotation @ observed.arcs.origin, observed.arcs.axes @ camera.rotation.T
     from_camera = replace(observed.arcs, origin=origin, axes=axes)  # errors of rotation turn the ring about the camera
-    wrt_errors = -observed.wrt_step @ displacement_increments(from_camera) @ camera.displacement_root
+    wrt_errors = -observed.wrt_step @ ring.displacement_increments(from_camera) @ camera.displacement_root
     wrt_common = observed.wrt_common
     if of_mount:
         others, within = np.split(wrt_common, [wrt_common.shape[1] - wrt_errors.shape[1]], axis=1)

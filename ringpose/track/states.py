@@ -12,18 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import (
-    CURVATURE,
-    HALF_BAND,
-    LIFT,
-    MIN_CURVATURE,
-    SHIFT,
-    STEP,
-    TILT_ALONG,
-    TILT_INWARD,
-    TURN,
-    rotation_by,
-)
+from ringpose.geometry import ring
 from ringpose.types.arrays import Array, Float64
 
 MOTION = (
@@ -33,7 +22,7 @@ MOTION = (
 """Motion of a state, along its own axes: of the body's point at the origin, without the rotation about the normal;
 angular velocity; distance of the centre of mass behind the ring."""
 
-ERRORS = (*STEP, *MOTION)
+ERRORS = (*ring.STEP, *MOTION)
 """Components of the error of a state: increments that `retract` applies."""
 
 VELOCITY, RATE, LEVER = slice(7, 10), slice(10, 13), 13
@@ -60,7 +49,7 @@ class RingStates(NamedTuple):
     @property
     def mean_radius_m(self) -> Float64[Array, "state"]:
         """Radius of the middle of the face; bounded by 1 / `MIN_CURVATURE`."""
-        return 1.0 / np.maximum(self.curvature, MIN_CURVATURE)
+        return 1.0 / np.maximum(self.curvature, ring.MIN_CURVATURE)
 
     @property
     def center_m(self) -> Float64[Array, "state xyz=3"]:
@@ -71,7 +60,7 @@ class RingStates(NamedTuple):
 
 def retract(states: RingStates, errors: Float64[Array, "state error=14"]) -> RingStates:
     """The states, or one state, after increments (`ERRORS`); those of the ring as in `RingArcs.retract`."""
-    k_x, k_y, k_z = errors[:, TILT_ALONG], -errors[:, TILT_INWARD], -errors[:, TURN]
+    k_x, k_y, k_z = errors[:, ring.TILT_ALONG], -errors[:, ring.TILT_INWARD], -errors[:, ring.TURN]
     # Cayley's transform I + (K + K^2 / 2) / (1 + k^2 / 4)
     share = 1.0 / (1.0 + 0.25 * (k_x * k_x + k_y * k_y + k_z * k_z))
     half = 0.5 * share
@@ -83,11 +72,13 @@ def retract(states: RingStates, errors: Float64[Array, "state error=14"]) -> Rin
         rotation[:, row, column] = half * symmetric + share * skew
         rotation[:, column, row] = half * symmetric - share * skew
     return RingStates(
-        origin=states.origin + errors[:, LIFT, None] * states.axes[:, 2] + errors[:, SHIFT, None] * states.axes[:, 0],
+        origin=states.origin
+        + errors[:, ring.LIFT, None] * states.axes[:, 2]
+        + errors[:, ring.SHIFT, None] * states.axes[:, 0],
         axes=rotation @ states.axes,
-        curvature=states.curvature + errors[:, CURVATURE],
-        half_band_m=states.half_band_m + errors[:, HALF_BAND],
-        motion=states.motion + errors[:, len(STEP) :],
+        curvature=states.curvature + errors[:, ring.CURVATURE],
+        half_band_m=states.half_band_m + errors[:, ring.HALF_BAND],
+        motion=states.motion + errors[:, len(ring.STEP) :],
     )
 
 
@@ -98,7 +89,7 @@ def predict_states(states: RingStates, time_s: float) -> RingStates:
     radius_m, motion = states.mean_radius_m, states.motion
     rate_in, rate_al, lever_m = motion[:, 3], motion[:, 4], motion[:, 6]
     mass_velocity = mass_center_velocity(states)
-    rotation = rotation_by(motion[:, 3:6] * time_s)
+    rotation = ring.rotation_by(motion[:, 3:6] * time_s)
     # the origin's displacement along the axes at the start: C = (R, 0, -l), o = C + l n - R inward
     displacement = mass_velocity * time_s
     displacement[:, 0] += radius_m
@@ -164,12 +155,12 @@ def local_coordinates(chart: RingStates, states: RingStates) -> LocalCoordinates
     coordinates = np.empty((len(radius_m), len(ERRORS)))
     # Cayley's inverse, K = 2 (Q - Q^T) / (1 + trace Q)
     factor = 2.0 / (1.0 + i_x + axes[:, 1, 1] + n_z)
-    coordinates[:, TILT_INWARD] = factor * (n_x - i_z)
-    coordinates[:, TILT_ALONG] = factor * (n_y - axes[:, 1, 2])
-    coordinates[:, TURN] = factor * (i_y - axes[:, 1, 0])
-    coordinates[:, SHIFT], coordinates[:, LIFT] = center[:, 0] - radius_m * i_x, center[:, 2] - radius_m * i_z
-    coordinates[:, CURVATURE] = states.curvature - chart.curvature
-    coordinates[:, HALF_BAND] = states.half_band_m - chart.half_band_m
+    coordinates[:, ring.TILT_INWARD] = factor * (n_x - i_z)
+    coordinates[:, ring.TILT_ALONG] = factor * (n_y - axes[:, 1, 2])
+    coordinates[:, ring.TURN] = factor * (i_y - axes[:, 1, 0])
+    coordinates[:, ring.SHIFT], coordinates[:, ring.LIFT] = center[:, 0] - radius_m * i_x, center[:, 2] - radius_m * i_z
+    coordinates[:, ring.CURVATURE] = states.curvature - chart.curvature
+    coordinates[:, ring.HALF_BAND] = states.half_band_m - chart.half_band_m
 
     # motion along the new axes: they are turned about the normal, and the origin is another point of the body
     cosine, sine = (axes[:, 0] * local[:, 0]).sum(axis=1), (axes[:, 0] * local[:, 1]).sum(axis=1)
@@ -183,7 +174,7 @@ def local_coordinates(chart: RingStates, states: RingStates) -> LocalCoordinates
     return LocalCoordinates(coordinates, axes)
 
 
-MOVING = (TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN)
+MOVING = (ring.TILT_INWARD, ring.TILT_ALONG, ring.LIFT, ring.SHIFT, ring.TURN)
 """Increments (`STEP`) that change by motion."""
 
 
@@ -196,7 +187,7 @@ def step_rates(chart: RingStates, local: LocalCoordinates) -> Float64[Array, "st
     velocity = (motion[:, None, :3] @ axes)[:, 0]
     slide = -velocity[:, 1] / axes[:, 1, 1]
     velocity += slide[:, None] * axes[:, 1]
-    about = slide * np.maximum(chart.curvature + local.coordinates[:, CURVATURE], MIN_CURVATURE)
+    about = slide * np.maximum(chart.curvature + local.coordinates[:, ring.CURVATURE], ring.MIN_CURVATURE)
     inward, along, normal = axes[:, 0], axes[:, 1], axes[:, 2]
     # derivatives of the axes: w x axis, and the turn of the slide
     rate_in, rate_al = motion[:, 3, None], motion[:, 4, None]
@@ -206,10 +197,10 @@ def step_rates(chart: RingStates, local: LocalCoordinates) -> Float64[Array, "st
     scale = 1.0 / (1.0 + inward[:, 0] + along[:, 1] + normal[:, 2])
     trace = (d_inward[:, 0] + d_along[:, 1] + d_normal[:, 2]) * scale
     rates = np.empty((len(slide), len(MOVING)))
-    rates[:, 0] = 2.0 * scale * (d_normal[:, 0] - d_inward[:, 2]) - trace * local.coordinates[:, TILT_INWARD]
-    rates[:, 1] = 2.0 * scale * (d_normal[:, 1] - d_along[:, 2]) - trace * local.coordinates[:, TILT_ALONG]
+    rates[:, 0] = 2.0 * scale * (d_normal[:, 0] - d_inward[:, 2]) - trace * local.coordinates[:, ring.TILT_INWARD]
+    rates[:, 1] = 2.0 * scale * (d_normal[:, 1] - d_along[:, 2]) - trace * local.coordinates[:, ring.TILT_ALONG]
     rates[:, 2], rates[:, 3] = velocity[:, 2], velocity[:, 0]
-    rates[:, 4] = 2.0 * scale * (d_inward[:, 1] - d_along[:, 0]) - trace * local.coordinates[:, TURN]
+    rates[:, 4] = 2.0 * scale * (d_inward[:, 1] - d_along[:, 0]) - trace * local.coordinates[:, ring.TURN]
     return rates
 
 

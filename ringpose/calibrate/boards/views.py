@@ -6,22 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.diagnostics import (
-    BoardFailure,
-    NoBoard,
-    charuco_failure,
-    circle_failure,
-    hopeless,
-    marker_failure,
-    pattern_failure,
-    unusable,
-)
-from ringpose.calibrate.boards.patterns.chessboard import (
-    chessboard_corners,
-    largest_grid,
-    refined_corners,
-    visible_grid,
-)
+from ringpose.calibrate.boards import diagnostics
+from ringpose.calibrate.boards.patterns import chessboard
 from ringpose.calibrate.boards.patterns.circles import circle_centers
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage, grey_8_bit
 from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
@@ -37,7 +23,7 @@ from ringpose.geometry.board import corner_points, marker_corners, marker_count,
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 
-BoardFinder = Callable[[UInt[Array, "row column"], Board, str], BoardView | NoBoard]
+BoardFinder = Callable[[UInt[Array, "row column"], Board, str], BoardView | diagnostics.NoBoard]
 """`find_board`, or `BoardSearch`, which calls it in another process."""
 
 MIN_CORNERS = 6
@@ -51,35 +37,39 @@ _SATURATION_WINDOW_PX = 9
 """Side of the square around a corner in which saturated pixels are counted."""
 
 
-def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
+def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | diagnostics.NoBoard:
     """The corners of the board in the image, in pixels and in the board frame, or the reason why there are none."""
     grey = grey_8_bit(image)
-    if (failure := hopeless(grey, board)) is not None:
+    if (failure := diagnostics.hopeless(grey, board)) is not None:
         return failure
     try:
         view = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
     except cv2.error as error:
         finding = f"OpenCV fails on its {grey.shape[1]} x {grey.shape[0]} pixels: {' '.join(str(error.err).split())}"
         raise DataError(name, finding, "give a smaller image") from error
-    if isinstance(view, NoBoard):
-        return unusable(grey, view) or view
+    if isinstance(view, diagnostics.NoBoard):
+        return diagnostics.unusable(grey, view) or view
     window = np.ones((_SATURATION_WINDOW_PX, _SATURATION_WINDOW_PX), dtype=np.uint8)
     saturated = cv2.dilate((grey == 255).astype(np.uint8), window)
     column, row = np.clip(np.rint(view.points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
     return replace(view, saturated_share=float(np.mean(saturated[row, column])))
 
 
-def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoard:
+def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
     """The view of a chessboard or a grid of circles: all of it must be visible."""
     columns, rows = board.squares_x or 0, board.squares_y or 0
     if board.kind == "chessboard":
-        if visible_grid(grey, columns - 1, rows - 1) is None:
-            return pattern_failure(grey, board, None)
-        corners = chessboard_corners(grey, columns - 1, rows - 1)
-        return pattern_failure(grey, board, largest_grid(grey)) if corners is None else _view(name, board, corners)
+        if chessboard.visible_grid(grey, columns - 1, rows - 1) is None:
+            return diagnostics.pattern_failure(grey, board, None)
+        corners = chessboard.chessboard_corners(grey, columns - 1, rows - 1)
+        return (
+            diagnostics.pattern_failure(grey, board, chessboard.largest_grid(grey))
+            if corners is None
+            else _view(name, board, corners)
+        )
     circles = circle_centers(grey, corner_points(board), columns, rows)
     if circles is None:
-        return circle_failure(grey, board)
+        return diagnostics.circle_failure(grey, board)
     return replace(_view(name, board, circles.points_px), circle_radius_m=circles.radius_m)
 
 
@@ -91,7 +81,7 @@ def _view(
     return BoardView(name=name, ids=ids, points_board_m=corner_points(board)[ids], points_px=points_px)
 
 
-def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoard:
+def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
     """The view of a board with markers: part of it is sufficient."""
     if board.kind == "charuco":
         ids, corners_px, markers = _charuco_corners(grey, board)
@@ -110,14 +100,16 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | NoBoar
     matching_layout = other_layout(board, own)
     if matching_layout is not None:
         points_px = own.corners_px.reshape(-1, 2)
-        return NoBoard(failure=BoardFailure.OTHER_LAYOUT, finding=matching_layout, points_px=points_px)
+        return diagnostics.NoBoard(
+            failure=diagnostics.BoardFailure.OTHER_LAYOUT, finding=matching_layout, points_px=points_px
+        )
     if len(ids) >= MIN_CORNERS:
         layout = marker_layout(board, own)
         ratio = None if layout is None else layout.size_ratio
         return replace(_view(name, board, corners_px, ids), end_correlation=correlation, marker_size_ratio=ratio)
     if board.kind == "charuco" and len(own.ids):
-        return charuco_failure(grey, board, len(ids), own)
-    return marker_failure(grey, board, markers, own)
+        return diagnostics.charuco_failure(grey, board, len(ids), own)
+    return diagnostics.marker_failure(grey, board, markers, own)
 
 
 def _charuco_corners(
@@ -138,4 +130,4 @@ def _charuco_corners(
     neighbours = np.abs(lattice[:, None] - lattice).sum(axis=-1) == 1
     distance_px = np.linalg.norm(points_px[:, None] - points_px, axis=-1)
     square_px = float(distance_px[neighbours].min()) if neighbours.any() else 0.0
-    return numbers, refined_corners(grey, points_px, white_share * square_px), markers
+    return numbers, chessboard.refined_corners(grey, points_px, white_share * square_px), markers

@@ -13,17 +13,10 @@ import numpy as np
 from ringpose.calibrate.acceptance import BOARD_LIMITS, check, marker_size_findings
 from ringpose.calibrate.boards.corner_errors import view_equations, whiten, without_distortion_bias
 from ringpose.calibrate.boards.pose import projection_jacobians
+from ringpose.calibrate.camera import validation
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel
-from ringpose.calibrate.camera.validation import (
-    known_lens,
-    leave_one_out,
-    model_comparison,
-    projection_sigma_px,
-    split_half_px,
-    used_views,
-)
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
@@ -68,12 +61,12 @@ def camera_assessment(
     causes errors that the corners of a view have in common. Residuals do not show them, and the covariance treats the
     corners as independent. Views are independent.
     """
-    used = used_views(calibration)
+    used = validation.used_views(calibration)
     whole = camera_solution(used, calibration.camera, model)
-    left_out, jackknife_px = leave_one_out(used, whole, model)
+    left_out, jackknife_px = validation.leave_one_out(used, whole, model)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
-    known, covariance = known_lens(calibration.camera, corners_px), calibration.covariance
-    sigma_px = np.where(known, projection_sigma_px(calibration.camera, covariance.data), np.nan)
+    known, covariance = validation.known_lens(calibration.camera, corners_px), calibration.covariance
+    sigma_px = np.where(known, validation.projection_sigma_px(calibration.camera, covariance.data), np.nan)
     disagreement = float(np.median(jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
     widening = disagreement if disagreement > 1 + CHANCE / np.sqrt(len(used) - 1) else 1.0
     wider = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
@@ -82,10 +75,10 @@ def camera_assessment(
         coverage=coverage(calibration),
         sigma_px=widening * sigma_px,
         left_out=left_out,
-        split_half_px=split_half_px(used, whole, model),
+        split_half_px=validation.split_half_px(used, whole, model),
         disagreement=disagreement,
         distances_m=tuple(distances_m),
-        comparison=model_comparison(used, whole, model) if compare else None,
+        comparison=validation.model_comparison(used, whole, model) if compare else None,
         board=(
             other_camera_finding(calibration),
             *marker_size_findings([view.board for view in calibration.views]),

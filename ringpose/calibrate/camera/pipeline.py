@@ -8,21 +8,8 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.boards.shots import BoardShots
+from ringpose.calibrate.camera import bundle_adjustment, outliers
 from ringpose.calibrate.camera.assessment import DISTANCES_M, camera_assessment
-from ringpose.calibrate.camera.bundle_adjustment import (
-    CameraSolution,
-    blank_camera,
-    camera_solution,
-    corners_of,
-    undetermined,
-)
-from ringpose.calibrate.camera.outliers import (
-    MAX_VIEW_SHARE,
-    outlying_corners,
-    outlying_view,
-    view_explanation,
-    whole_markers,
-)
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameter_names
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool
@@ -59,7 +46,7 @@ def calibrate_camera(
 
     The worst view is rejected until none is an outlier; then single outlying corners are left out.
     """
-    blank = blank_camera(camera_name, image_width, image_height, model)
+    blank = bundle_adjustment.blank_camera(camera_name, image_width, image_height, model)
     camera, rejected = _without_bad_views(views, blank, model)
     used = [view for index, view in enumerate(views) if index not in rejected]
     camera, left_out = _without_bad_corners(used, camera, model)
@@ -70,11 +57,11 @@ def calibrate_camera(
         if index not in rejected:
             camera_views.append(_camera_view(view, next(masks), camera, ""))
             continue
-        reason = "; ".join(filter(None, (rejected[index], view_explanation(view, camera, usual_px))))
+        reason = "; ".join(filter(None, (rejected[index], outliers.view_explanation(view, camera, usual_px))))
         camera_views.append(_camera_view(view, np.zeros(len(view.ids), dtype=bool), camera, reason))
 
-    kept = [corners_of(view, ~mask) for view, mask in zip(used, left_out, strict=True)]
-    solution = camera_solution(kept, camera, model)
+    kept = [bundle_adjustment.corners_of(view, ~mask) for view, mask in zip(used, left_out, strict=True)]
+    solution = bundle_adjustment.camera_solution(kept, camera, model)
     errors = np.concatenate([view.residual_px[~view.left_out] for view in camera_views if not view.rejected])
     return CameraCalibration(
         camera=replace(solution.camera, covariance=_covariance(solution, model)),
@@ -89,10 +76,10 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
     used = list(range(len(views)))
     rejected: dict[int, str] = {}
     while True:
-        camera = camera_solution([views[index] for index in used], blank, model).camera
+        camera = bundle_adjustment.camera_solution([views[index] for index in used], blank, model).camera
         poses = [board_pose(views[index], camera) for index in used]
-        outlier = None if model.keep_all else outlying_view(poses)
-        if outlier is None or len(rejected) + 1 > MAX_VIEW_SHARE * len(views):
+        outlier = None if model.keep_all else outliers.outlying_view(poses)
+        if outlier is None or len(rejected) + 1 > outliers.MAX_VIEW_SHARE * len(views):
             return camera, rejected
         worst, reason = outlier
         rejected[used.pop(worst)] = reason
@@ -104,22 +91,22 @@ def _without_bad_corners(
     """The camera without outlying corners, and their mask in each view; all are tested again after each solution."""
     left_out = [np.zeros(len(view.ids), dtype=bool) for view in views]
     for _ in range(0 if model.keep_all else _MAX_ITERATIONS):
-        kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
+        kept = [bundle_adjustment.corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
         poses = [board_pose(view, camera) for view in kept]
         errors = [residuals(view, pose, camera) for view, pose in zip(views, poses, strict=True)]
-        cleaned = [whole_markers(*one) for one in zip(views, outlying_corners(errors), strict=True)]
+        cleaned = [outliers.whole_markers(*one) for one in zip(views, outliers.outlying_corners(errors), strict=True)]
         if all(np.array_equal(*pair) for pair in zip(cleaned, left_out, strict=True)):
             break
         left_out = cleaned
-        kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
-        camera = camera_solution(kept, camera, model).camera
+        kept = [bundle_adjustment.corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
+        camera = bundle_adjustment.camera_solution(kept, camera, model).camera
     return camera, left_out
 
 
 def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camera, rejected: str) -> CameraView:
     """A view's residuals with its pose fitted to the corners that are not left out."""
     unbiased = without_distortion_bias(view, camera)
-    pose = board_pose(corners_of(unbiased, ~left_out), camera)
+    pose = board_pose(bundle_adjustment.corners_of(unbiased, ~left_out), camera)
     return CameraView(
         board=view,
         pose=pose,
@@ -130,15 +117,15 @@ def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camer
     )
 
 
-def _covariance(solution: CameraSolution, model: CameraModel) -> ParameterCovariance:
+def _covariance(solution: bundle_adjustment.CameraSolution, model: CameraModel) -> ParameterCovariance:
     """Covariance of the intrinsic parameters; DataError if the views do not determine them."""
     camera = solution.camera
     try:
         data = covariance_of_free(solution.information.sum(axis=0), model.free)
     except np.linalg.LinAlgError as error:
-        raise undetermined("the views do not determine the parameters uniquely") from error
+        raise bundle_adjustment.undetermined("the views do not determine the parameters uniquely") from error
     focal, sd = camera.camera_matrix[0, 0], float(np.sqrt(max(data[0, 0], 0.0)))
     if not np.isfinite(sd) or sd > MAX_FOCAL_SHARE * focal:
         finding = f"the views do not determine the focal length: {focal:.0f} px with standard deviation {sd:.0f} px"
-        raise undetermined(finding)
+        raise bundle_adjustment.undetermined(finding)
     return ParameterCovariance(parameters=parameter_names(camera.distortion_model), data=data)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose
+from ringpose.calibrate.mount import closed_form
 from ringpose.calibrate.mount.adjustment import (
     MIN_FREE_VIEWS,
     ROTATION_BOUNDS_RAD,
@@ -18,14 +19,6 @@ from ringpose.calibrate.mount.adjustment import (
     moving_from_fixed,
 )
 from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, rotation_error_rad
-from ringpose.calibrate.mount.closed_form import (
-    MIN_ACROSS_RAD,
-    MIN_TURN_RAD,
-    Transform,
-    Turns,
-    closed_form_mount,
-    turns_between,
-)
 from ringpose.calibrate.mount.validation import (
     MIN_VIEWS,
     LeftOut,
@@ -68,7 +61,7 @@ class MountCalibration:
     """Factors by which the views disagree more about rotation and translation than their likelihood explains."""
     without: LeftOut
     """The solutions without each view; NaN where the others do not determine a mount."""
-    turns: Turns
+    turns: closed_form.Turns
     board_scale: tuple[float, float]
     """By what share the board is larger than given, and the standard deviation."""
     eye_to_hand: bool
@@ -94,7 +87,7 @@ class MountCalibration:
 def stations_of(views: Sequence[BoardView], poses: Sequence[ReportedPose | DataError]) -> list[Station]:
     """The views that have a pose of the robot."""
     return [
-        Station(view=view, base_from_tool=Transform(pose.rotation, pose.position_m), location=pose.location)
+        Station(view=view, base_from_tool=closed_form.Transform(pose.rotation, pose.position_m), location=pose.location)
         for view, pose in zip(views, poses, strict=True)
         if not isinstance(pose, DataError)
     ]
@@ -164,13 +157,15 @@ def _in_order(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
-def _transform(pose: BoardPose) -> Transform:
-    return Transform(pose.rotation, pose.translation_m)
+def _transform(pose: BoardPose) -> closed_form.Transform:
+    return closed_form.Transform(pose.rotation, pose.translation_m)
 
 
-def _turns(stations: Sequence[Station], boards: Sequence[BoardPose], used: Sequence[int], eye_to_hand: bool) -> Turns:
+def _turns(
+    stations: Sequence[Station], boards: Sequence[BoardPose], used: Sequence[int], eye_to_hand: bool
+) -> closed_form.Turns:
     robot = [moving_from_fixed(stations[index].base_from_tool, eye_to_hand) for index in used]
-    return turns_between(robot, [_transform(boards[index]) for index in used])
+    return closed_form.turns_between(robot, [_transform(boards[index]) for index in used])
 
 
 def _solved(
@@ -178,7 +173,7 @@ def _solved(
 ) -> MountSolution:
     robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
     board = [_transform(pose) for pose in boards]
-    mount, fixed, _ = closed_form_mount(robot, board, turns_between(robot, board))
+    mount, fixed, _ = closed_form.closed_form_mount(robot, board, closed_form.turns_between(robot, board))
     try:
         return adjusted_mount(
             stations, camera, (mount, fixed), eye_to_hand=eye_to_hand, refine_camera=refine_camera, poses=boards
@@ -202,7 +197,7 @@ def _check_motions(
             finding = "the robot's rotations contradict those of the board in the images"
             raise DataError("calibrate-mount", finding, f"likely {cause}")
     robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
-    _, _, scale = closed_form_mount(robot, transforms, turns)
+    _, _, scale = closed_form.closed_form_mount(robot, transforms, turns)
     for factor, words in (
         (1e-3, "the robot's positions are in millimetres, or the board's sizes"),
         (1e3, "the robot's positions are in metres and are read as millimetres, or the board's sizes"),
@@ -216,19 +211,19 @@ def _check_motions(
             )
 
 
-def _check_turns(turns: Turns, views: int, eye_to_hand: bool) -> Turns:
+def _check_turns(turns: closed_form.Turns, views: int, eye_to_hand: bool) -> closed_form.Turns:
     """Raise DataError unless the views are turned about two axes."""
     if views < MIN_VIEWS:
         finding = f"{views} view{'s' * (views != 1)} with a pose of the robot, at least {MIN_VIEWS} are needed"
         raise DataError("calibrate-mount", finding, "ten or more are good, turned by 20 degrees or more about two axes")
     largest, across, _ = turns.spread_rad.tolist()
     frame = "base" if eye_to_hand else "tool"
-    if largest < MIN_TURN_RAD:
+    if largest < closed_form.MIN_TURN_RAD:
         finding = f"the views are turned against each other by at most {np.degrees(largest):.2g} degrees, 5 are needed"
         raise DataError(
             "calibrate-mount", finding, f"turn the tool by 20 degrees or more about two axes of the {frame}"
         )
-    if across < MIN_ACROSS_RAD:
+    if across < closed_form.MIN_ACROSS_RAD:
         axis = turns.main_axis
         missing = "xyz"[int(np.argmin(np.abs(axis)))]
         words = ", ".join(f"{value:.2f}" for value in axis * np.sign(axis[np.argmax(np.abs(axis))]))
@@ -316,4 +311,4 @@ def _determined(
     if len(used) < MIN_VIEWS:
         return False
     largest, across, _ = _turns(stations, boards, used, eye_to_hand).spread_rad.tolist()
-    return bool(largest >= MIN_TURN_RAD and across >= MIN_ACROSS_RAD)
+    return bool(largest >= closed_form.MIN_TURN_RAD and across >= closed_form.MIN_ACROSS_RAD)

@@ -15,15 +15,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
 from ringpose.calibrate.camera.parameters import parameter_names
-from ringpose.calibrate.planes.joint_adjustment import (
-    JointData,
-    JointState,
-    corner_chi2,
-    free_parameters,
-    joint_chi2,
-    joint_fit,
-    prior_information,
-)
+from ringpose.calibrate.planes import joint_adjustment
 from ringpose.estimate.nuisance import point_covariance
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.rays import project, rays
@@ -67,9 +59,9 @@ def planes_covariance(
         return ParameterCovariance(parameters=planes, data=excess * own)
     if free_camera:
         # Inverse of the information with the camera's prior, reordered to camera, planes.
-        free = np.append(np.ones(count, dtype=bool), free_parameters(given))
+        free = np.append(np.ones(count, dtype=bool), joint_adjustment.free_parameters(given))
         prior = np.zeros_like(information)
-        prior[count:, count:] = prior_information(given)
+        prior[count:, count:] = joint_adjustment.prior_information(given)
         data = covariance_of_free(np.where(np.outer(free, free), information / excess + prior, 0.0))
         camera_first = np.roll(np.arange(len(data)), len(data) - count)
         data = data[np.ix_(camera_first, camera_first)]
@@ -81,7 +73,7 @@ def planes_covariance(
     return ParameterCovariance(parameters=parameter_names(given.distortion_model) + planes, data=(data + data.T) / 2)
 
 
-def variance_excess(data: JointData, state: JointState) -> float:
+def variance_excess(data: joint_adjustment.JointData, state: joint_adjustment.JointState) -> float:
     """Factor by which variances are inflated to explain the disagreement of the views; 1 if it is not significant.
 
     The increase of chi-squared from boards placed by their corners alone to the joint solution has two degrees of
@@ -89,30 +81,34 @@ def variance_excess(data: JointData, state: JointState) -> float:
     """
     camera = state.camera
     separate = sum(
-        corner_chi2(view, maximum_likelihood_pose(view.board, camera)[0], camera, corner_px)
+        joint_adjustment.corner_chi2(view, maximum_likelihood_pose(view.board, camera)[0], camera, corner_px)
         for view, corner_px in zip(data.views, data.corner_px.tolist(), strict=True)
     )
-    increase = joint_chi2(data, state) - separate
+    increase = joint_adjustment.joint_chi2(data, state) - separate
     dof = sum(_degrees_of_freedom(data, laser) for laser in range(len(state.distance_m)))
     if dof <= 0 or increase < dof + SIGNIFICANCE * np.sqrt(2 * dof):
         return 1.0
     return increase / dof
 
 
-def laser_disagreements(data: JointData, state: JointState) -> tuple[float, ...]:
+def laser_disagreements(data: joint_adjustment.JointData, state: joint_adjustment.JointState) -> tuple[float, ...]:
     """Increase of chi-squared by each laser's stripes, per degree of freedom; NaN where there are none.
 
     It identifies a laser whose plane contradicts the board poses on which the other lasers agree.
     """
-    disagreements, chi2 = [], joint_chi2(data, state)
+    disagreements, chi2 = [], joint_adjustment.joint_chi2(data, state)
     for laser in range(len(state.distance_m)):
         dof = _degrees_of_freedom(data, laser)
         others = data.without_laser(laser)
-        disagreements.append((chi2 - joint_chi2(others, joint_fit(others, state))) / dof if dof > 0 else float("nan"))
+        disagreements.append(
+            (chi2 - joint_adjustment.joint_chi2(others, joint_adjustment.joint_fit(others, state))) / dof
+            if dof > 0
+            else float("nan")
+        )
     return tuple(disagreements)
 
 
-def _degrees_of_freedom(data: JointData, laser: int) -> int:
+def _degrees_of_freedom(data: joint_adjustment.JointData, laser: int) -> int:
     """Degrees of freedom of a laser: two for each of its stripes, less the parameters of its plane."""
     return 2 * sum(len(own[laser].ray) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 

@@ -12,24 +12,9 @@ from ringpose.calibrate.acceptance import marker_size_findings
 from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors, without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
 from ringpose.calibrate.boards.shots import STILL_PX, BoardShots, board_shift_px
+from ringpose.calibrate.planes import joint_adjustment, plane_fit
 from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
-from ringpose.calibrate.planes.joint_adjustment import (
-    JointData,
-    JointState,
-    free_parameters,
-    joint_data,
-    joint_fit,
-    joint_information,
-)
-from ringpose.calibrate.planes.plane_fit import (
-    FittedPlane,
-    Points,
-    determined_without,
-    fitted_plane,
-    oriented,
-    plane_without,
-)
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
 from ringpose.calibrate.planes.stripes.extraction import stripe_view, triangulated
 from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
@@ -49,7 +34,7 @@ _SIGMA_ROUNDS = 5
 _SETTLED = 0.95
 """The adjustment is repeated while a view's corner standard deviation falls below this share of its former value."""
 
-HeldOut = Sequence[Sequence[FittedPlane | None]]
+HeldOut = Sequence[Sequence[plane_fit.FittedPlane | None]]
 """By laser and view: the plane of the other views; None where they do not determine one."""
 
 
@@ -159,10 +144,10 @@ class PlanesModel:
 class PlaneSolution(NamedTuple):
     """Light planes, board poses and covariance, as estimated by one of the methods."""
 
-    planes: tuple[FittedPlane, ...]
+    planes: tuple[plane_fit.FittedPlane, ...]
     poses: tuple[BoardPose, ...]
     camera: Camera
-    corner_points: Sequence[Sequence[Points]]
+    corner_points: Sequence[Sequence[plane_fit.Points]]
     """By laser and view: stripe centres in the camera frame, triangulated with board poses from the corners alone."""
     held_out: HeldOut
     covariance: ParameterCovariance | None = None
@@ -240,11 +225,13 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
     return PlaneSolution(
-        planes=tuple(fitted_plane(name, own, method) for name, own in zip(evidence.names, points, strict=True)),
+        planes=tuple(
+            plane_fit.fitted_plane(name, own, method) for name, own in zip(evidence.names, points, strict=True)
+        ),
         poses=evidence.poses,
         camera=evidence.camera,
         corner_points=points,
-        held_out=[[plane_without(own, view, method) for view in views] for own in points],
+        held_out=[[plane_fit.plane_without(own, view, method) for view in views] for own in points],
     )
 
 
@@ -252,12 +239,12 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
     """Board poses, planes and, if it is free, the camera by joint adjustment, started from the separate solution."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     start = [
-        fitted_plane(name, own, PlanesMethod.TOTAL_LEAST_SQUARES)
+        plane_fit.fitted_plane(name, own, PlanesMethod.TOTAL_LEAST_SQUARES)
         for name, own in zip(evidence.names, points, strict=True)
     ]
     try:
         data, state = _weighted_fit(evidence, start, free_camera)
-        information, fixed = joint_information(data, state), data
+        information, fixed = joint_adjustment.joint_information(data, state), data
         if free_camera:  # from here on the camera is held fixed, with the stripes triangulated by it
             fixed = data.with_camera(state.camera)
             poses = tuple(board_pose(view.board, fixed.camera) for view in evidence.views)
@@ -266,7 +253,10 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         excess = variance_excess(fixed, state)
         planes = zip(state.normal, state.distance_m.tolist(), start, strict=True)
         return PlaneSolution(
-            planes=tuple(FittedPlane(*oriented(normal, distance), old.condition) for normal, distance, old in planes),
+            planes=tuple(
+                plane_fit.FittedPlane(*plane_fit.oriented(normal, distance), old.condition)
+                for normal, distance, old in planes
+            ),
             poses=state.poses,
             camera=state.camera,
             corner_points=points,
@@ -283,39 +273,41 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
 
 
 def _weighted_fit(
-    evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool
-) -> tuple[JointData, JointState]:
+    evidence: StripeEvidence, start: Sequence[plane_fit.FittedPlane], free_camera: bool
+) -> tuple[joint_adjustment.JointData, joint_adjustment.JointState]:
     """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
     Outlying corners displace the board poses at the start of the adjustment, but not those of its robust result.
     """
     corner_px = corner_sigmas_px(evidence.views, evidence.poses, evidence.camera)
-    data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)
-    state = JointState(
+    data = joint_adjustment.joint_data(evidence.views, evidence.camera, corner_px, free_camera)
+    state = joint_adjustment.JointState(
         poses=tuple(evidence.poses),
         normal=np.stack([plane.normal for plane in start]),
         distance_m=np.array([plane.distance_m for plane in start]),
         camera=evidence.camera,
     )
-    state = joint_fit(data, state)
+    state = joint_adjustment.joint_fit(data, state)
     for _ in range(_SIGMA_ROUNDS):
         corner_px = corner_sigmas_px(evidence.views, state.poses, state.camera)
         if np.all(corner_px > _SETTLED * data.corner_px):
             break
         data = replace(data, corner_px=corner_px)
-        state = joint_fit(data, state)
+        state = joint_adjustment.joint_fit(data, state)
     # Last, the standard deviations are widened by errors that a corner has in common to all views (print, bent board).
-    free = int(free_parameters(evidence.camera).sum()) if free_camera else 0
+    free = int(joint_adjustment.free_parameters(evidence.camera).sum()) if free_camera else 0
     corner_px = with_shared_errors(data.corner_px, evidence.views, state.poses, state.camera, free)
     data = replace(data, corner_px=corner_px)
-    return data, joint_fit(data, state)
+    return data, joint_adjustment.joint_fit(data, state)
 
 
-def _held_out(points: Sequence[Sequence[Points]], data: JointData, state: JointState) -> HeldOut:
+def _held_out(
+    points: Sequence[Sequence[plane_fit.Points]], data: joint_adjustment.JointData, state: joint_adjustment.JointState
+) -> HeldOut:
     """The planes without each view in turn; lasers that are then undetermined do not take part in the adjustment."""
-    by_view: list[list[FittedPlane | None]] = []
+    by_view: list[list[plane_fit.FittedPlane | None]] = []
     for view in range(len(data.views)):
-        determined = [determined_without(own, view) for own in points]
+        determined = [plane_fit.determined_without(own, view) for own in points]
         if not any(determined):
             by_view.append([None] * len(determined))
             continue
@@ -323,9 +315,12 @@ def _held_out(points: Sequence[Sequence[Points]], data: JointData, state: JointS
         for laser in np.flatnonzero(~np.array(determined)).tolist():
             rest = rest.without_laser(laser)
         poses = state.poses[:view] + state.poses[view + 1 :]
-        others = joint_fit(rest, replace(state, poses=poses))
+        others = joint_adjustment.joint_fit(rest, replace(state, poses=poses))
         planes = zip(others.normal, others.distance_m.tolist(), determined, strict=True)
         by_view.append(
-            [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]
+            [
+                plane_fit.FittedPlane(normal, distance_m, np.nan) if known else None
+                for normal, distance_m, known in planes
+            ]
         )
     return list(zip(*by_view, strict=True))

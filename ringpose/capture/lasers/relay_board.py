@@ -13,21 +13,11 @@ from typing import TypeVar
 
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError
+from ringpose.wire import relay_codec
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec
 from ringpose.wire.numato import NumatoCodec
-from ringpose.wire.relay_codec import (
-    Command,
-    Pulse,
-    Read,
-    Refused,
-    RelayCodec,
-    Switch,
-    SwitchRow,
-    TooFewRelays,
-    WireError,
-)
 
 Answer = TypeVar("Answer")
 
@@ -85,7 +75,7 @@ class RelaySettings:
     """The input that must be asserted: `cts`, `dsr`, or empty for none."""
 
     @property
-    def codec(self) -> RelayCodec:
+    def codec(self) -> relay_codec.RelayCodec:
         """The protocol of the board."""
         return CODECS[self.scheme](**self.codec_parameters)
 
@@ -191,12 +181,12 @@ class RelayBoard:
             pass
 
     @property
-    def _read(self) -> Read:
-        return Read(max(self._settings.relays) + 1)
+    def _read(self) -> relay_codec.Read:
+        return relay_codec.Read(max(self._settings.relays) + 1)
 
     def _on(self, laser: int) -> None:
         relay, pulse_s = self._settings.relays[laser], self._settings.pulse_s
-        self._exchange(Switch(relay, True) if pulse_s is None else Pulse(relay, pulse_s))
+        self._exchange(relay_codec.Switch(relay, True) if pulse_s is None else relay_codec.Pulse(relay, pulse_s))
 
     def _off(self, lasers: int) -> None:
         """Switch lasers off; each relay is commanded even if another one fails."""
@@ -209,15 +199,15 @@ class RelayBoard:
         if problems:
             raise problems[0].followed_by(*problems[1:])
 
-    def _off_commands(self, lasers: int) -> list[Command]:
+    def _off_commands(self, lasers: int) -> list[relay_codec.Command]:
         """One command for adjacent relays if the board can switch them together; otherwise one for each."""
         relays = sorted(self._settings.relays[laser] for laser in _members(lasers))
         is_row = len(relays) > 1 and relays[-1] - relays[0] == len(relays) - 1
         if is_row and self._codec.switches_rows:
-            return [SwitchRow(relays[0], len(relays), 0)]
-        return [Switch(relay, False) for relay in relays]
+            return [relay_codec.SwitchRow(relays[0], len(relays), 0)]
+        return [relay_codec.Switch(relay, False) for relay in relays]
 
-    def _exchange(self, command: Command) -> int:
+    def _exchange(self, command: relay_codec.Command) -> int:
         """Send a command; returns the mask of the relays that are on by its answer, 0 if that is not a mask."""
         request = self._codec.request(command)
         if self._codec.is_whole(command, b"") and not self.echoes:  # a command without an answer
@@ -236,7 +226,7 @@ class RelayBoard:
             raise DeviceError(self._port.name, finding, "check the cable, its termination, and that nothing else sends")
         return self._mask(command, received[length:])
 
-    def _first_answer(self, command: Command, request: bytes) -> int:
+    def _first_answer(self, command: relay_codec.Command, request: bytes) -> int:
         """The answer while it is not known whether requests are echoed; it may show that."""
 
         def with_echo(received: bytes) -> bool:
@@ -256,28 +246,28 @@ class RelayBoard:
             raise DeviceError(self._port.name, finding, REMEDY)
         return self._mask(command, received)
 
-    def _is_answer(self, command: Command, received: bytes) -> bool:
+    def _is_answer(self, command: relay_codec.Command, received: bytes) -> bool:
         """Whether these bytes are a complete answer, even if it is a rejection."""
         try:
             self._codec.on_mask(command, received)
-        except Refused:
+        except relay_codec.Refused:
             return True
-        except WireError:
+        except relay_codec.WireError:
             return False
         return self._codec.is_whole(command, received)
 
-    def _mask(self, command: Command, answer: bytes) -> int:
+    def _mask(self, command: relay_codec.Command, answer: bytes) -> int:
         """The mask in a checked answer."""
         is_whole = self._codec.is_whole(command, answer)
         if not answer and not is_whole:
             raise _NoAnswer(self._port.name, NO_ANSWER, REMEDY)
         try:
             return self._codec.on_mask(command, answer)
-        except Refused as error:
+        except relay_codec.Refused as error:
             raise _Refusal(self._port.name, str(error), WRONG_BOARD) from error
-        except TooFewRelays as error:
+        except relay_codec.TooFewRelays as error:
             raise DeviceError(self._port.name, str(error), OTHER_CHANNELS) from error
-        except WireError as error:
+        except relay_codec.WireError as error:
             if not is_whole:
                 raise DeviceError(self._port.name, f"sends an incomplete answer ({answer!r})", REMEDY) from error
             raise DeviceError(self._port.name, str(error), WRONG_BOARD) from error

@@ -20,17 +20,8 @@ from ringpose.cli.app import (
 from ringpose.cli.batch import with_progress
 from ringpose.cli.options.known_ring import RadiusInner, RadiusOuter
 from ringpose.errors import NO_POSE, DataError, UsageError
+from ringpose.types import plausible
 from ringpose.types.options import Minimized
-from ringpose.types.plausible import (
-    BASELINE_M,
-    DARK_NOISE_E,
-    DISTANCE_M,
-    FOCAL_PX,
-    LASER_ANGLE_RAD,
-    LASERS,
-    OFFSET,
-    RING_RADIUS_M,
-)
 
 if TYPE_CHECKING:
     from ringpose.types.scene import Scene
@@ -114,8 +105,8 @@ def design(
 
     sweep = _sweep(vary or [])
     where = places(
-        sorted(set(numbers(distances, "--distances", "such as 0.3,0.5,1", DISTANCE_M))),
-        sorted(set(numbers(offsets, "--offsets", "such as -0.3,0,0.3", OFFSET))),
+        sorted(set(numbers(distances, "--distances", "such as 0.3,0.5,1", plausible.DISTANCE_M))),
+        sorted(set(numbers(offsets, "--offsets", "such as -0.3,0,0.3", plausible.OFFSET))),
         radians(pitch),
         radians(yaw),
     )
@@ -165,11 +156,11 @@ def _sweep(words: list[str]) -> dict[str, list[float]]:
     from math import prod
 
     varied = {
-        "laser_angle_rad": LASER_ANGLE_RAD,
-        "baseline_m": BASELINE_M,
-        "focal_px": FOCAL_PX,
-        "dark_noise_e": DARK_NOISE_E,
-        "lasers": LASERS,
+        "laser_angle_rad": plausible.LASER_ANGLE_RAD,
+        "baseline_m": plausible.BASELINE_M,
+        "focal_px": plausible.FOCAL_PX,
+        "dark_noise_e": plausible.DARK_NOISE_E,
+        "lasers": plausible.LASERS,
     }
     sweep: dict[str, list[float]] = {}
     for word in words:
@@ -211,8 +202,8 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
         face_m = ring.radius_outer_m - ring.radius_inner_m
         radius_inner_m = radius_outer_m - min(face_m, MAX_FACE_SHARE * radius_outer_m)
     if radius_inner_m is not None and radius_outer_m is not None:
-        check_plausible("--radius-inner", radius_inner_m, RING_RADIUS_M)
-        check_plausible("--radius-outer", radius_outer_m, RING_RADIUS_M)
+        check_plausible("--radius-inner", radius_inner_m, plausible.RING_RADIUS_M)
+        check_plausible("--radius-outer", radius_outer_m, plausible.RING_RADIUS_M)
         if not radius_inner_m < radius_outer_m:
             raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
         radii_m = [radius_inner_m, radius_inner_m, radius_outer_m, radius_outer_m]

@@ -10,18 +10,9 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
-from ringpose.files.cameras import matlab
+from ringpose.files.cameras import matlab, ros
 from ringpose.files.cameras import opencv as opencv_storage
 from ringpose.files.cameras.camera_info import INI_SECTION, ini_values, message_values
-from ringpose.files.cameras.ros import (
-    CAMERA_KEYS,
-    FILE_KEYS,
-    camera_of,
-    camera_values,
-    pinhole_camera,
-    read_covariance,
-    write_camera,
-)
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
@@ -51,7 +42,7 @@ def read_camera(path: Path) -> Camera:
 def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path, *, force: bool = False) -> None:
     """Write a camera that was read from `source`; only ringpose's own format includes the covariance."""
     if form is CameraFormat.RINGPOSE:
-        write_camera(path, camera, force=force, inputs=[source])
+        ros.write_camera(path, camera, force=force, inputs=[source])
         return
     if form is CameraFormat.MATLAB and path.suffix.lower() != ".mat":
         raise UsageError("--output", f"{path.name} is not a .mat file", "end it with .mat")
@@ -136,13 +127,13 @@ def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera in a camera.yaml, or in a rig.yaml with its block of the joint covariance of camera and planes."""
     schema = str(values["ringpose"])
     if not schema.startswith("rig/"):
-        return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
+        return ros.camera_of(Fields(file, values, ros.FILE_KEYS), schema=schema)
     fields = Fields(file, values)
-    camera = camera_of(fields.fields("camera", CAMERA_KEYS))
+    camera = ros.camera_of(fields.fields("camera", ros.CAMERA_KEYS))
     if camera.covariance is not None or not fields.has("covariance"):
         return camera
     names = fields.fields("covariance").texts("parameters")
-    joint = read_covariance(fields, names)
+    joint = ros.read_covariance(fields, names)
     own = [index for index, name in enumerate(names) if name in CAMERA_PARAMETERS]
     if joint is None or not own:
         return camera
@@ -157,8 +148,8 @@ def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     no_model = {"distortion_model"} if _is_without_distortion(values) else set()
     given = {key: value for key, value in values.items() if key not in no_model}
     fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **given})
-    fields.known = CAMERA_KEYS
-    return camera_of(fields)
+    fields.known = ros.CAMERA_KEYS
+    return ros.camera_of(fields)
 
 
 def _is_without_distortion(values: Mapping[str, Any]) -> bool:
@@ -178,7 +169,7 @@ def _kalibr_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     width, height = fields.vector("resolution", 2).tolist()
     fx, fy, cx, cy = fields.vector("intrinsics", 4).tolist()
     size = Fields(file, {"image_width": int(width), "image_height": int(height)}, path=_KALIBR_NAME)
-    return pinhole_camera(size, _KALIBR_NAME, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), given)
+    return ros.pinhole_camera(size, _KALIBR_NAME, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), given)
 
 
 _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
@@ -194,7 +185,7 @@ _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
 def _ros_values(camera: Camera) -> dict[str, Any]:
     """The mapping that `_ros_camera` reads, with ROS's stereo matrices: for one camera the identity and [K | 0]."""
     matrix = camera.camera_matrix
-    return camera_values(replace(camera, covariance=None)) | {
+    return ros.camera_values(replace(camera, covariance=None)) | {
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
         "projection_matrix": {"rows": 3, "cols": 4, "data": np.column_stack([matrix, np.zeros(3)]).ravel()},
     }

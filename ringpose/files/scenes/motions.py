@@ -13,18 +13,9 @@ from ringpose.files import records
 from ringpose.files.inputs import file_lines
 from ringpose.files.records.codec import OF_FILE, definition_of
 from ringpose.files.schema import Fields
-from ringpose.types import plausible
+from ringpose.types import plausible, target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.record import Form, Key, Presence
-from ringpose.types.target import (
-    MOTION_PRESETS,
-    Box,
-    FreeMotion,
-    MotionPreset,
-    Part,
-    Revolution,
-    TimedPoses,
-)
 
 CSV_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
@@ -57,10 +48,10 @@ class MotionEntry:
     """The key `motion` of a scene."""
 
     preset: Annotated[
-        MotionPreset | None,
+        target.MotionPreset | None,
         Key(
             "Name of a motion.",
-            words={preset: name for name, preset in MOTION_PRESETS.items()},
+            words={preset: name for name, preset in target.MOTION_PRESETS.items()},
             presence=Presence.IF_KNOWN,
         ),
     ] = None
@@ -110,7 +101,7 @@ def motion_of(
     inertia_kg_m2: Float64[Array, "3 3"],
     center_of_mass_m: Float64[Array, "3"],
     folder: Path,
-) -> FreeMotion | TimedPoses:
+) -> target.FreeMotion | target.TimedPoses:
     """The motion of an entry, with the target's own inertia and centre of mass where it gives none."""
     if entry.file is not None:
         for key in (key for key in fields.values if key not in ("file", "shots") and fields.has(key)):
@@ -128,7 +119,7 @@ def motion_of(
         if camera.time_s[0] != 0:
             raise fields.problem("camera", f"begins at {camera.time_s[0]:g} s, must begin at 0")
     own_kg_m2, own_center_m, own_rate_rad_s = entry.inertia_kg_m2, entry.center_of_mass_m, entry.angular_velocity_rad_s
-    return FreeMotion(
+    return target.FreeMotion(
         inertia_kg_m2=inertia_kg_m2 if own_kg_m2 is None else _inertia(fields, own_kg_m2),
         center_of_mass_m=center_of_mass_m if own_center_m is None else own_center_m,
         angular_velocity_rad_s=rate_rad_s if own_rate_rad_s is None else own_rate_rad_s,
@@ -152,7 +143,7 @@ def _inertia(fields: Fields, given: Float64[Array, "..."]) -> Float64[Array, "3 
     return inertia
 
 
-def read_poses(path: Path) -> TimedPoses:
+def read_poses(path: Path) -> target.TimedPoses:
     """The poses in a trajectory file: CSV with the columns `CSV_COLUMNS`, or JSON lines, each a `TimedPose`."""
     lines = file_lines(path)
     if path.suffix.lower() == ".csv":
@@ -180,7 +171,7 @@ def _csv_entries(lines: Iterator[str], file: str) -> Iterator[Fields]:
         yield Fields(location, values)
 
 
-def _timed_poses(poses: Iterable[tuple[Fields, TimedPose]], where: str) -> TimedPoses:
+def _timed_poses(poses: Iterable[tuple[Fields, TimedPose]], where: str) -> target.TimedPoses:
     """Poses at ascending times, each with its place for messages."""
     listed: list[TimedPose] = []
     for fields, pose in poses:
@@ -189,14 +180,14 @@ def _timed_poses(poses: Iterable[tuple[Fields, TimedPose]], where: str) -> Timed
         listed.append(pose)
     if len(listed) < 2:
         raise DataError(where, f"has {len(listed)} poses, must have at least 2")
-    return TimedPoses(
+    return target.TimedPoses(
         time_s=np.array([pose.time_s for pose in listed]),
         position_m=np.stack([pose.position_m for pose in listed]),
         orientation_xyzw=np.stack([pose.orientation_xyzw for pose in listed]),
     )
 
 
-def mass_properties(parts: Sequence[Part]) -> tuple[float, Float64[Array, "xyz=3"], Float64[Array, "3 3"]]:
+def mass_properties(parts: Sequence[target.Part]) -> tuple[float, Float64[Array, "xyz=3"], Float64[Array, "3 3"]]:
     """Mass, centre of mass and inertia about it, in the target frame; NaN where the parts have no mass.
 
     Boxes are solid and uniform, surfaces of revolution are shells of uniform thickness.
@@ -217,9 +208,9 @@ def mass_properties(parts: Sequence[Part]) -> tuple[float, Float64[Array, "xyz=3
     return mass_kg, center_m, inertia
 
 
-def _moments(shape: Box | Revolution) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
+def _moments(shape: target.Box | target.Revolution) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
     """Centre of mass, and principal moments about it per kilogram, in the part frame."""
-    if isinstance(shape, Box):
+    if isinstance(shape, target.Box):
         square = (shape.high_m - shape.low_m) ** 2
         return (shape.low_m + shape.high_m) / 2, (square.sum() - square) / 12
     first, second = shape.profile_m[:-1, None], shape.profile_m[1:, None]

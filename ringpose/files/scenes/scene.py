@@ -9,17 +9,8 @@ import numpy as np
 
 from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
 from ringpose.files.rigs import read_rig
+from ringpose.files.scenes import targets, views
 from ringpose.files.scenes.motions import MotionEntry, mass_properties, motion_of
-from ringpose.files.scenes.targets import RingEntry, Target, TargetEntry, ring_of, target_of
-from ringpose.files.scenes.views import (
-    BoardsEntry,
-    GeneratedViews,
-    ViewEntry,
-    board_set_of,
-    sequence_of,
-    view_of,
-    views_of,
-)
 from ringpose.files.schema import SCENE, Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.types import plausible
@@ -113,13 +104,15 @@ class SceneFile:
     ] = None
     period_s: Annotated[float | None, Key("Time between shots.", least=0, presence=Presence.IF_KNOWN)] = None
     start_s: Annotated[float | None, Key("Stamp of the first shot.", least=0, presence=Presence.IF_KNOWN)] = None
-    ring: Annotated[RingEntry | None, Key("The ring; needed without a target.", presence=Presence.IF_KNOWN)] = None
+    ring: Annotated[targets.RingEntry | None, Key("The ring; needed without a target.", presence=Presence.IF_KNOWN)] = (
+        None
+    )
     body: Annotated[
         Body | None,
         Key("The box whose front face carries the ring; needed without a target.", presence=Presence.IF_KNOWN),
     ] = None
     target: Annotated[
-        TargetEntry | None, Key("Instead of ring and body: a model, or parts.", presence=Presence.IF_KNOWN)
+        targets.TargetEntry | None, Key("Instead of ring and body: a model, or parts.", presence=Presence.IF_KNOWN)
     ] = None
     obstacles: Annotated[
         tuple[Obstacle, ...],
@@ -144,10 +137,10 @@ class SceneFile:
         Speckle, Key("Speckle of laser light, before the blur of the lens.", presence=Presence.IF_KNOWN)
     ] = Speckle()
     trajectory: Annotated[
-        tuple[ViewEntry | GeneratedViews, ...] | None,
+        tuple[views.ViewEntry | views.GeneratedViews, ...] | None,
         Key("Single views, and sets of random ones.", tag="generate", presence=Presence.IF_KNOWN),
     ] = None
-    boards: Annotated[BoardsEntry | None, Key("Views of calibration boards.", presence=Presence.IF_KNOWN)] = None
+    boards: Annotated[views.BoardsEntry | None, Key("Views of calibration boards.", presence=Presence.IF_KNOWN)] = None
 
 
 RECORD = RecordType(
@@ -172,11 +165,11 @@ def read_scene(path: Path) -> Scene:
     lasers = len(rig.lasers.names)
     values: dict[str, Any] = {}
     values["views"], values["approaches"] = _views(fields, entry, tuple(lights))
-    boards = entry.boards or BoardsEntry()
+    boards = entry.boards or views.BoardsEntry()
     for key, board_set in (("camera", boards.camera), ("planes", boards.planes)):
         if board_set is not None:
             own = fields.fields("boards").fields(key)
-            values["camera_boards" if key == "camera" else "plane_boards"] = board_set_of(own, board_set, lasers)
+            values["camera_boards" if key == "camera" else "plane_boards"] = views.board_set_of(own, board_set, lasers)
     values |= _target_and_motion(fields, entry, path.parent)
     _check_number_of_shots(fields, values)
     if values["ring"] is NO_RING:
@@ -187,7 +180,7 @@ def read_scene(path: Path) -> Scene:
         rig=rig,
         lights=lights,
         seed=entry.seed,
-        sequence=sequence_of(fields, "sequence", entry.sequence, lasers),
+        sequence=views.sequence_of(fields, "sequence", entry.sequence, lasers),
         lasers=entry.lasers,
         lens=entry.lens,
         sensor=entry.sensor,
@@ -210,11 +203,11 @@ def _views(
     """The views of the trajectory; a target that moves along a file needs none."""
     along_file = entry.motion is not None and entry.motion.file is not None
     if entry.trajectory is not None:
-        return views_of(fields, "trajectory", entry.trajectory, lights, along_file)
+        return views.views_of(fields, "trajectory", entry.trajectory, lights, along_file)
     if not along_file:
         return (), ()
-    moving = ViewEntry(name="moving")
-    return (view_of(Fields(fields.file, {}, path="trajectory"), moving, lights, along_file),), ()
+    moving = views.ViewEntry(name="moving")
+    return (views.view_of(Fields(fields.file, {}, path="trajectory"), moving, lights, along_file),), ()
 
 
 def _check_number_of_shots(fields: Fields, values: dict[str, Any]) -> None:
@@ -244,22 +237,22 @@ def _target_and_motion(fields: Fields, entry: SceneFile, folder: Path) -> dict[s
 _WITHOUT_RING: Mapping[TargetKind, TargetKind] = {"ring": "body", "body": "body", "none": "none"}
 
 
-def _target(fields: Fields, entry: SceneFile) -> Target:
+def _target(fields: Fields, entry: SceneFile) -> targets.Target:
     """The parts and the ring of the scene."""
-    target = Target(parts=(), ring=None)
+    target = targets.Target(parts=(), ring=None)
     if entry.target is not None:
-        target = target_of(fields.fields("target"), entry.target)
+        target = targets.target_of(fields.fields("target"), entry.target)
     elif entry.ring is None:
         raise fields.missing("ring")
     if entry.ring is not None:
         if target.ring is not None:
             raise fields.problem("ring", "is given, but the target has a ring", "remove one of them")
-        target = Target(parts=target.parts, ring=ring_of(fields.fields("ring"), entry.ring))
+        target = targets.Target(parts=target.parts, ring=targets.ring_of(fields.fields("ring"), entry.ring))
     return target
 
 
 def _inertia_and_center(
-    fields: Fields, target: Target, body: Body | None
+    fields: Fields, target: targets.Target, body: Body | None
 ) -> tuple[Float64[Array, "3 3"], Float64[Array, "3"]]:
     """Inertia and centre of mass of the target: of its parts if they have masses, else of the uniform body.
 

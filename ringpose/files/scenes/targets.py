@@ -12,23 +12,10 @@ import ringpose
 from ringpose.files.records.codec import OF_FILE, definition_of
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
-from ringpose.types import plausible
+from ringpose.types import plausible, target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.plausible import FACE_WIDTH_M, PART_M, RING_HEIGHT_M, RING_RADIUS_M
 from ringpose.types.record import Form, Key, Presence
-from ringpose.types.target import (
-    MATERIAL_NAMES,
-    MATERIALS,
-    Box,
-    Foil,
-    Gap,
-    Material,
-    Part,
-    Revolution,
-    RingForm,
-    RingShape,
-    sloping,
-)
 
 MODELS = Path(ringpose.__file__).parent / "simulate" / "target" / "models"
 """The models in the package, `NAME.yaml`."""
@@ -106,12 +93,12 @@ class RingEntry:
             presence=Presence.IF_KNOWN,
         ),
     ] = None
-    face: Annotated[Material, Key("Material of the face.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)] = (
-        MATERIALS["metal"]
-    )
+    face: Annotated[
+        target.Material, Key("Material of the face.", words=target.MATERIAL_NAMES, presence=Presence.IF_KNOWN)
+    ] = target.MATERIALS["metal"]
     wall: Annotated[
-        Material, Key("Material of the other pieces.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN)
-    ] = MATERIALS["metal"]
+        target.Material, Key("Material of the other pieces.", words=target.MATERIAL_NAMES, presence=Presence.IF_KNOWN)
+    ] = target.MATERIALS["metal"]
     slope_rad: Annotated[
         float,
         Key(
@@ -120,7 +107,7 @@ class RingEntry:
             presence=Presence.IF_KNOWN,
         ),
     ] = 0.0
-    gaps: Annotated[tuple[Gap, ...], Key("Slots across the ring.", presence=Presence.IF_KNOWN)] = ()
+    gaps: Annotated[tuple[target.Gap, ...], Key("Slots across the ring.", presence=Presence.IF_KNOWN)] = ()
     form: Annotated[FormEntry | None, Key("How it is out of round and warped.", presence=Presence.IF_KNOWN)] = None
     chamfer_m: Annotated[
         float | None,
@@ -155,8 +142,8 @@ class PartEntry:
             presence=Presence.IF_KNOWN,
         ),
     ] = field(default_factory=lambda: np.zeros(3))
-    material: Annotated[Material, Key("Its material, or that of a ring's face.", words=MATERIAL_NAMES)]
-    foil: Annotated[Foil | None, Key("Crinkles of a box or panel.", presence=Presence.IF_KNOWN)] = None
+    material: Annotated[target.Material, Key("Its material, or that of a ring's face.", words=target.MATERIAL_NAMES)]
+    foil: Annotated[target.Foil | None, Key("Crinkles of a box or panel.", presence=Presence.IF_KNOWN)] = None
     mass_kg: Annotated[
         float | Mapping[str, Annotated[float, Key(least=0)]],
         Key("Its mass; in models also by the filling of the tanks.", least=0, presence=Presence.IF_KNOWN),
@@ -171,9 +158,9 @@ class BoxEntry(PartEntry):
     size_m: Annotated[Float64[Array, "xyz=3"], Key("Lengths of its edges.", plausible=PART_M, positive=True)]
 
     @property
-    def solid(self) -> Box:
+    def solid(self) -> target.Box:
         """Its shape."""
-        return Box(low_m=-self.size_m / 2, high_m=self.size_m / 2)
+        return target.Box(low_m=-self.size_m / 2, high_m=self.size_m / 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,15 +173,15 @@ class PanelEntry(PartEntry):
         float, Key("Its thickness.", plausible=PART_M, positive=True, presence=Presence.IF_KNOWN)
     ] = PANEL_M
     back: Annotated[
-        Material | None,
-        Key("Material of all faces but the front.", words=MATERIAL_NAMES, presence=Presence.IF_KNOWN),
+        target.Material | None,
+        Key("Material of all faces but the front.", words=target.MATERIAL_NAMES, presence=Presence.IF_KNOWN),
     ] = None
 
     @property
-    def solid(self) -> Box:
+    def solid(self) -> target.Box:
         """Its shape."""
         size_m = np.append(self.size_m, self.thickness_m)
-        return Box(low_m=-size_m / 2, high_m=size_m / 2)
+        return target.Box(low_m=-size_m / 2, high_m=size_m / 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -206,9 +193,9 @@ class CylinderEntry(PartEntry):
     height_m: Annotated[float, Key("Its height.", plausible=PART_M, positive=True)]
 
     @property
-    def solid(self) -> Revolution:
+    def solid(self) -> target.Revolution:
         """Its shape."""
-        return Revolution(profile_m=_cone_m(self.radius_m, self.radius_m, self.height_m))
+        return target.Revolution(profile_m=_cone_m(self.radius_m, self.radius_m, self.height_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -221,9 +208,9 @@ class ConeEntry(PartEntry):
     height_m: Annotated[float, Key("Its height.", plausible=PART_M, positive=True)]
 
     @property
-    def solid(self) -> Revolution:
+    def solid(self) -> target.Revolution:
         """Its shape."""
-        return Revolution(profile_m=_cone_m(self.radius_m, self.top_radius_m, self.height_m))
+        return target.Revolution(profile_m=_cone_m(self.radius_m, self.top_radius_m, self.height_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -237,9 +224,9 @@ class DiscEntry(PartEntry):
     ] = None
 
     @property
-    def solid(self) -> Revolution:
+    def solid(self) -> target.Revolution:
         """Its shape."""
-        return Revolution(profile_m=np.array([[self.inner_radius_m or 0.0, 0.0], [self.radius_m, 0.0]]))
+        return target.Revolution(profile_m=np.array([[self.inner_radius_m or 0.0, 0.0], [self.radius_m, 0.0]]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,10 +249,10 @@ class RevolutionEntry(PartEntry):
         FaceEdges | None, Key("Of the interface ring: points of the profile.", presence=Presence.IF_KNOWN)
     ] = None
     wall: Annotated[
-        Material | None,
+        target.Material | None,
         Key(
             "Of the interface ring: material of the other pieces; that of the face without it.",
-            words=MATERIAL_NAMES,
+            words=target.MATERIAL_NAMES,
             presence=Presence.IF_KNOWN,
         ),
     ] = None
@@ -273,9 +260,9 @@ class RevolutionEntry(PartEntry):
         float | None,
         Key("Of the interface ring, as of `ring`.", plausible=plausible.SLOPE_RAD, presence=Presence.IF_KNOWN),
     ] = None
-    gaps: Annotated[tuple[Gap, ...] | None, Key("Of the interface ring, as of `ring`.", presence=Presence.IF_KNOWN)] = (
-        None
-    )
+    gaps: Annotated[
+        tuple[target.Gap, ...] | None, Key("Of the interface ring, as of `ring`.", presence=Presence.IF_KNOWN)
+    ] = None
     form: Annotated[FormEntry | None, Key("Of the interface ring, as of `ring`.", presence=Presence.IF_KNOWN)] = None
     chamfer_m: Annotated[
         float | None,
@@ -288,9 +275,9 @@ class RevolutionEntry(PartEntry):
     ] = None
 
     @property
-    def solid(self) -> Revolution:
+    def solid(self) -> target.Revolution:
         """Its shape."""
-        return Revolution(profile_m=self.profile_m)
+        return target.Revolution(profile_m=self.profile_m)
 
 
 ShapeEntry = BoxEntry | PanelEntry | CylinderEntry | ConeEntry | DiscEntry | RevolutionEntry
@@ -314,8 +301,8 @@ class TargetEntry:
 class Target:
     """The parts of a target other than its ring, and the ring."""
 
-    parts: tuple[Part, ...]
-    ring: RingShape | None
+    parts: tuple[target.Part, ...]
+    ring: target.RingShape | None
 
 
 def target_of(fields: Fields, entry: TargetEntry) -> Target:
@@ -374,7 +361,7 @@ def _parts(entries: Iterable[tuple[Fields, ShapeEntry]], mass: str | None = None
     return Target(parts=tuple(parts), ring=ring)
 
 
-def _part(fields: Fields, entry: ShapeEntry, mass: str | None) -> Part:
+def _part(fields: Fields, entry: ShapeEntry, mass: str | None) -> target.Part:
     for key in filter(fields.has, ("slope_rad", "gaps", "form", "chamfer_m", "wall")):
         raise fields.problem(key, "is for the interface ring", "name its edges by `edges`")
     if entry.foil is not None and not isinstance(entry, BoxEntry | PanelEntry):
@@ -382,11 +369,11 @@ def _part(fields: Fields, entry: ShapeEntry, mass: str | None) -> Part:
     if isinstance(entry, RevolutionEntry):
         check_profile(fields, entry.profile_m)
     solid = entry.solid
-    faces = 6 if isinstance(solid, Box) else len(solid.profile_m) - 1
+    faces = 6 if isinstance(solid, target.Box) else len(solid.profile_m) - 1
     materials = (entry.material,) * faces
     if isinstance(entry, PanelEntry) and entry.back is not None:
         materials = (entry.material, *[entry.back] * 5)
-    return Part(
+    return target.Part(
         name=entry.name,
         shape=solid,
         materials=materials,
@@ -412,9 +399,9 @@ def _mass_kg(fields: Fields, entry: PartEntry, mass: str | None) -> float:
 # The interface ring
 
 
-def ring_of(fields: Fields, entry: RingEntry) -> RingShape:
+def ring_of(fields: Fields, entry: RingEntry) -> target.RingShape:
     """The ring of a scene without a target of its own."""
-    ring = RingShape(profile_m=_profile_m(fields, entry), face=entry.face, wall=entry.wall)
+    ring = target.RingShape(profile_m=_profile_m(fields, entry), face=entry.face, wall=entry.wall)
     width_m = ring.radius_outer_m - ring.radius_inner_m
     if not FACE_WIDTH_M.holds(width_m):
         finding, remedy = FACE_WIDTH_M.finding(width_m)
@@ -447,7 +434,7 @@ def check_profile(fields: Fields, profile_m: Float64[Array, "point 2"]) -> None:
         raise fields.problem("profile_m", "has a negative radius or a point twice")
 
 
-def _ring_of_part(fields: Fields, entry: RevolutionEntry, edges: FaceEdges, mass: str | None) -> RingShape:
+def _ring_of_part(fields: Fields, entry: RevolutionEntry, edges: FaceEdges, mass: str | None) -> target.RingShape:
     profile_m = entry.profile_m
     check_profile(fields, profile_m)
     inner, outer = (fields.fields("edges").integer(key, least=0, most=len(profile_m) - 1) for key in ("inner", "outer"))
@@ -457,7 +444,7 @@ def _ring_of_part(fields: Fields, entry: RevolutionEntry, edges: FaceEdges, mass
         raise fields.problem("edges", "inner and outer are exchanged")
     for key in filter(fields.has, ("position_m", "rotation_rad")):
         raise fields.problem(key, "is given for the interface ring, which defines the target frame", "remove it")
-    ring = RingShape(
+    ring = target.RingShape(
         profile_m=profile_m,
         face=entry.material,
         wall=entry.wall or entry.material,
@@ -467,31 +454,31 @@ def _ring_of_part(fields: Fields, entry: RevolutionEntry, edges: FaceEdges, mass
     return _with_details(fields, entry, ring)
 
 
-def _with_details(fields: Fields, entry: RingEntry | RevolutionEntry, ring: RingShape) -> RingShape:
+def _with_details(fields: Fields, entry: RingEntry | RevolutionEntry, ring: target.RingShape) -> target.RingShape:
     """The ring with the slope, the gaps, the form and the chamfer of an entry."""
     for number, gap in enumerate(entry.gaps or ()):
         if gap.width_m >= 2 * ring.radius_inner_m:
             raise fields.problem(f"gaps[{number}].width_m", f"is {gap.width_m:g}, wider than the ring")
     form = None if entry.form is None else _form(fields.fields("form"), entry.form)
-    ring = replace(sloping(ring, entry.slope_rad or 0.0), gaps=entry.gaps or (), form=form)
+    ring = replace(target.sloping(ring, entry.slope_rad or 0.0), gaps=entry.gaps or (), form=form)
     return ring if entry.chamfer_m is None else _chamfered(fields, ring, entry.chamfer_m)
 
 
-def _form(fields: Fields, entry: FormEntry) -> RingForm:
+def _form(fields: Fields, entry: FormEntry) -> target.RingForm:
     """Given coefficients, or random ones such that deviations have the tolerance as their standard deviation."""
     if entry.tolerance_m is not None:
         for key in filter(fields.has, ("inner_m", "outer_m", "axial_m")):
             raise fields.problem(key, "cannot be combined with tolerance_m", "give one of them")
         scale_m = entry.tolerance_m / np.sqrt(3)
         drawn = scale_m * np.random.default_rng(entry.seed).standard_normal((3, 3, 2))
-        return RingForm(radial_m=drawn[:2], axial_m=drawn[2])
+        return target.RingForm(radial_m=drawn[:2], axial_m=drawn[2])
     inner_m, outer_m, axial_m = (
         np.zeros((3, 2)) if given is None else given for given in (entry.inner_m, entry.outer_m, entry.axial_m)
     )
-    return RingForm(radial_m=np.stack([inner_m, outer_m]), axial_m=axial_m)
+    return target.RingForm(radial_m=np.stack([inner_m, outer_m]), axial_m=axial_m)
 
 
-def _chamfered(fields: Fields, ring: RingShape, chamfer_m: float) -> RingShape:
+def _chamfered(fields: Fields, ring: target.RingShape, chamfer_m: float) -> target.RingShape:
     """Both edges of the face cut at equal distances from them along face and wall."""
     piece, points = ring.face_piece, ring.profile_m
     if piece == 0 or piece + 2 >= len(points):

@@ -19,17 +19,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ringpose.errors import DeviceError
+from ringpose.simulate.serve import image_clients
 from ringpose.simulate.serve.image_camera import ImageCamera
-from ringpose.simulate.serve.image_clients import (
-    Client,
-    Viewer,
-    browser_request,
-    drained,
-    http,
-    is_loopback,
-    jpeg,
-    received,
-)
 from ringpose.types.scene import Scene, Truth
 from ringpose.wire import images as wire
 from ringpose.wire.images import MalformedMessage, ServedFrame
@@ -78,8 +69,8 @@ class ImageServer:
         self._setup, self._report = setup, report
         self._camera = ImageCamera(scene, setup.rate_hz, setup.clock, truth_record, report)
         self._on_truth = on_truth
-        self._clients: set[Client] = set()
-        self._viewers: set[Viewer] = set()
+        self._clients: set[image_clients.Client] = set()
+        self._viewers: set[image_clients.Viewer] = set()
         self._connections = 0
         self._showing: asyncio.Task[None] | None = None
         self._failure: BaseException | None = None
@@ -216,7 +207,7 @@ class ImageServer:
 
     async def _show(self, frame: ServedFrame) -> None:
         """Send a frame to the browsers; it is encoded once."""
-        picture = await self._loop.run_in_executor(None, jpeg, frame)
+        picture = await self._loop.run_in_executor(None, image_clients.jpeg, frame)
         for viewer in self._viewers:
             viewer.offer(picture)
 
@@ -281,14 +272,14 @@ class ImageServer:
                 writer.write_eof()
 
     async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes) -> None:
-        hello = await received(reader, begun)
+        hello = await image_clients.received(reader, begun)
         if hello.type != "hello" or hello.values.get("protocol") != wire.PROTOCOL:
             raise MalformedMessage(f"the first message must be a hello with the protocol {wire.PROTOCOL}")
         if self._setup.secret is not None:
             await self._authenticate(self._setup.secret, reader, writer)
         writer.write(wire.message(wire.greeting_header(self._camera.greeting)))
-        await drained(writer)
-        client = Client(writer, self._changed)
+        await image_clients.drained(writer)
+        client = image_clients.Client(writer, self._changed)
         self._clients.add(client)
         try:
             await _first_ended(client.send_frames(), self._answer_requests(client, reader))
@@ -298,23 +289,23 @@ class ImageServer:
     async def _authenticate(self, secret: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         nonce = secrets.token_hex(16)
         writer.write(wire.message({"type": "challenge", "nonce": nonce}))
-        await drained(writer)
-        answer = await received(reader)
+        await image_clients.drained(writer)
+        answer = await image_clients.received(reader)
         expected = wire.challenge_answer(secret, nonce)
         if answer.type != "proof" or not secrets.compare_digest(answer.text("proof").encode(), expected.encode()):
             raise MalformedMessage("the shared secret is wrong")
 
-    async def _answer_requests(self, client: Client, reader: asyncio.StreamReader) -> None:
+    async def _answer_requests(self, client: image_clients.Client, reader: asyncio.StreamReader) -> None:
         while True:
             begun = await reader.readexactly(1)  # between messages a client may be silent
-            request = wire.request_in(await received(reader, begun))
+            request = wire.request_in(await image_clients.received(reader, begun))
             answer = self._answer(client, request)
             if answer is not None:
                 client.writer.write(wire.message(answer))
-                await drained(client.writer)
+                await image_clients.drained(client.writer)
             self._changed.set()
 
-    def _answer(self, client: Client, request: wire.Request) -> Mapping[str, Any] | None:
+    def _answer(self, client: image_clients.Client, request: wire.Request) -> Mapping[str, Any] | None:
         """Carry out a request; None if it needs no answer."""
         if isinstance(request, wire.Subscribe | wire.Unsubscribe):
             client.subscribe(request)
@@ -328,20 +319,24 @@ class ImageServer:
 
     async def _serve_browser(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer a request for the stream, or for the page that shows it."""
-        request = await browser_request(reader)
+        request = await image_clients.browser_request(reader)
         # A page from elsewhere could reach a loopback address under a name of its own.
-        if is_loopback(self._setup.host) and not is_loopback(request.host):
-            writer.write(http("403 Forbidden", "text/plain", b"address this server as 127.0.0.1 or localhost\n"))
+        if image_clients.is_loopback(self._setup.host) and not image_clients.is_loopback(request.host):
+            writer.write(
+                image_clients.http("403 Forbidden", "text/plain", b"address this server as 127.0.0.1 or localhost\n")
+            )
         elif not self._is_admitted(request.token):
-            writer.write(http("403 Forbidden", "text/plain", b"the token is wrong\n"))
+            writer.write(image_clients.http("403 Forbidden", "text/plain", b"the token is wrong\n"))
         elif request.path == "/":
             query = "" if self._setup.secret is None else f"?token={request.token}"
-            writer.write(http("200 OK", "text/html", f'<!DOCTYPE html><img src="/stream.mjpg{query}">'.encode()))
+            writer.write(
+                image_clients.http("200 OK", "text/html", f'<!DOCTYPE html><img src="/stream.mjpg{query}">'.encode())
+            )
         elif request.path == "/stream.mjpg":
             await self._stream(reader, writer)
         else:
-            writer.write(http("404 Not Found", "text/plain", b"there are / and /stream.mjpg\n"))
-        await drained(writer)
+            writer.write(image_clients.http("404 Not Found", "text/plain", b"there are / and /stream.mjpg\n"))
+        await image_clients.drained(writer)
         writer.close()
         await writer.wait_closed()
 
@@ -350,7 +345,7 @@ class ImageServer:
         return secret is None or secrets.compare_digest(token.encode(), wire.stream_token(secret).encode())
 
     async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        viewer = Viewer(writer)
+        viewer = image_clients.Viewer(writer)
         self._viewers.add(viewer)
         self._changed.set()
         try:

@@ -15,14 +15,7 @@ import numpy as np
 
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of
 from ringpose.calibrate.planes.joint_adjustment import corner_rows, stripe_rows, stripes_of
-from ringpose.calibrate.planes.recheck.board_check import (
-    FLATNESS_M,
-    SIGMAS,
-    RigCheck,
-    board_measurements,
-    rig_check,
-    rig_check_lines,
-)
+from ringpose.calibrate.planes.recheck import board_check
 from ringpose.calibrate.planes.stripes.errors import line_modes
 from ringpose.errors import DataError
 from ringpose.estimate.nuisance import FOCAL_RATIO
@@ -141,11 +134,11 @@ class BoardRecheck(RigRecheck):
         """`median_board_rms_px` is the corner rms of the rig's calibration, if it is known."""
         super().__init__(rig, RigEvidence(rig, rig.stability, left_out=0))
         self._median_board_rms_px = median_board_rms_px
-        self._checks: list[RigCheck] = []
+        self._checks: list[board_check.RigCheck] = []
 
     def add(self, view: StripeView) -> None:
         """Check the rig by a view; the view is evidence about the planes unless its corners miss the board."""
-        check = rig_check(view, self.rig, self._median_board_rms_px)
+        check = board_check.rig_check(view, self.rig, self._median_board_rms_px)
         self._checks.append(check)
         if check.board_rms_px <= check.board_limit_px:
             self._add(board_evidence(view, self.rig))
@@ -157,7 +150,9 @@ class BoardRecheck(RigRecheck):
 
     def summary(self, *, good_too: bool) -> list[str]:
         """Lines of text about each view."""
-        return [line for check in self._checks if good_too or not check.holds for line in rig_check_lines(check)]
+        return [
+            line for check in self._checks if good_too or not check.holds for line in board_check.rig_check_lines(check)
+        ]
 
     def moved_lasers(self) -> list[int]:
         """The lasers whose light planes have moved."""
@@ -210,12 +205,12 @@ class StreamRecheck(RigRecheck):
 
 def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
     """What a view of a board shows about camera and light planes, with the board's pose and unevenness eliminated."""
-    data, state, _ = board_measurements(view, rig)
+    data, state, _ = board_check.board_measurements(view, rig)
     blocks = [corner_rows(data, state, 0)]
     for laser, stripe in stripes_of(data, state, 0):
         rows = stripe_rows(data, 0, laser, stripe)
         # An uneven board shifts and turns the stripe's line: two more unknowns, of this standard deviation each.
-        uneven_px = FLATNESS_M / SIGMAS / float(stripe.metres_per_pixel.mean())
+        uneven_px = board_check.FLATNESS_M / board_check.SIGMAS / float(stripe.metres_per_pixel.mean())
         modes = uneven_px * line_modes(data.views[0].stripes_px[laser]).T / data.center_px[0][laser]
         blocks.append(_reduced(np.vstack([np.eye(2, 2 + rows.shape[1]), np.hstack([modes, rows])]), 2))
     reduced = _reduced(np.concatenate(blocks), 6)  # without the board's pose
