@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Any
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
@@ -11,8 +11,8 @@ from ringpose.files.io import read_bytes
 from ringpose.files.records.codec import Context, RecordType, definition_of
 from ringpose.files.schema import BOARD, Fields
 from ringpose.files.yaml import read_yaml, write_yaml
-from ringpose.geometry.board import marker_dictionary
-from ringpose.types.board import MAX_SQUARES, Board, BoardKind
+from ringpose.geometry.board import LAYOUTS, marker_dictionary
+from ringpose.types.board import MAX_SQUARES, Board
 
 RECORD = RecordType(
     cls=Board,
@@ -21,18 +21,6 @@ RECORD = RecordType(
     is_file=True,
     strict=True,
 )
-
-REQUIRED = {
-    "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),
-    "chessboard": ("squares_x", "squares_y", "square_m"),
-    "four_markers": ("width_m", "height_m", "marker_m", "margin_m", "dictionary"),
-    "aruco_grid": ("squares_x", "squares_y", "marker_m", "gap_m", "dictionary"),
-    "asymmetric_circles": ("squares_x", "squares_y", "spacing_m"),
-}
-"""Required keys of each kind of board."""
-
-MIN_COUNT = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
-"""Minimum number of squares, markers or circles a side."""
 
 
 def read_board(path: Path) -> Board:
@@ -52,13 +40,17 @@ def read_board(path: Path) -> Board:
 
 def board_of(fields: Fields) -> Board:
     """The board in a mapping of a board file or scene."""
-    kind = fields.choice("kind", get_args(BoardKind))
-    for key in REQUIRED[kind]:
-        fields.raw(key)
+    kind: Any = fields.choice("kind", LAYOUTS)
+    layout = LAYOUTS[kind]
+    for alternatives in layout.keys:
+        given = list(filter(fields.has, alternatives))
+        if len(given) > 1:
+            raise fields.problem(given[1], f"is given beside {given[0]}", "give the one that you have measured")
+        fields.raw(given[0] if given else alternatives[0])
     if fields.has("ringpose"):
         fields.choice("ringpose", ("board/1",))
     for key in ("squares_x", "squares_y"):
-        fields.optional(key, lambda key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES))
+        fields.optional(key, lambda key: fields.integer(key, least=layout.min_count, most=MAX_SQUARES))
     board = definition_of(Board).read(fields, Context())
     _check_fit(fields, board)
     return board
@@ -71,9 +63,13 @@ def write_board(path: Path, board: Board, *, force: bool = False) -> None:
 
 
 def _check_fit(fields: Fields, board: Board) -> None:
+    own, every = (
+        {key for layout in layouts for keys in (*layout.keys, layout.optional) for key in keys}
+        for layouts in ([LAYOUTS[board.kind]], LAYOUTS.values())
+    )
+    for key in filter(fields.has, sorted(every - own)):
+        raise fields.problem(key, f"does not belong to a board of the kind {board.kind}", "leave it out")
     marker_m = board.marker_m or 0.0
-    if board.square_y_m is not None and board.kind != "chessboard":
-        raise fields.problem("square_y_m", "is allowed only for a chessboard: markers are square")
     if board.square_m is not None and marker_m >= board.square_m:
         raise fields.problem("marker_m", f"is {marker_m:g}, must be smaller than square_m")
     if board.width_m is not None and board.height_m is not None:

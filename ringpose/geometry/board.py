@@ -6,14 +6,16 @@ from the marker's top left.
 """
 
 import math
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, UInt8
-from ringpose.types.board import Board
+from ringpose.types.board import Board, BoardKind
 
 _FIRST = np.array([1.0, 1.0, 0.0])
 """Position of the first corner or circle, in squares or spacings."""
@@ -50,45 +52,22 @@ def _custom_dictionary(marker_bits: tuple[str, ...]) -> cv2.aruco.Dictionary:
 
 def marker_count(board: Board) -> int:
     """Number of markers on the board; zero for boards without markers."""
-    if board.kind == "four_markers":
-        return 4
-    squares = (board.squares_x or 0) * (board.squares_y or 0)
-    if board.kind == "aruco_grid":
-        return squares
-    return squares // 2 if board.kind == "charuco" else 0
+    return len(marker_corners(board)) if board.dictionary else 0
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:
     """All the board's corners (or circle centres) in metres, in the order of their numbers."""
-    columns, rows = board.squares_x or 0, board.squares_y or 0
-    corners: Float64[Array, "corner xyz=3"]
-    if board.kind in ("chessboard", "charuco"):
-        corners = np.array([*board.square_size_m, 0.0]) * (_lattice(columns - 1, rows - 1) + _FIRST)
-        return corners
-    if board.kind == "asymmetric_circles":  # as in OpenCV: circles of a row two spacings apart, odd rows shifted by one
-        lattice = _lattice(columns, rows)
-        lattice[:, 0] = 2 * lattice[:, 0] + lattice[:, 1] % 2
-        corners = (board.spacing_m or 0.0) * (lattice + _FIRST)
-        return corners
-    return marker_corners(board).reshape(-1, 3)
+    return LAYOUTS[board.kind].corners(board)
 
 
 def marker_corners(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
-    """The corners of the board's markers in metres, clockwise from the top left; none on a plain chessboard."""
-    side, lattice = board.marker_m or 0.0, _lattice(board.squares_x or 0, board.squares_y or 0)
-    if board.kind == "four_markers":  # clockwise from the top left, each `margin_m` inside the outline
-        left = top = board.margin_m or 0.0
-        right, bottom = (board.width_m or 0.0) - left - side, (board.height_m or 0.0) - top - side
-        origins = np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
-    elif board.kind == "aruco_grid":
-        origins = (side + (board.gap_m or 0.0)) * lattice
-    elif board.kind == "charuco":  # one in the middle of each white square, row by row
-        lattice = lattice[[is_white(int(x), int(y), board) for x, y, _ in lattice]]
-        rim = ((board.square_m or 0.0) - side) / 2
-        origins = (board.square_m or 0.0) * lattice + [rim, rim, 0.0]
-    else:
-        return np.empty((0, 4, 3))
-    return origins[:, None] + side * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    """The corners of the board's markers in metres, clockwise from the top left; none on a board without markers."""
+    return LAYOUTS[board.kind].markers(board)
+
+
+def outline_m(board: Board) -> tuple[float, float]:
+    """Width and height of the board's printed face in metres."""
+    return LAYOUTS[board.kind].outline_m(board)
 
 
 def is_white(column: int, row: int, board: Board) -> bool:
@@ -97,71 +76,199 @@ def is_white(column: int, row: int, board: Board) -> bool:
     return (column + row) % 2 == (0 if legacy_white else 1)
 
 
-def _lattice(columns: int, rows: int) -> Float64[Array, "point xyz=3"]:
+def _lattice(columns: int | None, rows: int | None) -> Float64[Array, "point xyz=3"]:
     """Points (column, row, 0), row by row."""
-    row, column = np.mgrid[0:rows, 0:columns]
+    row, column = np.mgrid[0 : rows or 0, 0 : columns or 0]
     return np.stack([column.ravel(), row.ravel(), np.zeros(row.size)], axis=1).astype(np.float64)
 
 
-def outline_m(board: Board) -> tuple[float, float]:
-    """Width and height of the board's printed face in metres."""
-    if board.kind == "four_markers":
-        return board.width_m or 0.0, board.height_m or 0.0
-    columns, rows = board.squares_x or 0, board.squares_y or 0
-    if board.kind == "aruco_grid":
-        marker, gap = board.marker_m or 0.0, board.gap_m or 0.0
-        return columns * marker + (columns - 1) * gap, rows * marker + (rows - 1) * gap
-    if board.kind == "asymmetric_circles":
-        spacing = board.spacing_m or 0.0
-        return (2 * columns + 1) * spacing, (rows + 1) * spacing
+def _squares_at(origins: Float64[Array, "square xyz=3"], side_m: float) -> Float64[Array, "square corner=4 xyz=3"]:
+    """The corners of upright squares, clockwise from the top left, where that is given."""
+    return origins[:, None] + side_m * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+
+
+# The corners and markers of each kind of board
+
+
+def _inner_corners(board: Board) -> Float64[Array, "corner xyz=3"]:
+    corners: Float64[Array, "corner xyz=3"] = np.array([*board.square_size_m, 0.0]) * (
+        _lattice((board.squares_x or 1) - 1, (board.squares_y or 1) - 1) + _FIRST
+    )
+    return corners
+
+
+def _asymmetric_centers(board: Board) -> Float64[Array, "circle xyz=3"]:
+    """As in OpenCV: circles of a row two spacings apart, odd rows shifted by one."""
+    lattice = _lattice(board.squares_x, board.squares_y)
+    lattice[:, 0] = 2 * lattice[:, 0] + lattice[:, 1] % 2
+    return board.circle_spacing_m * (lattice + _FIRST)
+
+
+def _corners_of_markers(board: Board) -> Float64[Array, "corner xyz=3"]:
+    return marker_corners(board).reshape(-1, 3)
+
+
+def _no_markers(_: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+    return np.empty((0, 4, 3))
+
+
+def _charuco_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+    """One in the middle of each white square, row by row."""
+    square, side = board.square_m or 0.0, board.marker_m or 0.0
+    white = [
+        point for point in _lattice(board.squares_x, board.squares_y) if is_white(int(point[0]), int(point[1]), board)
+    ]
+    rim = (square - side) / 2
+    return _squares_at(square * np.reshape(white, (-1, 3)) + [rim, rim, 0.0], side)
+
+
+def _four_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+    """Clockwise from the top left, each `margin_m` inside the outline."""
+    side, left = board.marker_m or 0.0, board.margin_m or 0.0
+    right, bottom = (board.width_m or 0.0) - left - side, (board.height_m or 0.0) - left - side
+    origins = np.array([[left, left, 0.0], [right, left, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
+    return _squares_at(origins, side)
+
+
+def _grid_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+    side = board.marker_m or 0.0
+    return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
+
+
+# The outline of each kind of board
+
+
+def _squares_outline(board: Board) -> tuple[float, float]:
     width, height = board.square_size_m
-    return columns * width, rows * height
+    return (board.squares_x or 0) * width, (board.squares_y or 0) * height
+
+
+def _grid_outline(board: Board) -> tuple[float, float]:
+    marker, gap = board.marker_m or 0.0, board.gap_m or 0.0
+    columns, rows = board.squares_x or 0, board.squares_y or 0
+    return columns * marker + (columns - 1) * gap, rows * marker + (rows - 1) * gap
+
+
+def _circles_outline(board: Board) -> tuple[float, float]:
+    """One spacing beyond the outermost centres."""
+    width, height = corner_points(board)[:, :2].max(axis=0) + board.circle_spacing_m
+    return float(width), float(height)
+
+
+def _given_outline(board: Board) -> tuple[float, float]:
+    return board.width_m or 0.0, board.height_m or 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """What distinguishes a kind of board."""
+
+    pattern: Literal["chessboard", "charuco", "markers", "circles"]
+    """What is searched in an image."""
+    keys: tuple[tuple[str, ...], ...]
+    """The keys of its board file: of each tuple exactly one must be there."""
+    optional: tuple[str, ...] = ()
+    """Further sizes in its board file."""
+    min_count: int = 1
+    """Minimum number of squares, markers or circles a side."""
+    corners: Callable[[Board], Float64[Array, "corner xyz=3"]] = _corners_of_markers
+    markers: Callable[[Board], Float64[Array, "marker corner=4 xyz=3"]] = _no_markers
+    outline_m: Callable[[Board], tuple[float, float]]
+
+
+_COUNTS = (("squares_x",), ("squares_y",))
+
+LAYOUTS: Mapping[BoardKind, Layout] = {
+    "charuco": Layout(
+        pattern="charuco",
+        keys=(*_COUNTS, ("square_m",), ("marker_m",), ("dictionary",)),
+        min_count=2,
+        corners=_inner_corners,
+        markers=_charuco_markers,
+        outline_m=_squares_outline,
+    ),
+    "chessboard": Layout(
+        pattern="chessboard",
+        keys=(*_COUNTS, ("square_m",)),
+        optional=("square_y_m",),
+        min_count=4,
+        corners=_inner_corners,
+        outline_m=_squares_outline,
+    ),
+    "four_markers": Layout(
+        pattern="markers",
+        keys=(("width_m",), ("height_m",), ("marker_m",), ("margin_m",), ("dictionary",)),
+        markers=_four_markers,
+        outline_m=_given_outline,
+    ),
+    "aruco_grid": Layout(
+        pattern="markers",
+        keys=(*_COUNTS, ("marker_m",), ("gap_m",), ("dictionary",)),
+        markers=_grid_markers,
+        outline_m=_grid_outline,
+    ),
+    "asymmetric_circles": Layout(
+        pattern="circles",
+        keys=(*_COUNTS, ("spacing_m", "spacing_in_row_m", "spacing_diagonal_m")),
+        min_count=2,
+        corners=_asymmetric_centers,
+        outline_m=_circles_outline,
+    ),
+}
+"""The kinds of boards."""
+
+
+class _Block(NamedTuple):
+    """A printed rectangle of cells."""
+
+    left_m: float
+    top_m: float
+    cell_m: tuple[float, float]
+    """Width and height of a cell."""
+    white: UInt8[Array, "cell_y cell_x"]
 
 
 def board_print(
     board: Board,
 ) -> tuple[Float64[Array, "line_x"], Float64[Array, "line_y"], UInt8[Array, "cell_y cell_x"]]:
     """Lines along x and y at which the print may change, and which of the cells between and outside them are black."""
-    width_m, height_m = outline_m(board)
-    bits = _marker_bits(board)
-    origins_m = marker_corners(board)[:, 0, :2] if len(bits) else np.empty((0, 2))
-    bit_m = (board.marker_m or 0.0) / bits.shape[1]
-    within_m = bit_m * np.arange(bits.shape[1] + 1)
-    lines = [
-        np.append((origins_m[:, [axis]] + within_m).ravel(), [0.0, length_m])
-        for axis, length_m in enumerate((width_m, height_m))
-    ]
-    if board.square_m is not None:
-        counts = (board.squares_x or 0, board.squares_y or 0)
-        lines = [
-            np.append(positions, side_m * np.arange(count + 1))
-            for positions, side_m, count in zip(lines, board.square_size_m, counts, strict=True)
-        ]
-    print_x, print_y = (np.unique(positions.round(12)) for positions in lines)
-    middle_x, middle_y = ((positions[1:] + positions[:-1]) / 2 for positions in (print_x, print_y))
+    blocks = [*_black_squares(board), *_printed_markers(board)]
+    lines = []
+    for axis, length_m in enumerate(outline_m(board)):
+        edges = [block[axis] + block.cell_m[axis] * np.arange(block.white.shape[1 - axis] + 1) for block in blocks]
+        lines.append(np.unique(np.concatenate([*edges, [0.0, length_m]]).round(12)))
+    print_x, print_y = lines
+    middle_x, middle_y = ((positions[1:] + positions[:-1]) / 2 for positions in lines)
     black = np.zeros((len(print_y) + 1, len(print_x) + 1), dtype=np.uint8)
-    if board.square_m is not None:
-        columns, rows = (
-            np.floor(middle / side).astype(int)
-            for middle, side in zip((middle_x, middle_y), board.square_size_m, strict=True)
+    for left_m, top_m, cell_m, white in blocks:
+        column, row = (middle_x - left_m) / cell_m[0], (middle_y - top_m) / cell_m[1]
+        across, down = (
+            np.flatnonzero((place > 0) & (place < count))
+            for place, count in ((column, white.shape[1]), (row, white.shape[0]))
         )
-        squares = np.array([[not is_white(x, y, board) for x in range(counts[0])] for y in range(counts[1])])
-        black[1:-1, 1:-1] = squares[rows[:, None], columns]
-    for (x_m, y_m), marker in zip(origins_m, bits, strict=True):
-        column, row = ((middle - start) / bit_m for middle, start in ((middle_x, x_m), (middle_y, y_m)))
-        across, down = (np.flatnonzero((place > 0) & (place < len(marker))) for place in (column, row))
-        pattern = marker[row[down].astype(int)[:, None], column[across].astype(int)]
+        pattern = white[row[down].astype(int)[:, None], column[across].astype(int)]
         black[1 + down[:, None], 1 + across] = 1 - pattern
     return print_x, print_y, black
 
 
-def _marker_bits(board: Board) -> UInt8[Array, "marker bit_y bit_x"]:
-    """Whether each cell of each marker, including its black border, is white."""
-    count = 0 if board.marker_m is None else len(marker_corners(board))
-    if count == 0:
-        return np.zeros((0, 1, 1), dtype=np.uint8)
+def _black_squares(board: Board) -> Iterator[_Block]:
+    """The black squares of a chessboard or ChArUco board."""
+    if LAYOUTS[board.kind].corners is not _inner_corners:
+        return
+    size_m = board.square_size_m
+    for column, row, _ in _lattice(board.squares_x, board.squares_y):
+        if not is_white(int(column), int(row), board):
+            yield _Block(column * size_m[0], row * size_m[1], size_m, np.zeros((1, 1), dtype=np.uint8))
+
+
+def _printed_markers(board: Board) -> Iterator[_Block]:
+    """The markers with their black borders."""
+    if not (count := marker_count(board)):
+        return
     aruco: Any = cv2.aruco
     dictionary = marker_dictionary(board)
     size = dictionary.markerSize + 2
-    markers = [aruco.generateImageMarker(dictionary, number, size) for number in range(count)]
-    return (np.stack(markers) > 127).astype(np.uint8)
+    cell_m = (board.marker_m or 0.0) / size
+    for number, (left_m, top_m, _) in zip(range(count), marker_corners(board)[:, 0], strict=True):
+        white = (aruco.generateImageMarker(dictionary, number, size) > 127).astype(np.uint8)
+        yield _Block(left_m, top_m, (cell_m, cell_m), white)

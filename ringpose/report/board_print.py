@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.geometry.board import board_print, corner_points, outline_m
+from ringpose.geometry.board import LAYOUTS, board_print, corner_points, outline_m
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
@@ -84,9 +84,9 @@ def board_drawing(board: Board) -> BoardDrawing:
     down, numbers_y = _ruler(origin_m[1], origin_m[0] - RIM_M, height_m)
     shift = np.array([*origin_m, 0.0, 0.0])
     circles_m = np.empty((0, 3))
-    if board.kind == "asymmetric_circles":
+    if LAYOUTS[board.kind].pattern == "circles":
         centers_m = corner_points(board)[:, :2] + origin_m
-        circles_m = np.column_stack([centers_m, np.full(len(centers_m), CIRCLE_SHARE * (board.spacing_m or 0.0) / 2)])
+        circles_m = np.column_stack([centers_m, np.full(len(centers_m), CIRCLE_SHARE * board.circle_spacing_m / 2)])
     upright = np.column_stack([down[:, 1] - down[:, 3], down[:, 0], down[:, 3], down[:, 2]])
     names = tuple(
         Label(x_m=origin_m[0] - RIM_M - 0.0125, y_m=number.x_m + _LETTERS_M, text=number.text) for number in numbers_y
@@ -130,8 +130,8 @@ def _description(board: Board, page: str, page_m: tuple[float, float]) -> str:
     """A line of text with the board's kind and sizes; the rulers show whether the print has another scale."""
     sizes = {
         key.removesuffix("_m"): f"{1e3 * value:g} mm"
-        for key in ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
-        if (value := getattr(board, key)) is not None
+        for key in Board.__slots__
+        if key.endswith("_m") and (value := getattr(board, key)) is not None
     }
     counts = f" {board.squares_x} x {board.squares_y}" if board.squares_x else ""
     text = ", ".join([f"{board.kind}{counts}", *([board.dictionary] if board.dictionary else [])])

@@ -3,6 +3,7 @@
 Board frame: origin at the top-left outer corner, x right, y down, z into the board.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -40,7 +41,25 @@ class Board:
     ] = None
     marker_m: Annotated[float | None, _length("Side of a marker.", plausible.MARKER_M)] = None
     gap_m: Annotated[float | None, _length("Gap between markers.", plausible.MARKER_M)] = None
-    spacing_m: Annotated[float | None, _length("Distance of neighbouring circles.", plausible.SQUARE_M)] = None
+    spacing_m: Annotated[
+        float | None,
+        _length(
+            "Distance of the rows of circles, from centre to centre: of `asymmetric_circles` half the distance of "
+            "neighbours in a row.",
+            plausible.SQUARE_M,
+        ),
+    ] = None
+    spacing_in_row_m: Annotated[
+        float | None,
+        _length("Instead of it: distance of neighbours in a row of `asymmetric_circles`.", plausible.SQUARE_M),
+    ] = None
+    spacing_diagonal_m: Annotated[
+        float | None,
+        _length(
+            "Instead of it: distance of a circle of `asymmetric_circles` from the nearest ones, in the next row.",
+            plausible.SQUARE_M,
+        ),
+    ] = None
     width_m: Annotated[float | None, _length("Width of the board.", plausible.BOARD_M)] = None
     height_m: Annotated[float | None, _length("Height of the board.", plausible.BOARD_M)] = None
     margin_m: Annotated[float | None, _length("Distance of the markers from its border.", plausible.MARGIN_M)] = None
@@ -71,6 +90,13 @@ class Board:
         """Width and height of a square; zero if the board has none."""
         width_m = self.square_m or 0.0
         return width_m, self.square_y_m or width_m
+
+    @property
+    def circle_spacing_m(self) -> float:
+        """Distance of the rows of circles, by whichever of the three keys gives it; zero if the board has none."""
+        if self.spacing_in_row_m is not None:
+            return self.spacing_in_row_m / 2
+        return self.spacing_m or (self.spacing_diagonal_m or 0.0) / math.sqrt(2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,8 +1,10 @@
+import numpy as np
 import pytest
 import yaml
 
 from ringpose.errors import DataError
 from ringpose.files.boards import read_board, write_board
+from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board
 
 SIZES = {"squares_x": 11, "squares_y": 8, "square_m": 0.025, "marker_m": 0.018}
@@ -42,7 +44,7 @@ def test_board_is_read_as_it_was_written(tmp_path, board):
         ({"dictionary": None}, "dictionary: is null, must have a value"),
         ({"legacy_pattern": "yes"}, "legacy_pattern: is the text 'yes', must be true or false"),
         ({"squre_m": 0.02}, "unknown key 'squre_m'; did you mean 'square_m'?"),
-        ({"square_y_m": 0.026}, "square_y_m: is allowed only for a chessboard"),
+        ({"square_y_m": 0.026}, "square_y_m: does not belong to a board of the kind charuco"),
         *(({key: None}, f"{key}: is null, must have a value") for key in SIZES),
     ],
 )
@@ -53,6 +55,41 @@ def test_an_invalid_board_is_rejected(tmp_path, changes, finding):
         read_board(tmp_path / "board.yaml")
 
     assert str(caught.value).startswith(f"{tmp_path / 'board.yaml'}: {finding}")
+
+
+CIRCLES = {"kind": "asymmetric_circles", "squares_x": 4, "squares_y": 11}
+
+
+@pytest.mark.parametrize("key", ["spacing_m", "spacing_in_row_m", "spacing_diagonal_m"])
+def test_each_convention_of_asymmetric_circles_gives_the_distances_that_it_names(tmp_path, key):
+    """Closed form: the second row is shifted by half the distance in a row; the diagonal is at 45 degrees."""
+    (tmp_path / "board.yaml").write_text(yaml.safe_dump(CIRCLES | {key: 0.03}))
+
+    first, second, *_ = rows = corner_points(read_board(tmp_path / "board.yaml")).reshape(11, 4, 3)
+
+    distance_m = {
+        "spacing_m": second[0, 1] - first[0, 1],
+        "spacing_in_row_m": first[1, 0] - first[0, 0],
+        "spacing_diagonal_m": np.linalg.norm(second[0] - first[0]),
+    }
+    assert distance_m[key] == pytest.approx(0.03, rel=1e-12)
+    assert distance_m["spacing_in_row_m"] == pytest.approx(2 * distance_m["spacing_m"], rel=1e-12)
+    assert np.ptp(rows[..., 1]) == pytest.approx(10 * distance_m["spacing_m"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "finding"),
+    [
+        ({"spacing_m": 0.02, "spacing_in_row_m": 0.04}, "spacing_in_row_m: is given beside spacing_m; give the one"),
+        ({}, "has no key 'spacing_m'"),
+        ({"spacing_diagonal_m": 20}, "spacing_diagonal_m: is 20, must be 0.0005 to 1; give metres"),
+    ],
+)
+def test_a_circle_grid_has_one_spacing(tmp_path, sizes, finding):
+    (tmp_path / "board.yaml").write_text(yaml.safe_dump(CIRCLES | sizes))
+
+    with pytest.raises(DataError, match=finding):
+        read_board(tmp_path / "board.yaml")
 
 
 def test_markers_wider_than_the_board_are_rejected(tmp_path):

@@ -11,7 +11,7 @@ from ringpose.calibrate.boards.patterns.chessboard import Grid
 from ringpose.calibrate.boards.patterns.circles import brightened
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage, reduced
 from ringpose.calibrate.boards.patterns.markers import Markers, find_markers
-from ringpose.geometry.board import marker_corners, marker_dictionary
+from ringpose.geometry.board import LAYOUTS, marker_corners, marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
@@ -110,7 +110,7 @@ def hopeless(grey: GreyImage, board: Board) -> NoBoard | None:
     if contrast < max(MIN_CONTRAST_DN, MIN_CONTRAST_SIGMAS * noise):
         finding = f"blocks of {CONTRAST_BLOCK_PX} x {CONTRAST_BLOCK_PX} pixels differ by {contrast:.0f} of 255"
         return unusable(grey) or NoBoard(failure=BoardFailure.NO_CONTRAST, finding=finding)
-    if board.kind not in ("chessboard", "asymmetric_circles"):
+    if LAYOUTS[board.kind].pattern not in ("chessboard", "circles"):
         return None
     long, short = sorted((board.squares_x or 1, board.squares_y or 1), reverse=True)
     square_px = min(max(grey.shape) / long, min(grey.shape) / short)

@@ -106,6 +106,7 @@ def camera_summary(assessment: CameraAssessment, verdict: Verdict) -> list[str]:
         f"{len(calibration.used)} of {len(calibration.views)} views used, rms {calibration.rms_px:.3f} px, "
         f"corners {calibration.sigma_px:.3f} px"
     )
+    lines.append(_scale_line(assessment))
     camera, deviations = calibration.camera, calibration.standard_deviations
     values = dict(zip(deviations, parameters_of(camera).tolist(), strict=True))
     pinhole = ", ".join(f"{name} {values[name]:.2f} ± {deviations[name]:.2f}" for name in CAMERA_PARAMETERS[:4])
@@ -121,6 +122,15 @@ def camera_summary(assessment: CameraAssessment, verdict: Verdict) -> list[str]:
     if assessment.comparison is not None:
         lines += _comparison_lines(assessment.comparison)
     return lines + verdict_lines(verdict)
+
+
+def _scale_line(assessment: CameraAssessment) -> str:
+    """Size and distances of the board as they follow from the board file: no residual shows a wrong scale."""
+    corners_m = np.concatenate([view.board.points_board_m for view in assessment.calibration.views])
+    width_m, height_m = np.ptp(corners_m[:, :2], axis=0)
+    near_m, far_m = min(assessment.coverage.distance_m), max(assessment.coverage.distance_m)
+    size = f"{1e3 * width_m:.1f} x {1e3 * height_m:.1f} mm from the first to the last corner"
+    return f"by the board file: {size}, seen from {near_m:.3g} to {far_m:.3g} m; measure both"
 
 
 def _comparison_lines(comparison: ModelComparison) -> list[str]:

@@ -19,14 +19,12 @@ from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
 from ringpose.calibrate.planes.stripes.extraction import stripe_view, triangulated
 from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
 from ringpose.errors import DataError, UsageError
+from ringpose.geometry.board import LAYOUTS
 from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView, Verdict
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import Camera, LaserPlanes, ParameterCovariance
-
-MARKER_BOARDS = ("four_markers", "aruco_grid")
-"""Boards whose corners are those of single markers, as the paper's method needs them."""
 
 _SIGMA_ROUNDS = 5
 """Maximum number of re-estimations of the corners' standard deviations."""
@@ -93,7 +91,7 @@ class StripeShots:
             remedies = [*Verdict(findings=board).advice, *([error.remedy] if error.remedy else [])]
             raise DataError(error.location, error.finding, "; ".join(remedies)) from error
         paper = None
-        if model.method is not PlanesMethod.PAPER and self.boards.board.kind in MARKER_BOARDS:
+        if model.method is not PlanesMethod.PAPER and _has_single_markers(self.boards.board):
             with suppress(DataError):
                 paper = calibrate_planes(self.views, self.camera, replace(model, method=PlanesMethod.PAPER))
         return PlanesAssessment(
@@ -124,8 +122,13 @@ def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: 
     if free_camera and camera.covariance is None:
         finding = "the camera has no covariance"
         raise UsageError("--free-camera", finding, "leave it out, or give a camera.yaml of ringpose calibrate-camera")
-    if method is PlanesMethod.PAPER and board.kind not in MARKER_BOARDS:
+    if method is PlanesMethod.PAPER and not _has_single_markers(board):
         raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
+
+
+def _has_single_markers(board: Board) -> bool:
+    """Whether the corners are those of single markers, as the paper's method needs them."""
+    return LAYOUTS[board.kind].pattern == "markers"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

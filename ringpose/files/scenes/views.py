@@ -10,6 +10,7 @@ import numpy as np
 from ringpose.errors import UsageError
 from ringpose.files.boards import board_of
 from ringpose.files.schema import Fields
+from ringpose.geometry.board import LAYOUTS
 from ringpose.geometry.rotations import facing_normal
 from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
@@ -203,8 +204,8 @@ def _normal(fields: Fields, entry: ViewEntry) -> Float64[Array, "3"]:
 def board_set_of(fields: Fields, entry: BoardSetEntry, lasers: int) -> BoardSet:
     """A board and its views."""
     board = board_of(fields.fields("board"))
-    if board.kind == "asymmetric_circles":
-        raise fields.problem("board.kind", "is 'asymmetric_circles', which is not simulated")
+    if LAYOUTS[board.kind].pattern == "circles":
+        raise fields.problem("board.kind", f"is {board.kind!r}, which is not simulated")
     poses = tuple(
         NamedBoardPose(
             name=view.name,

@@ -13,7 +13,7 @@ from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
-from ringpose.calibrate.camera.quality import camera_verdict
+from ringpose.calibrate.camera.quality import camera_summary, camera_verdict
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, Grade
 
@@ -117,4 +117,7 @@ def test_three_views_of_circles_give_a_plausible_camera(shared_data):
     )
 
     assert assessment.calibration.rms_px < 0.3
-    assert camera_verdict(assessment, 3).grade is Grade.REDO
+    verdict = camera_verdict(assessment, 3)
+    assert verdict.grade is Grade.REDO
+    # 7 circles in each of 13 rows 20 mm apart: (2 * 6 + 1) * 20 and 12 * 20 mm
+    assert any("260.0 x 240.0 mm" in line for line in camera_summary(assessment, verdict))
