@@ -1,5 +1,7 @@
 """A camera that a robot carries in a steady motion, and rings as it sees them; mount and clock may have errors."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from moving_rings import START_S, Motion
@@ -21,14 +23,34 @@ def base_from_tool(time_s: float) -> np.ndarray:
     return matrix
 
 
-def robot(duration_s: float, mount_sd=(0.0, 0.0), delay_sd_s: float = 0.0, offset_s: float = 0.0) -> CameraMotion:
-    """What is known of the camera: the robot's poses, ten a second, and the mount with its standard deviations."""
+def robot(
+    duration_s: float,
+    mount_sd=(0.0, 0.0),
+    delay_sd_s: float = 0.0,
+    offset_s: float = 0.0,
+    robot_sd=(0.0, 0.0),
+    error=None,
+) -> CameraMotion:
+    """What is known of the camera: the robot's poses, ten a second, and the mount with its standard deviations.
+
+    `robot_sd`: those of the robot's poses, and `error` (4 x 4) the one that all of them have, in the tool frame.
+    """
     times_s = np.arange(-0.5, duration_s, 0.1)
     matrices = np.array([base_from_tool(t) for t in times_s])
+    if error is not None:
+        matrices = matrices @ np.linalg.inv(error)
     poses = RobotPoses(stamp_s=START_S + times_s, position_m=matrices[:, :3, 3], rotation=matrices[:, :3, :3])
     root = np.diag([mount_sd[0]] * 3 + [mount_sd[1]] * 3)
     mount = Mount(carrier_from_camera=TOOL_FROM_CAMERA, root=root, delay_s=offset_s, delay_sd_s=delay_sd_s)
+    mount = replace(mount, robot_rotation_sd_rad=robot_sd[0], robot_translation_sd_m=robot_sd[1])
     return CameraMotion(poses=poses, mount=mount)
+
+
+def random_error(rng, sd) -> np.ndarray:
+    """A rigid transform near the identity, whose rotation vector and translation have these standard deviations."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = cv2.Rodrigues(sd[0] * rng.normal(size=3))[0], sd[1] * rng.normal(size=3)
+    return matrix
 
 
 class SeenByRobot:

@@ -25,6 +25,8 @@ from ringpose.types.plausible import (
     DELAY_SD_S,
     MOUNT_M,
     PLANE_DISTANCE_M,
+    ROBOT_SD_M,
+    ROBOT_SD_RAD,
 )
 from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import LaserPlanes, Mount, ParameterCovariance, Rig, camera_parameters, laser_parameters
@@ -89,6 +91,18 @@ class MountEntry:
     ] = 0.0
     delay_sd_s: Annotated[
         float, Key("Standard deviation of the delay.", plausible=DELAY_SD_S, presence=Presence.IF_KNOWN)
+    ] = 0.0
+    robot_rotation_sd_rad: Annotated[
+        float,
+        Key(
+            "Standard deviation of the robot's orientation about each axis, of poses in a frame that needs its poses.",
+            plausible=ROBOT_SD_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = 0.0
+    robot_translation_sd_m: Annotated[
+        float,
+        Key("The same of its position along each axis.", plausible=ROBOT_SD_M, presence=Presence.IF_KNOWN),
     ] = 0.0
 
 
@@ -289,6 +303,8 @@ def _mount_entry(mount: Mount) -> MountEntry:
         covariance=mount.root @ mount.root.T if mount.root.any() else None,
         delay_s=mount.delay_s,
         delay_sd_s=mount.delay_sd_s,
+        robot_rotation_sd_rad=mount.robot_rotation_sd_rad,
+        robot_translation_sd_m=mount.robot_translation_sd_m,
     )
 
 
@@ -337,4 +353,6 @@ def _mount(fields: Fields, entry: MountEntry) -> Mount:
         root=axes * np.sqrt(np.maximum(variance, 0.0)),
         delay_s=entry.delay_s,
         delay_sd_s=entry.delay_sd_s,
+        robot_rotation_sd_rad=entry.robot_rotation_sd_rad,
+        robot_translation_sd_m=entry.robot_translation_sd_m,
     )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.ring import CameraDisplacements, rotation_by
-from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector
+from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector, skew
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
@@ -32,7 +32,10 @@ class CameraState(NamedTuple):
     velocity_m_s: Float64[Array, "xyz=3"]
     rate_rad_s: Float64[Array, "xyz=3"]
     displacement_root: Float64[Array, "6 error"]
-    """What independent errors of unit variance move the camera by: rotation vector (rad), translation (m)."""
+    """What independent errors of unit variance move the camera by: rotation vector (rad), translation (m).
+
+    The first are those of `MOUNT_PARAMETERS`; those of the robot's poses follow.
+    """
 
     @property
     def base_from_camera(self) -> Float64[Array, "4 4"]:
@@ -68,16 +71,19 @@ class CameraMotion:
         mount = self.mount
         in_carrier = mount.carrier_from_camera
         if self.is_at_rest:
-            root = np.pad(mount.root, ((0, 0), (0, 1)))
+            root = np.pad(mount.root, ((0, 0), (0, len(MOUNT_PARAMETERS) - 6)))
             return CameraState(in_carrier[:3, :3], in_carrier[:3, 3], np.zeros(3), np.zeros(3), root)
         tool = self._tool_at(stamp_s)
         if tool is None:
             return None
         lever_m = tool.rotation @ in_carrier[:3, 3]
         velocity = tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m)
-        root = np.zeros((6, 7))
-        root[:3, :6], root[3:, :6] = tool.rotation @ mount.root[:3], tool.rotation @ mount.root[3:]
-        root[:3, 6], root[3:, 6] = mount.delay_sd_s * tool.rate_rad_s, mount.delay_sd_s * velocity
+        turn = _block(tool.rotation)
+        root = np.column_stack([
+            turn @ mount.root,
+            mount.delay_sd_s * np.append(tool.rate_rad_s, velocity),
+            _seen_from(lever_m) @ turn * _robot_sds(mount),
+        ])  # fmt: skip
         return CameraState(
             rotation=tool.rotation @ in_carrier[:3, :3],
             origin_m=tool.position_m + lever_m,
@@ -103,12 +109,15 @@ class CameraMotion:
             return None
         back, base_from_camera = tool.rotation.T, self.mount.carrier_from_camera
         lever_m = base_from_camera[:3, 3] - tool.position_m
-        matrix, root = np.eye(4), np.zeros((6, 7))
+        matrix, turn = np.eye(4), _block(back)
         matrix[:3, :3], matrix[:3, 3] = back @ base_from_camera[:3, :3], back @ lever_m
-        root[:3, :6], root[3:, :6] = back @ self.mount.root[:3], back @ self.mount.root[3:]
-        # a tool that has gone on moves a camera at rest the other way
-        root[:3, 6] = -self.mount.delay_sd_s * back @ tool.rate_rad_s
-        root[3:, 6] = -self.mount.delay_sd_s * back @ (tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m))
+        # a tool that is elsewhere moves a camera at rest the other way
+        velocity = tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m)
+        root = np.column_stack([
+            turn @ self.mount.root,
+            -self.mount.delay_sd_s * (turn @ np.append(tool.rate_rad_s, velocity)),
+            -_seen_from(matrix[:3, 3]) * _robot_sds(self.mount),
+        ])  # fmt: skip
         return matrix, root
 
     def _tool_at(self, stamp_s: float) -> "_ToolState | None":
@@ -239,6 +248,22 @@ def _displaced(
         return None
     rotations = np.array([state.rotation.T @ first.rotation for state in moved])
     return rotations, np.array([state.rotation.T @ (first.origin_m - state.origin_m) for state in moved])
+
+
+def _block(rotation: Float64[Array, "3 3"]) -> Float64[Array, "6 6"]:
+    """Turns rotation vector and translation."""
+    return np.kron(np.eye(2), rotation)
+
+
+def _seen_from(lever_m: Float64[Array, "xyz=3"]) -> Float64[Array, "6 6"]:
+    """Rotation vector and translation of a point at the end of a lever, by those at its beginning: d + w x lever."""
+    moved = np.eye(6)
+    moved[3:, :3] = -skew(lever_m)
+    return moved
+
+
+def _robot_sds(mount: Mount) -> Float64[Array, "6"]:
+    return np.repeat([mount.robot_rotation_sd_rad, mount.robot_translation_sd_m], 3)
 
 
 def _logarithm(

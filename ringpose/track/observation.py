@@ -31,6 +31,7 @@ from ringpose.track.states import (
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseFlag, PoseLine, RingMeasurement
+from ringpose.types.rig import MOUNT_PARAMETERS
 
 _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
@@ -163,15 +164,19 @@ def _in_base(observed: Observation, camera: CameraState, of_mount: bool) -> Obse
     """The observation in the base frame, with errors of the camera's pose, which move the ring with the camera.
 
     `of_mount`: whether the last common errors are already those of the mount, because they act within the shot, too;
-    both effects are then added.
+    both effects are then added. Errors of the robot's poses do not: they are nearly the same within a shot, and count
+    as the same in all, since poses of a robot that are near each other have nearly the same error.
     """
     origin, axes = camera.rotation @ observed.arcs.origin, observed.arcs.axes @ camera.rotation.T
     from_camera = replace(observed.arcs, origin=origin, axes=axes)  # errors of rotation turn the ring about the camera
     wrt_errors = -observed.wrt_step @ ring.displacement_increments(from_camera) @ camera.displacement_root
     wrt_common = observed.wrt_common
     if of_mount:
-        others, within = np.split(wrt_common, [wrt_common.shape[1] - wrt_errors.shape[1]], axis=1)
-        wrt_common, wrt_errors = others, within + wrt_errors
+        others, within = np.split(wrt_common, [wrt_common.shape[1] - len(MOUNT_PARAMETERS)], axis=1)
+        wrt_common, wrt_errors = (
+            others,
+            wrt_errors + np.pad(within, ((0, 0), (0, wrt_errors.shape[1] - within.shape[1]))),
+        )
     arcs = replace(from_camera, origin=camera.origin_m + origin)
     return replace(observed, arcs=arcs, wrt_common=np.concatenate([wrt_common, wrt_errors], axis=1))
 

@@ -141,6 +141,10 @@ class Mount:
     """R of the covariance R R^T of rotation vector (rad) and translation (m), in the carrier's frame."""
     carrier: PoseFrame = PoseFrame.TOOL
     """Frame of what carries the camera: the robot's tool, or its base if the camera stands beside it."""
+    robot_rotation_sd_rad: float = 0.0
+    """Standard deviation of the robot's orientations about each axis, where its poses are used ..."""
+    robot_translation_sd_m: float = 0.0
+    """... and of their positions along each axis, in the tool frame."""
     delay_s: float = 0.0
     """The robot's stamp that belongs to the camera's stamp t is t + delay_s ..."""
     delay_sd_s: float = 0.0

@@ -29,6 +29,8 @@ RIG: dict[str, Any] = {
         "covariance": [[1e-6 * (row == column) for column in range(6)] for row in range(6)],
         "delay_s": 0.02,
         "delay_sd_s": 0.001,
+        "robot_rotation_sd_rad": 2e-4,
+        "robot_translation_sd_m": 1e-4,
     },
 }
 

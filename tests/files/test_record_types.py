@@ -85,7 +85,14 @@ RIG = RigFile(
     ),
     covariance=ParameterCovariance(parameters=("l.tilt_1",), data=np.array([[1e-8]])),
     stability=RigStability(plane_tilt_rad=1e-3),
-    mount=MountEntry(tool_from_camera=np.eye(4), covariance=np.eye(6), delay_s=0.1, delay_sd_s=0.01),
+    mount=MountEntry(
+        tool_from_camera=np.eye(4),
+        covariance=np.eye(6),
+        delay_s=0.1,
+        delay_sd_s=0.01,
+        robot_rotation_sd_rad=1e-4,
+        robot_translation_sd_m=1e-4,
+    ),
 )
 GRID = Grid(cell_m=(0.1, 0.2), line_m=0.01, diffuse=0.1, specular=0.2, roughness=0.3)
 PAINT = Material(diffuse=0.1, specular=0.2, roughness=0.3, grid=GRID)

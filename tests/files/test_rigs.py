@@ -49,6 +49,7 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     np.testing.assert_allclose(after.mount.carrier_from_camera, before.mount.carrier_from_camera, atol=1e-15)
     np.testing.assert_allclose(after.mount.covariance, before.mount.covariance, atol=1e-15)
     assert after.mount.delay_s == before.mount.delay_s
+    assert after.mount.robot_translation_sd_m == before.mount.robot_translation_sd_m == 1e-4
     assert after.covariance.parameters == names
     np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}

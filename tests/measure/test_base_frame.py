@@ -1,4 +1,4 @@
-"""Poses in the base frame of a robot that carries the camera: mount and clock have errors as stated."""
+"""Poses in the base frame of a robot: its poses, the mount and the clock have errors as stated."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from calibrated import DRAWS, assert_calibrated
-from moving_cameras import SeenByRobot, base_from_tool, in_base, robot
+from moving_cameras import SeenByRobot, base_from_tool, in_base, random_error, robot
 from moving_rings import START_S, Motion
 from ring_scenes import face_points_of, nees, ring_at, scene_of
 
@@ -21,6 +21,7 @@ from ringpose.types.rig import Mount
 
 PERIOD_S = 1 / 30
 TURN_SD_RAD, SHIFT_SD_M, DELAY_SD_S = 1e-3, 5e-4, 2e-3
+ROBOT_SD = (2e-3, 1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,8 @@ def test_errors_in_the_base_are_as_large_as_reported(rig, rng, draws):
         target = still_target(rig, rng)
         turn_rad, shift_m = TURN_SD_RAD * rng.normal(size=3), SHIFT_SD_M * rng.normal(size=3)
         seen = SeenByRobot(target, turn_rad, shift_m, DELAY_SD_S * rng.normal())
-        camera = robot(1.0, (TURN_SD_RAD, SHIFT_SD_M), DELAY_SD_S)
+        of_robot = random_error(rng, ROBOT_SD)
+        camera = robot(1.0, (TURN_SD_RAD, SHIFT_SD_M), DELAY_SD_S, robot_sd=ROBOT_SD, error=of_robot)
         line = pose_line(seen_shot(seen, rig, rng), rig, frame=PoseFrame.BASE, options=NOISE_ONLY, camera=camera)
         assert line.frame is PoseFrame.BASE
         for name, value in nees(line.pose, target.at(0.0)).items():
@@ -77,11 +79,14 @@ def test_a_shot_that_the_robots_poses_do_not_cover_has_no_pose_in_the_base(rig, 
 
 @DRAWS
 def test_a_camera_beside_the_robot_is_at_rest_in_the_base_and_moves_in_the_tool(rig, rng, draws):
-    poses, delay_sd_s = robot(1.0).poses, 0.02
+    delay_sd_s = 0.02
     root = np.diag([TURN_SD_RAD] * 3 + [SHIFT_SD_M] * 3)
     base_from_camera = np.eye(4)
     base_from_camera[:3, :3], base_from_camera[:3, 3] = cv2.Rodrigues(np.array([2.0, 0.3, -0.2]))[0], [1.2, 0.1, 0.5]
-    mount = Mount(carrier_from_camera=base_from_camera, root=root, delay_sd_s=delay_sd_s, carrier=PoseFrame.BASE)
+    mount = Mount(
+        carrier_from_camera=base_from_camera, root=root, delay_sd_s=delay_sd_s, carrier=PoseFrame.BASE,
+        robot_rotation_sd_rad=ROBOT_SD[0], robot_translation_sd_m=ROBOT_SD[1],
+    )  # fmt: skip
     mounted, errors = replace(rig, mount=mount), {PoseFrame.BASE: [], PoseFrame.TOOL: []}
     for _ in range(draws):
         target = Motion(
@@ -94,6 +99,7 @@ def test_a_camera_beside_the_robot_is_at_rest_in_the_base_and_moves_in_the_tool(
         true[:3, :3] = cv2.Rodrigues(TURN_SD_RAD * rng.normal(size=3))[0] @ true[:3, :3]
         true[:3, 3] += SHIFT_SD_M * rng.normal(size=3)
         delay_s = delay_sd_s * rng.normal()
+        poses = robot(1.0, error=random_error(rng, ROBOT_SD)).poses
         for frame, camera in ((PoseFrame.BASE, None), (PoseFrame.TOOL, CameraMotion(poses=poses, mount=mount))):
             line = pose_line(shot, mounted, frame=frame, options=NOISE_ONLY, camera=camera)
             time_s = line.pose_stamp_s - START_S + delay_s

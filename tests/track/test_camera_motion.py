@@ -7,7 +7,7 @@ import moving_cameras
 import numpy as np
 import pytest
 from calibrated import chi_squared
-from moving_cameras import RATE, TOOL_FROM_CAMERA, SeenByRobot, base_from_tool, robot
+from moving_cameras import RATE, TOOL_FROM_CAMERA, SeenByRobot, base_from_tool, random_error, robot
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
 from ring_scenes import RIGS, pixels_of
 from tracked_rings import errors_at, nees_at, newest, track_of
@@ -125,14 +125,15 @@ def test_errors_of_mount_and_clock_widen_the_covariance_and_do_not_average_out(i
 
 
 @pytest.mark.slow
-def test_errors_are_as_stated_if_mount_and_clock_have_errors_as_stated(rng):
+def test_errors_are_as_stated_if_mount_clock_and_robot_have_errors_as_stated(rng):
     """NEES of the grasp point and of the normal in the base frame, 24 runs with drawn errors."""
-    squares, mount_sd, delay_sd_s = [], (0.002, 0.001), 0.01
+    squares, mount_sd, robot_sd, delay_sd_s = [], (0.002, 0.001), (0.001, 0.001), 0.01
     for _ in range(24):
         motion = moving_cameras.in_base(drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3))
         errors = mount_sd[0] * rng.normal(size=3), mount_sd[1] * rng.normal(size=3), delay_sd_s * rng.normal()
         seen = stream(SeenByRobot(motion, *errors), 2.0, Shots(), rng)
-        found = nees_at(motion, newest(track_of(seen, camera=robot(2.5, mount_sd, delay_sd_s))))
+        camera = robot(2.5, mount_sd, delay_sd_s, robot_sd=robot_sd, error=random_error(rng, robot_sd))
+        found = nees_at(motion, newest(track_of(seen, camera=camera)))
         squares += [2 * found["grasp"], 2 * found["normal"]]
 
     least, most = chi_squared([5e-5, 1 - 5e-5], 2 * len(squares)) / 2

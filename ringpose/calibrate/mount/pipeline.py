@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from ringpose.calibrate.mount.validation import (
     LeftOut,
     board_scale,
     left_out,
+    student_factor,
     validated_covariance,
     wrong_views,
 )
@@ -77,10 +79,13 @@ class MountCalibration:
     def mount(self) -> Mount:
         """The mount as the rig has it."""
         variance, axes = np.linalg.eigh(self.covariance[:6, :6])
+        widening = sqrt(student_factor(len(self.stations)))
         return Mount(
             carrier_from_camera=self.solution.state.mount.matrix,
             carrier=PoseFrame.BASE if self.eye_to_hand else PoseFrame.TOOL,
             root=axes * np.sqrt(np.maximum(variance, 0.0)),
+            robot_rotation_sd_rad=widening * self.solution.sigmas.rotation_rad,
+            robot_translation_sd_m=widening * self.solution.sigmas.translation_m,
         )
 
 

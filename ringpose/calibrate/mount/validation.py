@@ -79,15 +79,19 @@ def validated_covariance(
             float(np.trace(inner @ (fewer[block, block] - covariance[block, block]))) for fewer in without.covariance
         )
         factors.append(jackknife / max(expected, 1e-12))
-    degrees_of_freedom = 3 * views - 6 + (views < MIN_FREE_VIEWS)
-    student = degrees_of_freedom / (degrees_of_freedom - 2)
-    widening = np.sqrt(student * np.repeat(np.maximum([factors[0], factors[1]] * 2, 1.0), 3))
+    widening = np.sqrt(student_factor(views) * np.repeat(np.maximum([factors[0], factors[1]] * 2, 1.0), 3))
     total = covariance * np.outer(widening, widening)
     if camera_covariance is not None and solution.covariance.shape == (12, 12):
         weighted = solution.numbers.wrt_common.swapaxes(1, 2) @ solution.weights
         influence = covariance @ (weighted @ solution.numbers.wrt_camera).sum(axis=0)
         total = total + influence @ camera_covariance @ influence.T
     return total, factors[0], factors[1]
+
+
+def student_factor(views: int) -> float:
+    """Factor by which variances widen because the robot's standard deviations are estimated: Student's over normal."""
+    degrees_of_freedom = 3 * views - 6 + (views < MIN_FREE_VIEWS)
+    return degrees_of_freedom / (degrees_of_freedom - 2)
 
 
 class WrongViews(NamedTuple):
