@@ -31,11 +31,13 @@ from ringpose.cli.options.known_ring import RingOptions, known_ring
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
     Format,
+    FrameId,
     Newest,
     OutputFormat,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
+    line_messages,
     record_writer,
     track_writer,
 )
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
+    from ringpose.types.track import TrackLine
 
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
@@ -86,6 +89,7 @@ def pose(
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
     output_format: OutputFormat = Format.RINGPOSE,
+    frame_id: FrameId = None,
     newest: Newest = False,
     brief: Brief = False,
     overlay: Overlay = None,
@@ -104,6 +108,7 @@ def pose(
     from ringpose.types.rig import NO_ROBOT_POSES
 
     _check_source(inputs, camera, shots)
+    messages_of = line_messages(output_format, frame_id)
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
         raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
     _check_method(method, assumed, robot_poses)
@@ -143,7 +148,7 @@ def pose(
             from ringpose.cli.overlays import PosePictures
 
             pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
-        write = _writer(record_writer(stack, newest), track, output_format, brief, verbose, batch)
+        write = _writer(record_writer(stack, newest), track, messages_of, brief, verbose, batch)
         _write(with_progress(stack.enter_context(lines), "shots", quiet), write, pictures, batch, verbose)
     batch.finish()
 
@@ -221,7 +226,7 @@ def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackS
 def _writer(
     write: "Callable[[Mapping[str, Any]], None]",
     track: bool,
-    output_format: Format,
+    messages_of: "Callable[[PoseLine | TrackLine], Mapping[str, Any]] | None",
     brief: bool,
     verbose: bool,
     batch: Batch,
@@ -229,11 +234,7 @@ def _writer(
     """A function that writes the record of a pose line, or of the track after it."""
     from ringpose.files.records.poses import pose_record
 
-    record: Callable[[PoseLine], Mapping[str, Any]] = partial(pose_record, brief=brief)
-    if output_format is Format.ROS:
-        from ringpose.files.records.ros import ros_messages
-
-        record = ros_messages
+    record: Callable[[PoseLine], Mapping[str, Any]] = messages_of or partial(pose_record, brief=brief)
 
     def pose_written(measured: "Measured") -> None:
         write(record(measured.line))
@@ -242,7 +243,7 @@ def _writer(
 
     if not track:
         return pose_written
-    track_written = track_writer(write, output_format, brief, verbose, batch)
+    track_written = track_writer(write, messages_of, brief, verbose, batch)
 
     def track_of_pose_written(measured: "Measured") -> None:
         if measured.problem is not None:

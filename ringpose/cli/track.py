@@ -15,11 +15,13 @@ from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
     Format,
+    FrameId,
     Newest,
     OutputFormat,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
+    line_messages,
     record_writer,
     track_writer,
 )
@@ -59,6 +61,7 @@ def track(
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
     output_format: OutputFormat = Format.RINGPOSE,
+    frame_id: FrameId = None,
     newest: Newest = False,
     brief: Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")] = False,
     verbose: Verbose = False,
@@ -70,13 +73,14 @@ def track(
     from ringpose.files.rigs import read_rig
     from ringpose.track.pipeline import Tracker
 
+    messages_of = line_messages(output_format, frame_id)
     assumed = Assumed(max_speed=max_speed, max_rate=max_rate).options
     motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
     tracker = Tracker(read_rig(rig) if rig is not None else None, settings.options(assumed), motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with batch, ExitStack() as stack:
-        write = track_writer(record_writer(stack, newest), output_format, brief, verbose, batch)
+        write = track_writer(record_writer(stack, newest), messages_of, brief, verbose, batch)
         for line in _lines(items, tracker, batch, quiet) if rate is None else _at_rate(items, tracker, batch, rate):
             write(line)
     batch.finish()
@@ -126,7 +130,7 @@ def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, quiet: bo
     for item in with_progress(items, "records", quiet):
         attempt = records.added(item)
         if attempt is not None:
-            yield tracker.line_of(attempt)
+            yield tracker.line_of(attempt, time())
 
 
 def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, rate_hz: float) -> "Iterator[TrackLine]":
@@ -141,4 +145,4 @@ def _at_rate(items: "Iterator[Input]", tracker: "Tracker", batch: Batch, rate_hz
             tracker.start_anew()
         for item in arrived:
             records.added(item, at_rate=True)
-        yield tracker.line_at(now_s, now_s + 1.0 / rate_hz)
+        yield tracker.line_at(now_s, now_s + 1.0 / rate_hz, now_s)

@@ -204,7 +204,7 @@ class Stream:
         if self._warm is None:
             return measured
         try:
-            return replace(measured, track=self._warm.added(line, self._clock()))
+            return replace(measured, track=self._warm.added(line, self._clock))
         except DataError as problem:
             return replace(measured, problem=problem)
 

@@ -1,5 +1,6 @@
 """What earlier shots show about the next one of a stream: its stripes by the track, their lasers, its background."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -76,15 +77,15 @@ class WarmStart:
         self._used += is_subtracted
         self._sharing = self._used if is_subtracted else 0
 
-    def added(self, line: PoseLine, now_s: float = float("inf")) -> TrackLine:
-        """The track after a pose line; `now_s` is the host's clock. Raises `DataError` as `Tracker.add` does."""
+    def added(self, line: PoseLine, clock: Callable[[], float]) -> TrackLine:
+        """The track after a pose line; `clock` is the host's. Raises `DataError` as `Tracker.add` does."""
         self._is_followed = False
         if line.stamp_s > self._stamp_s:
             self._interval_s = line.stamp_s - self._stamp_s
         self._stamp_s = line.stamp_s
-        attempt = self.tracker.add(line, now_s, shared_inflation(self._sharing))
+        attempt = self.tracker.add(line, clock(), shared_inflation(self._sharing))
         self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
-        return self.tracker.line_of(attempt)
+        return self.tracker.line_of(attempt, clock())
 
     def prediction(self, shot: Shot, rig: Rig) -> BreakPoints | None:
         """The stripes at the times of the shot's frames; None if the track does not predict them well enough."""

@@ -6,6 +6,7 @@ are not late, but stamped by a clock that was set back (`ringpose.track.stream_c
 """
 
 from bisect import bisect_left
+from dataclasses import replace
 from math import isfinite
 from typing import NamedTuple
 
@@ -119,18 +120,20 @@ class Tracker:
         self._base_flags, self._entries = PoseFlag(0), []
         self._clock = StreamClock(self.options.lost_after_s)
 
-    def line_at(self, stamp_s: float, next_stamp_s: float | None = None) -> TrackLine:
-        """The record of the track at an instant, and the attempts since the last one."""
+    def line_at(self, stamp_s: float, next_stamp_s: float | None = None, now_s: float = float("inf")) -> TrackLine:
+        """The record of the track at an instant, and the attempts since the last one; `now_s` is the host's clock."""
         attempts, self._attempts = tuple(self._attempts), []
         used = [entry.flags for entry in self._entries if entry.fusion.status is FusionStatus.FUSED]
         flags = (used[-1] if used else self._base_flags) & LASTING_FLAGS
         is_contradicted = bool(attempts) and attempts[-1].fusion_status is FusionStatus.REJECTED_GATE
         findings = Finding.TRACK_CONTRADICTED if is_contradicted or self._clock.is_in_doubt else NOTHING
-        return track_line(
+        line = track_line(
             self.track, stamp_s, next_stamp_s, attempts, findings, flags, self._hash, self.options, self.camera
         )
+        latency_s = now_s - line.measurement_stamp_s
+        return replace(line, latency_s=latency_s) if 0.0 <= latency_s < self.options.lost_after_s else line
 
-    def line_of(self, attempt: Attempt) -> TrackLine:
+    def line_of(self, attempt: Attempt, now_s: float = float("inf")) -> TrackLine:
         """The track record after the newest attempt: at its stamp, but never before that of the record before.
 
         The track grows older with records that arrive and are not used, also if their stamps are not of its time: only
@@ -140,7 +143,7 @@ class Tracker:
         stamp_s = attempt.stamp_s
         if self.track.banks:
             stamp_s = self._clock.state_stamp_s(stamp_s, self.track.stamp_s, is_used=is_used)
-        return self.line_at(stamp_s)
+        return self.line_at(stamp_s, now_s=now_s)
 
     def _arrived(self, line: PoseLine, stamp_s: float, now_s: float) -> Arrival:
         """How the stamp of a record follows those before it; if the clock was set back, the track starts anew."""

@@ -131,6 +131,16 @@ class TrackLine:
     measurement_stamp_s: Annotated[
         float, Key("Time of the newest measurement that was used; null without a track.", null=nan)
     ]
+    latency_s: Annotated[
+        float,
+        Key(
+            "Time from that measurement to this line, by this computer's clock; null where its stamp is not that "
+            "of a live shot by this clock: ahead of it, or older than a track may become.",
+            null=nan,
+            least=0.0,
+            added=True,
+        ),
+    ] = nan
     validity: Annotated[
         Validity,
         Key("How far the line may be trusted, by the age of the newest measurement that was used."),

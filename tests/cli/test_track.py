@@ -94,6 +94,8 @@ def test_a_gripper_gives_a_probability_of_capture(capsys, poses):
         (["--gripper-tilt-deg", 1], "--gripper-radial-m"),
         (["--lost-after", 1], "--lost-after"),
         (["--max-speed", 0], "--max-speed"),
+        (["--frame-id", "base_link"], "--format ros"),
+        (["--format", "ros", "--frame-id", ""], "--frame-id"),
         (["--rate", "nan"], "finite"),
     ],
     ids=str,
@@ -211,11 +213,13 @@ def test_a_file_that_does_not_exist_and_a_file_of_something_else(capsys, tmp_pat
 
 def test_messages_of_ros_have_the_fields_of_their_definitions_and_the_pose_of_the_record(capsys, poses):
     _, (*_, record), _ = tracked(capsys, poses)
-    _, (_, *messages), _ = tracked(capsys, poses, "--format", "ros")
+    _, (_, *messages), _ = tracked(capsys, poses, "--format", "ros", "--frame-id", "camera_optical_frame")
 
     for message in messages:
+        assert message["pose"]["header"]["frame_id"] == message["twist"]["header"]["frame_id"] == "camera_optical_frame"
         assert fits(message["pose"], "geometry_msgs/PoseWithCovarianceStamped")
         assert fits(message["twist"], "geometry_msgs/TwistWithCovarianceStamped")
+    assert (message["flags"], message["reason"]) == (record["flags"], None)
     x, y, z, w = message["pose"]["pose"]["pose"]["orientation"].values()
     axis_z = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
     axis_x = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
@@ -228,6 +232,18 @@ def test_messages_of_ros_have_the_fields_of_their_definitions_and_the_pose_of_th
     assert normal @ covariance[3:, 3:] @ normal == pytest.approx(math.pi**2 / 3)  # nothing is known of the turn
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
     assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+@pytest.mark.parametrize(("late_s", "is_live"), [(0.05, True), (2.9, True), (3.1, False), (1e7, False), (-0.05, False)])
+def test_a_line_states_its_latency_if_its_stamp_is_of_this_computers_clock(capsys, monkeypatch, poses, late_s, is_live):
+    last_s = json.loads(poses.read_text().splitlines()[-1])["pose_stamp_s"]
+    monkeypatch.setattr("ringpose.cli.track.time", lambda: last_s + late_s)
+
+    _, (*_, record), _ = tracked(capsys, poses)
+    _, (*_, message), _ = tracked(capsys, poses, "--format", "ros")
+
+    assert record["latency_s"] == (pytest.approx(late_s, abs=1e-6) if is_live else None)
+    assert message.get("latency_s") == record["latency_s"]
 
 
 def test_brief_records_leave_out_attempts_and_evidence(capsys, poses):

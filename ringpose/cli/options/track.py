@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.explanations import Gripper, TrackOptions
     from ringpose.types.assumptions import AssumptionOptions
+    from ringpose.types.pose import PoseLine
     from ringpose.types.track import TrackLine
 
 
@@ -37,6 +39,10 @@ RobotPosesFile = Annotated[
     typer.Option("--robot-poses", metavar="FILE|-", help="Poses of the robot with the camera; -: from standard input."),
 ]
 OutputFormat = Annotated[Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.")]
+FrameId = Annotated[
+    str | None,
+    typer.Option("--frame-id", metavar="NAME", help="Of --format ros: name of the frame, for camera, tool or base."),
+]
 Newest = Annotated[bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.")]
 
 
@@ -154,15 +160,33 @@ def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]
     return stack.enter_context(NewestWriter()).write if newest else records.write
 
 
+def line_messages(
+    output_format: Format, frame_id: str | None
+) -> "Callable[[PoseLine | TrackLine], Mapping[str, Any]] | None":
+    """A function that makes messages of ROS 2 of a line; None if records are asked for."""
+    if output_format is not Format.ROS:
+        if frame_id is not None:
+            raise UsageError("--frame-id", "is of no use without --format ros", "leave it out, or add the format")
+        return None
+    if frame_id is not None and not frame_id.strip():
+        raise UsageError("--frame-id", "is empty", "name the frame as in the TF tree, as camera_optical_frame")
+    from ringpose.files.records.ros import ros_messages
+
+    return partial(ros_messages, frame_id=frame_id)
+
+
 def track_writer(
-    write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: Batch
+    write: Callable[[Mapping[str, Any]], None],
+    messages_of: "Callable[[PoseLine | TrackLine], Mapping[str, Any]] | None",
+    brief: bool,
+    verbose: bool,
+    batch: Batch,
 ) -> "Callable[[TrackLine], None]":
     """A function that writes lines of a track, and with `verbose` reports what became of each measurement."""
-    from ringpose.files.records.ros import ros_messages
     from ringpose.files.records.tracks import track_record
 
     def written(line: "TrackLine") -> None:
-        write(ros_messages(line) if output_format is Format.ROS else track_record(line, brief))
+        write(track_record(line, brief) if messages_of is None else messages_of(line))
         if line.pose is None:
             batch.record_status(NO_POSE)
         for attempt in line.attempts if verbose else ():

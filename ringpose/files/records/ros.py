@@ -11,7 +11,7 @@ from ringpose.files.records.codec import definition_of
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import PoseLine, RingPose, RingVelocity, Status
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status
 from ringpose.types.record import Key, Presence
 from ringpose.types.track import FusionStatus, TrackLine, Validity
 
@@ -29,7 +29,7 @@ class RosHeader:
     """std_msgs/Header."""
 
     stamp: Annotated[RosTime, Key("When pose or velocity hold.")]
-    frame_id: Annotated[str, Key("`camera`, `tool` or `base`.")]
+    frame_id: Annotated[str, Key("`camera`, `tool` or `base`, or the name that `--frame-id` gives it.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +112,12 @@ class RosLine:
         Key("geometry_msgs/TwistWithCovarianceStamped; null without a velocity or a normal."),
     ]
     status: Annotated[Status, Key("As in a pose line.")]
+    flags: Annotated[PoseFlag, Key("As in a pose line.")]
+    reason: Annotated[str | None, Key("As in a pose or track line.")]
     shot: Annotated[str | None, Key("Of a pose line: its shot.", presence=Presence.IF_KNOWN)] = None
     validity: Annotated[Validity | None, Key("As in a track line.", presence=Presence.IF_KNOWN)] = None
     fusion_status: Annotated[FusionStatus | None, Key("As in a track line.", presence=Presence.IF_KNOWN)] = None
+    latency_s: Annotated[float | None, Key("As in a track line.", least=0.0, presence=Presence.IF_KNOWN)] = None
     lines_skipped: Annotated[
         int | None, Key("As in a pose line; with `--newest`.", least=0, presence=Presence.IF_KNOWN)
     ] = None
@@ -127,25 +130,31 @@ SPIN_VARIANCE_RAD2_S2 = pi**2
 """Variance of the angular velocity about the ring's axis, which is not observable."""
 
 
-def ros_messages(line: PoseLine | TrackLine) -> dict[str, Any]:
+def ros_messages(line: PoseLine | TrackLine, frame_id: str | None = None) -> dict[str, Any]:
     """A line as geometry_msgs/PoseWithCovarianceStamped and geometry_msgs/TwistWithCovarianceStamped.
 
     Null where the centre or the normal is not determined, the twist also without a velocity. How far the line may be
-    trusted stands beside the messages: `status`, of a track also `validity` and `fusion_status`.
+    trusted stands beside the messages: `status`, `flags`, `reason`, of a track also `validity`, `fusion_status` and
+    `latency_s`. `frame_id` names the line's frame.
     """
+    frame_id = frame_id or line.frame
     beside: dict[str, Any]
     if isinstance(line, TrackLine):
         stamp_s = line.stamp_s
         beside = {"validity": line.validity, "fusion_status": line.fusion_status}
+        if isfinite(line.latency_s):
+            beside["latency_s"] = line.latency_s
         grasp_m = np.full(3, nan) if line.grasp is None else line.grasp.point_m
     else:
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
         beside = {"shot": line.shot}
         grasp_m = np.full(3, nan) if line.pose is None else line.pose.grasp_m
     messages = RosLine(
-        pose=ros_pose(stamp_s, line.frame, line.pose, grasp_m),
-        twist=ros_twist(stamp_s, line.frame, line.pose, line.velocity),
+        pose=ros_pose(stamp_s, frame_id, line.pose, grasp_m),
+        twist=ros_twist(stamp_s, frame_id, line.pose, line.velocity),
         status=line.status,
+        flags=line.flags,
+        reason=line.reason or None,
         **beside,
     )
     return definition_of(RosLine).write(messages)
