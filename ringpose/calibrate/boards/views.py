@@ -18,7 +18,6 @@ from ringpose.calibrate.boards.patterns.markers import (
     markers_of,
     other_layout,
 )
-from ringpose.errors import DataError
 from ringpose.geometry.board import corner_points, marker_corners, marker_count, marker_dictionary
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
@@ -44,9 +43,9 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         return failure
     try:
         view = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
-    except cv2.error as error:
+    except cv2.error as error:  # some of its searches fail on what they find, for example at the image's rim
         finding = f"OpenCV fails on its {grey.shape[1]} x {grey.shape[0]} pixels: {' '.join(str(error.err).split())}"
-        raise DataError(name, finding, "give a smaller image") from error
+        view = diagnostics.NoBoard(failure=diagnostics.BoardFailure.GIVEN_UP, finding=finding)
     if isinstance(view, diagnostics.NoBoard):
         return diagnostics.unusable(grey, view) or view
     window = np.ones((_SATURATION_WINDOW_PX, _SATURATION_WINDOW_PX), dtype=np.uint8)
@@ -61,12 +60,8 @@ def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagn
     if board.kind == "chessboard":
         if chessboard.visible_grid(grey, columns - 1, rows - 1) is None:
             return diagnostics.pattern_failure(grey, board, None)
-        corners = chessboard.chessboard_corners(grey, columns - 1, rows - 1)
-        return (
-            diagnostics.pattern_failure(grey, board, chessboard.largest_grid(grey))
-            if corners is None
-            else _view(name, board, corners)
-        )
+        corners, seen = chessboard.chessboard_corners(grey, columns - 1, rows - 1)
+        return diagnostics.pattern_failure(grey, board, seen) if corners is None else _view(name, board, corners)
     circles = circle_centers(grey, corner_points(board), columns, rows)
     if circles is None:
         return diagnostics.circle_failure(grey, board)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID, drawn_board
 
+from ringpose.calibrate.boards.diagnostics import BoardFailure
 from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import DataError
 from ringpose.geometry.board import corner_points, marker_corners, marker_dictionary
@@ -117,15 +118,17 @@ def test_noise_does_not_push_the_corners_of_markers_outwards(rng):
     assert abs(np.median(outward)) < 0.012
 
 
-def test_an_image_on_which_opencv_fails_is_reported_as_bad_data(monkeypatch):
+def test_an_image_on_which_opencv_fails_shows_no_board(monkeypatch):
     def failing(*_, **__):
         return cv2.cvtColor(np.zeros((2, 2), np.uint8), cv2.COLOR_BGR2GRAY)  # one channel where three are needed
 
     monkeypatch.setattr(cv2, "findCirclesGrid", failing)
     circles = Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02)
 
-    with pytest.raises(DataError, match=r"vast: OpenCV fails on its 580 x 430 pixels: .*; give a smaller image"):
-        find_board(drawn_board(CHESSBOARD), circles, "vast")
+    missing = find_board(drawn_board(CHESSBOARD), circles, "vast")
+
+    assert missing.failure is BoardFailure.GIVEN_UP
+    assert missing.finding.startswith("OpenCV fails on its 580 x 430 pixels: ")
 
 
 @pytest.mark.parametrize(("gain", "share"), [(1.0, 0.0), (2.0, 1.0)])

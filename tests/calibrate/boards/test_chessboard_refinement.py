@@ -1,10 +1,13 @@
-"""Chessboard corners under uneven illumination, on drawn boards."""
+"""Chessboard corners under uneven illumination, in small and cut images, on drawn boards."""
 
+import cv2
 import numpy as np
 import pytest
-from drawn_boards import drawn_board
+from drawn_boards import CHESSBOARD, drawn_board
 
+from ringpose.calibrate.boards.diagnostics import BoardFailure
 from ringpose.calibrate.boards.patterns.chessboard import refined_corners, saddle_points
+from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board
 
@@ -54,3 +57,60 @@ def test_corners_at_the_rim_of_the_image_or_without_contrast_are_unchanged():
     assert np.array_equal(normalised[0], start.reshape(6, 7, 2)[0])
     flat = np.full((400, 400), 90, np.uint8)
     assert np.array_equal(saddle_points(flat, true_px().reshape(6, 7, 2), HALF_PX).reshape(-1, 2), true_px())
+
+
+def test_a_corner_beyond_the_rim_of_the_image_is_unchanged():
+    corners = true_px() - [80.0, 0.0]  # the first column is at x = -0.5
+
+    refined = refined_corners(np.ascontiguousarray(drawn_board(BOARD)[:, 80:]), corners + 0.3, HALF_PX)
+
+    assert np.array_equal(refined[::7], corners[::7] + 0.3)
+    assert np.abs((refined - corners).reshape(6, 7, 2)[:, 1:]).max() < 0.02
+
+
+def far_px(image: np.ndarray, scale: float = 1.0, place: tuple[int, int] = (0, 0)) -> np.ndarray:
+    """Distances of the corners found from those of the drawn board, scaled and shifted."""
+    view = find_board(image, CHESSBOARD, "x")
+    true = (2000 * corner_points(CHESSBOARD)[:, :2] + 40) * scale - 0.5 + place
+    return np.linalg.norm(view.points_px - true, axis=1)
+
+
+def test_small_noisy_squares_are_found(rng):
+    small = cv2.resize(drawn_board(CHESSBOARD), None, fx=0.16, fy=0.16, interpolation=cv2.INTER_AREA)
+    image = np.full((240, 320), 150.0)
+    image[60 : 60 + small.shape[0], 80 : 80 + small.shape[1]] = small
+
+    found = far_px(np.clip(image + rng.normal(0, 12, image.shape), 0, 255).astype(np.uint8), 0.16, (80, 60))
+
+    assert found.max() < 0.7
+
+
+def test_a_blot_on_one_corner_displaces_that_corner_only():
+    blotted = drawn_board(CHESSBOARD)
+    cv2.circle(blotted, (304, 198), 20, 20, -1)
+
+    found = np.sort(far_px(blotted))
+
+    assert found[-1] > 3.0
+    assert found[-2] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("corners_px", "finding"),
+    [
+        ([(4, -92), (422, -39), (368, 287), (-57, 209)], "9 x 5 of 9 x 6 inner corners"),
+        ([(19, 317), (89, -68), (387, -46), (307, 378)], "8 x 6 of 9 x 6 inner corners"),
+    ],
+    ids=["cut above", "cut at the left"],
+)
+def test_corners_of_outermost_squares_do_not_replace_a_line_beyond_the_rim(corners_px, finding, rng):
+    board = drawn_board(CHESSBOARD)
+    height, width = board.shape
+    outline = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
+    image_from_board = cv2.getPerspectiveTransform(outline, np.array(corners_px, np.float32))
+    image = cv2.warpPerspective(board, image_from_board, (640, 480), borderValue=150)
+
+    missing = find_board(np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8), CHESSBOARD, "x")
+
+    assert missing.failure is BoardFailure.NOT_WHOLE
+    assert missing.finding.startswith(finding)

@@ -35,7 +35,7 @@ def test_corners_are_as_accurate_in_a_large_image_as_in_a_small_one():
     board = np.pad(squares.repeat(300, axis=0).repeat(300, axis=1), 400, constant_values=255.0)
     image = np.rint(cv2.GaussianBlur(0.7 * board + 20, (0, 0), 1.5)).astype(np.uint8)
 
-    found = chessboard_corners(image, 7, 5)
+    found, _ = chessboard_corners(image, 7, 5)
 
     column, row = np.meshgrid(np.arange(1, 8), np.arange(1, 6))
     expected = 400 + 300 * np.stack([column.ravel(), row.ravel()], axis=1) - 0.5

@@ -6,6 +6,7 @@ windows whose dark and bright squares are each normalised to one grey level. On 
 board the rms falls from 0.44 to 0.28 px, on evenly lit ones by 1 %.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -37,7 +38,8 @@ MAX_WINDOW_PX = 11
 
 MAX_IRREGULARITY = 0.2
 """Maximum third difference of a grid, in squares. It is below 0.15 on photographs; beside a bright stripe, OpenCV's
-sector-based detector misplaces a whole column by 0.2 squares, which gives 0.6 to 1.2."""
+sector-based detector misplaces a whole column by 0.2 squares, which gives 0.6 to 1.2. A grid with a larger one is used
+only if no whole line of it is misplaced: then single corners are inexact, which a calibration leaves out."""
 
 CLIPPED_SHARE = 0.05
 """Normalised grey values (0 and 1 in the two colours of squares) are clipped to this distance from 0 and 1, which
@@ -64,6 +66,10 @@ _START_GRIDS = ((4, 3), (5, 4))
 MAX_VISIBLE_IRREGULARITY = 1.0
 """Maximum irregularity of a grid that shows that there is a chessboard: each of 121 views of boards, also dim, noisy or
 blurred ones, has one below 0.9, nearly all below 0.5; in 34 photographs without a board none has less than 1.2."""
+
+MIN_SADDLE_CONTRAST = 1.5
+"""Minimum difference of the two diagonals of squares around an inner corner, in differences of black and white: it is 2
+there, and 1 at a corner of an outermost square, which has white on three sides."""
 
 _VISIBLE_REDUCTIONS = (4, 2, 1)
 """Factors by which the image is reduced in turn in the quick search."""
@@ -99,8 +105,29 @@ def _grown_grid(image: GreyImage, start: tuple[int, int], seed: int, flags: int 
     return np.asarray(corners, dtype=np.float64).reshape(*np.asarray(squares).shape[:2], 2) if is_found else None
 
 
-def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
-    """The inner corners, row by row from the top left, refined to sub-pixel; None if not all of them are found."""
+def chessboard_corners(
+    image: GreyImage, columns: int, rows: int
+) -> tuple[Float64[Array, "corner xy=2"] | None, Grid | None]:
+    """The inner corners, row by row from the top left, refined to sub-pixel; None if not all of them are found.
+
+    Then the second value is the largest regular part of a chessboard that is seen, if any.
+    """
+    inexact: list[Grid] = []
+    for grid in _whole_grids(image, columns, rows):
+        if irregularity(grid) < MAX_IRREGULARITY:
+            return _exact_corners(image, grid), None
+        inexact.append(grid)
+    seen = largest_grid(image)
+    if seen is not None and seen.shape[:2] in ((rows, columns), (columns, rows)):
+        return _exact_corners(image, seen if len(seen) == rows else seen.swapaxes(0, 1)), None
+    inexact = [grid for grid in inexact if _has_lines_in_place(grid)]
+    if inexact:
+        return _exact_corners(image, min(inexact, key=irregularity)), None
+    return None, seen
+
+
+def _whole_grids(image: GreyImage, columns: int, rows: int) -> Iterator[Grid]:
+    """Grids of all inner corners by each of OpenCV's detectors, in less and less reduced images."""
     for reduction in reductions(image.shape):
         small = reduced(image, reduction)
         for finder, flags in _FINDERS:
@@ -108,16 +135,47 @@ def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Arr
             is_found, corners = finder(small, (columns, rows), flags=flags)
             if is_found:
                 grid = in_full_image(np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2), reduction)
-                refined = _refined_grid(image, grid)
-                if irregularity(refined) < MAX_IRREGULARITY:
-                    normalised = saddle_points(image, refined, WINDOW_PER_SQUARE * shortest_side(grid))
-                    return _in_board_order(image, normalised).reshape(-1, 2)
-    return None
+                refined = without_outline(image, _refined_grid(image, grid))
+                if refined.shape == grid.shape:
+                    yield refined
+
+
+def _exact_corners(image: GreyImage, grid: Grid) -> Float64[Array, "corner xy=2"]:
+    """The corners of a grid refined with normalised squares, in the order of the board."""
+    normalised = saddle_points(image, grid, WINDOW_PER_SQUARE * shortest_side(grid))
+    return _in_board_order(image, normalised).reshape(-1, 2)
 
 
 def _refined_grid(image: GreyImage, grid: Grid) -> Grid:
     """The corners refined by OpenCV."""
     return refined_corners(image, grid.reshape(-1, 2), WINDOW_PER_SQUARE * shortest_side(grid)).reshape(grid.shape)
+
+
+def without_outline(image: GreyImage, grid: Grid) -> Float64[Array, "inner_row inner_column xy=2"]:
+    """The grid without outer lines of points that are corners of the outermost squares, not inner corners.
+
+    Where the image's rim cuts the board, OpenCV completes the grid with such a line, one square off. There, one of the
+    four squares around a point has the other colour than the rest; around an inner corner, two have.
+    """
+    while min(grid.shape[:2]) > 2:
+        saddle = _saddle_contrast(image, grid)
+        lines = {(0, 0): saddle[0], (0, -1): saddle[-1], (1, 0): saddle[:, 0], (1, -1): saddle[:, -1]}
+        (axis, end), least = min(((line, float(np.median(own))) for line, own in lines.items()), key=lambda one: one[1])
+        if least > MIN_SADDLE_CONTRAST:
+            break
+        grid = np.delete(grid, end, axis=axis)
+    return grid
+
+
+def _saddle_contrast(image: GreyImage, grid: Grid) -> Float64[Array, "corner_row corner_column"]:
+    """Difference of the two diagonals of squares around each point, over the largest difference of two squares."""
+    smooth = cv2.blur(image, (max(int(WINDOW_PER_SQUARE * shortest_side(grid)), 1),) * 2)
+    along, down = np.gradient(grid, axis=1) / 4, np.gradient(grid, axis=0) / 4
+    signs = ((1, 1), (-1, -1), (1, -1), (-1, 1))
+    places = np.rint([grid + x * along + y * down for x, y in signs]).astype(np.int64)
+    column, row = np.moveaxis(np.clip(places, 0, np.array(image.shape[::-1]) - 1), -1, 0)
+    squares = smooth[row, column].astype(np.float64)
+    return np.abs(squares[:2].sum(axis=0) - squares[2:].sum(axis=0)) / np.maximum(np.ptp(squares, axis=0), 1.0)
 
 
 def shortest_side(grid: Grid) -> float:
@@ -129,13 +187,18 @@ def shortest_side(grid: Grid) -> float:
 def refined_corners(
     image: GreyImage, corners: Float64[Array, "corner xy=2"], half_window_px: float
 ) -> Float64[Array, "corner xy=2"]:
-    """Saddle points near the given corners by OpenCV; a corner that leaves its window is unchanged."""
+    """Saddle points near the given corners by OpenCV; one that leaves its window, or is at the rim, is unchanged."""
     half = int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
-    start: Any = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _CRITERIA), dtype=np.float64)
+    inside = np.all((corners >= 0) & (corners <= np.array(image.shape[::-1]) - 1.0), axis=1)  # OpenCV fails outside
+    refined = np.array(corners, dtype=np.float64)
+    if not inside.any():
+        return refined
+    start: Any = np.ascontiguousarray(corners[inside], dtype=np.float32).reshape(-1, 1, 2)
+    moved = np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), _CRITERIA), dtype=np.float64)
     moved = moved.reshape(-1, 2)
-    near = np.linalg.norm(moved - corners, axis=1) < half
-    return np.where(near[:, None], moved, corners)
+    near = np.linalg.norm(moved - corners[inside], axis=1) < half
+    refined[inside] = np.where(near[:, None], moved, corners[inside])
+    return refined
 
 
 def irregularity(grid: Grid) -> float:
@@ -143,8 +206,19 @@ def irregularity(grid: Grid) -> float:
 
     Perspective and distortion change the squares smoothly; a misplaced column does not.
     """
-    jumps = [np.linalg.norm(np.diff(grid, n=3, axis=axis), axis=-1).max(initial=0.0) for axis in (0, 1)]
-    return float(max(jumps)) / max(shortest_side(grid), 1e-9)
+    return max(float(jumps.max(initial=0.0)) for jumps in _jumps(grid))
+
+
+def _has_lines_in_place(grid: Grid) -> bool:
+    """Whether no line of corners as a whole is misplaced, and no corner by more than half of its distance to others."""
+    typical = max(float(np.median(jumps, axis=0).max(initial=0.0)) for jumps in _jumps(grid))
+    return typical < MAX_IRREGULARITY and irregularity(grid) < MAX_VISIBLE_IRREGULARITY
+
+
+def _jumps(grid: Grid) -> list[Float64[Array, "line place"]]:
+    """Third differences along rows and columns, each line a row of the result, in shortest sides of a square."""
+    side = max(shortest_side(grid), 1e-9)
+    return [np.linalg.norm(np.diff(lines, n=3, axis=1), axis=-1) / side for lines in (grid, grid.swapaxes(0, 1))]
 
 
 def saddle_points(image: GreyImage, grid: Grid, half_window_px: float) -> Grid:
@@ -211,7 +285,7 @@ def _in_board_order(image: GreyImage, grid: Grid) -> Grid:
         return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else grid[::-1, ::-1]
     # The square between the first four corners has the outer top-left one's colour: is it darker than its neighbours?
     middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
-    column, row = np.rint(middle).astype(np.int64).reshape(-1, 2).T
+    column, row = np.clip(np.rint(middle).astype(np.int64).reshape(-1, 2), 0, np.array(image.shape[::-1]) - 1).T
     values = image[row, column].astype(np.float64).reshape(middle.shape[:2])
     sign = 1 - 2 * (np.indices(values.shape).sum(axis=0) % 2)
     return grid if np.sum(sign * (values - np.median(values))) < 0 else grid[::-1, ::-1]
@@ -225,7 +299,7 @@ def largest_grid(image: GreyImage) -> Grid | None:
     for size in _START_GRIDS:
         for seed in _RANDOM_SEEDS:
             grid = _grown_grid(small, size, seed, cv2.CALIB_CB_EXHAUSTIVE)
-            if grid is not None:
-                grid = in_full_image(_refined_grid(small, grid), reduction)
+            if grid is not None and irregularity(grid := _refined_grid(small, grid)) < MAX_VISIBLE_IRREGULARITY:
+                grid = in_full_image(without_outline(small, grid), reduction)
                 regular += [grid] if irregularity(grid) < MAX_IRREGULARITY else []
     return max(regular, key=lambda grid: grid.size, default=None)
