@@ -77,7 +77,7 @@ class WarmStart:
         self._used += is_subtracted
         self._sharing = self._used if is_subtracted else 0
 
-    def added(self, line: PoseLine, clock: Callable[[], float]) -> TrackLine:
+    def added(self, line: PoseLine, clock: Callable[[], float] = lambda: float("inf")) -> TrackLine:
         """The track after a pose line; `clock` is the host's. Raises `DataError` as `Tracker.add` does."""
         self._is_followed = False
         if line.stamp_s > self._stamp_s:
