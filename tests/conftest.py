@@ -10,6 +10,7 @@ import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from hypothesis import HealthCheck, settings
 from needed import missing
 
 os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")  # its threads mostly wait for each other beside other tests
+
+gc.disable()  # until the tests are collected: going through the modules, which stay, takes a tenth of the time
 
 _TIMED = [HealthCheck.too_slow]  # says how busy the machine is
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=30, suppress_health_check=_TIMED)
@@ -102,6 +105,27 @@ def forker() -> Iterator[socket.socket]:
         ours.close()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _commands_built_once() -> Iterator[None]:
+    """Build what parses the command lines once, not at each of some 900 calls of `main`: 12 ms of CPU time each.
+
+    A process of a user builds its own command only, once. A module that is imported later adds its command.
+    """
+    import typer.main
+
+    build, built = typer.main.get_command, {}
+
+    def once(app: typer.Typer) -> Any:
+        key = (app, len(app.registered_commands))
+        if key not in built:
+            built[key] = build(app)
+        return built[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", once)
+        yield
+
+
 @pytest.fixture
 def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder of this test, with nothing in it."""
@@ -128,8 +152,8 @@ def example_folder(tmp_path: Path, carried_data: Path) -> Path:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than the cores: tests of devices and other processes wait for a quarter of their time."""
-    return min(8, (os.cpu_count() or 1) + 1)
+    """One for each core: each process more imports and collects all tests again, 5 s of CPU time."""
+    return min(8, os.cpu_count() or 1)
 
 
 @pytest.hookimpl(trylast=True)  # without those that -m and -k leave out
@@ -150,6 +174,7 @@ def pytest_collection_finish() -> None:
     """Let no later garbage collection go through what the test modules hold: a million objects, for good."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)

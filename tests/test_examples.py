@@ -33,6 +33,7 @@ def test_a_shell_example_succeeds(script, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_example_of_real_shots_commands_moves_and_draws_overlays(tmp_path, carried_data):
     done = run_script(EXAMPLES / "real-shots.sh", tmp_path)
 

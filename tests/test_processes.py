@@ -38,6 +38,7 @@ LONG = range(10**12)
 """Its sum takes hours, in one call of C code that holds signals back."""
 
 
+@pytest.mark.slow
 def test_a_call_that_exceeds_its_cpu_time_ends_and_the_next_one_works():
     with LimitedCalls(sum) as calls:
         with pytest.raises(WorkerKilled):

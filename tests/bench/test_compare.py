@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from ringpose.bench.compare import (
     COMPARED,
@@ -87,7 +87,7 @@ def test_the_p_value_of_many_shots_is_that_of_random_exchanges(rng):
     assert permutation_p_value(a, b, RMSE) == pytest.approx(np.mean(abs(drawn) >= abs(observed)), abs=0.02)
 
 
-@pytest.mark.parametrize("shots", [10, 40])
+@pytest.mark.parametrize("shots", [40, pytest.param(10, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("quantity", ["grasp_m", "center_nees", "available"])
 def test_a_row_of_two_equal_results_is_significant_no_more_often_than_it_may_be(rng, shots, quantity):
     draws = 500
@@ -96,9 +96,9 @@ def test_a_row_of_two_equal_results_is_significant_no_more_often_than_it_may_be(
 
     alarms = sum(permutation_p_value(*map(np.asarray, pair), loss, permutations=199) <= 0.05 for pair in scores * 1.0)
 
-    assert alarms <= stats.binom.ppf(0.999, draws, 0.05)
+    assert alarms <= scipy.stats.binom.ppf(0.999, draws, 0.05)
     if quantity != "available":
-        assert alarms >= stats.binom.ppf(0.001, draws, 0.05)
+        assert alarms >= scipy.stats.binom.ppf(0.001, draws, 0.05)
 
 
 @pytest.mark.slow
@@ -111,7 +111,7 @@ def test_two_equal_results_raise_a_false_alarm_in_no_more_than_5_percent_of_comp
         alarms += any(row.verdict in (RowVerdict.BETTER, RowVerdict.WORSE) for row in rows)
 
     assert len(rows) == 3 * 13
-    assert alarms <= stats.binom.ppf(0.99, draws, 0.05)
+    assert alarms <= scipy.stats.binom.ppf(0.99, draws, 0.05)
 
 
 def test_errors_that_grew_by_10_percent_are_worse_beyond_2_percent_and_not_beyond_20(rng):
@@ -174,7 +174,7 @@ def test_the_interval_covers_the_true_difference_in_95_percent_of_results(rng):
 
     intervals = [bootstrap_interval(a, b, RMSE, 199) for a, b in draws]
 
-    assert sum(low <= 0.2 <= high for low, high in intervals) >= stats.binom.ppf(0.001, 100, 0.92)
+    assert sum(low <= 0.2 <= high for low, high in intervals) >= scipy.stats.binom.ppf(0.001, 100, 0.92)
 
 
 def test_a_nees_of_one_half_is_as_bad_as_one_of_two():

@@ -1,7 +1,7 @@
 """Groups of scores."""
 
 import pytest
-from scipy import stats
+import scipy
 
 from ringpose.bench.score import JUDGED, Judgement, Outcome, Score
 from ringpose.bench.summary import (
@@ -93,11 +93,11 @@ def test_quantities_are_counted_by_name_and_judgement():
     ],
 )
 def test_the_allowance_is_the_binomials_99_percent(name, n, allowed):
-    chance = stats.chi2.sf(25, {"center": 3, "normal": 2, "radius_inner": 1}[name])
+    chance = scipy.stats.chi2.sf(25, {"center": 3, "normal": 2, "radius_inner": 1}[name])
     counts = {judged_name: dict.fromkeys(Judgement, 0) for judged_name in JUDGED}
     counts[name][Judgement.CORRECT] = n
 
-    assert WrongQuantities(counts=counts, gross=0).allowed == allowed == stats.binom.ppf(0.99, n, chance)
+    assert WrongQuantities(counts=counts, gross=0).allowed == allowed == scipy.stats.binom.ppf(0.99, n, chance)
 
 
 def test_none_is_wrong_if_chance_allows_it_and_none_is_gross():

@@ -13,7 +13,6 @@ from needed import needed_module
 import ringpose
 from ringpose.cli.main import main
 
-needed_module("distributed", "ringpose[cluster]")
 pytestmark = pytest.mark.slow
 
 KILL_AFTER_A_PART = """

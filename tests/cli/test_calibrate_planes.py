@@ -44,6 +44,7 @@ def poor_shots(carried_data, tmp_path_factory):
     return run_in(folder, lambda: calibrate("planes", *ORDER))
 
 
+@pytest.mark.slow
 def test_shots_without_board_or_stripes_are_named_with_the_reason_and_the_others_are_used(poor_shots):
     stderr = poor_shots.err
 
@@ -97,6 +98,7 @@ def test_a_missing_argument_is_named(missing, plane_folder, capsys):
     assert f"{missing}: is missing" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance(plane_folder, capsys):
     for name in ("pln_B_01", "pln_B_05"):
         dark, lit = np.load(f"planes/{name}.npz")["images"]

@@ -177,6 +177,7 @@ def no_room_for_much() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))
 
 
+@pytest.mark.slow
 def test_a_camera_that_cannot_write_its_log_ends_loudly(tmp_path, loopback_address):
     small_scene(tmp_path)
     command = [sys.executable, "-c", COMMAND, "simulate", "serve", "--scene", "scene.yaml"]

@@ -168,6 +168,7 @@ def test_the_first_shot_is_named_before_the_last_is_made(scene, forked):
     assert {truth.shot for truth in read_truths(scene.parent / "out" / "truth.jsonl")} <= {shot.name for shot in shots}
 
 
+@pytest.mark.slow
 def test_an_interrupt_with_several_processes_is_quiet(scene, started):
     endless = SCENE | {"trajectory": [{"generate": {"distances_m": [0.5], "count": 1000}}]}
     scene.write_text(yaml.safe_dump(endless))

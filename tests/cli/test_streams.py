@@ -89,7 +89,10 @@ class Interrupting:
             os.kill(os.getpid(), signal.SIGINT)
 
 
-@pytest.mark.parametrize("module", ["typer", "ringpose.cli.pose", "yaml", "numpy", "cv2", "ringpose.measure.stream"])
+IMPORTED = ["typer", "ringpose.cli.pose", "yaml", "cv2", "ringpose.measure.stream"]
+
+
+@pytest.mark.parametrize("module", ["numpy", *(pytest.param(name, marks=pytest.mark.slow) for name in IMPORTED)])
 def test_interrupt_while_a_module_is_imported_is_no_traceback(started, rig, detections, module):
     code = f"{inspect.getsource(Interrupting)}\nsys.meta_path.insert(0, Interrupting({module!r}))\n"
     with started("pose", detections, "--rig", rig, before=f"import os, signal, sys\n{code}") as process:
@@ -262,7 +265,7 @@ def test_repeated_findings_are_counted_at_any_end(forked, rig, detections, is_cl
     assert "2 further records" in counted
 
 
-@pytest.mark.parametrize("words", [["--help"], ["--version"]])
+@pytest.mark.parametrize("words", [pytest.param(["--help"], marks=pytest.mark.slow), ["--version"]])
 def test_help_into_a_closed_pipe_ends_quietly(started, words):
     with started(*words) as process:
         process.stdout.close()

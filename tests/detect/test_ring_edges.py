@@ -314,7 +314,7 @@ def lit_shot(scene: DrawnScene, rig: Rig, rng: np.random.Generator, laser: int, 
     return Shot(name="lit", images=images, lasers=masks, stamp_s=stamp_s, exposure_s=exposure_s, meta={"still": True})
 
 
-@pytest.mark.parametrize("along_px", [-10, 10])
+@pytest.mark.parametrize("along_px", [10, pytest.param(-10, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("laser", [0, 1, 2])
 def test_a_displaced_stripe_does_not_lead_to_edges_of_another_ring(rig, rng, laser, along_px):
     scene = DrawnScene()

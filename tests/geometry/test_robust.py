@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from scipy.optimize import least_squares
 
 from ringpose.geometry.least_squares import huber_weights, robust_std
@@ -12,7 +12,7 @@ def test_the_robust_standard_deviation_is_that_of_normal_errors_with_outliers(rn
     errors = rng.normal(scale=0.2, size=4000)
     errors[:200] += 100.0
 
-    expected = 0.2 * stats.norm.ppf(0.5 + 0.5 * 0.5 / 0.95) / stats.norm.ppf(0.75)
+    expected = 0.2 * scipy.stats.norm.ppf(0.5 + 0.5 * 0.5 / 0.95) / scipy.stats.norm.ppf(0.75)
     assert robust_std(errors) == pytest.approx(expected, rel=0.05)
 
 

@@ -221,6 +221,7 @@ def test_a_stream_warns_once_of_a_plane_that_has_moved_and_measures_with_its_cor
     assert stream.rig is not rig
 
 
+@pytest.mark.slow
 def test_shots_after_a_correction_are_measured_again_with_it(turned_run):
     """By several processes, which measure them with the rig as it was given."""
     run, rig = turned_run

@@ -61,7 +61,7 @@ def errors_of_laser(shot, truth, rig, laser):
     return (light * window).sum(axis=0) / light.sum(axis=0) - rows
 
 
-@pytest.mark.parametrize("name", SHOTS)
+@pytest.mark.parametrize("name", [SHOTS[0], *(pytest.param(name, marks=pytest.mark.slow) for name in SHOTS[1:])])
 def test_stripes_have_the_same_position_and_scatter_as_in_an_external_render(pair_of, name):
     rendered, simulated, truth, rig = pair_of(name)
 

@@ -17,8 +17,6 @@ from ringpose.track.pipeline import Tracker
 from ringpose.track.states import ERRORS, jacobians, local_coordinates, perturbed, predict_states, retract, step_rates
 from ringpose.types.assumptions import motion_prior
 
-gtsam = needed_module("gtsam", "ringpose[dev]")
-
 FREE = slice(0, 12)
 """The components of a state of constant velocity: without the rate about the normal and the lever."""
 
@@ -44,12 +42,15 @@ def factor(keys: list[int], whitened):
             derivatives[number] = ((columns[::2] - columns[1::2]) / 2e-6).T.copy(order="F")
         return whitened(*at)
 
+    import gtsam
+
     rows = len(whitened(*np.zeros((len(keys), 12))))
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, error)
 
 
 @pytest.mark.slow
 def test_a_track_is_that_of_a_smoother_with_the_same_model(rng):
+    gtsam = needed_module("gtsam", "ringpose[dev]")
     apart, ratios = [], []
     for _ in range(3):
         motion, tracker, observed = drawn_motion(rng), Tracker(None), []

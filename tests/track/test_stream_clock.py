@@ -27,7 +27,7 @@ def lines_of(tracker: Tracker, records) -> list[TrackLine]:
     return [tracker.line_of(tracker.add(record)) for record in records]
 
 
-@pytest.mark.parametrize("back_s", [0.4, 0.5, 0.75])
+@pytest.mark.parametrize("back_s", [0.5, *(pytest.param(value, marks=pytest.mark.slow) for value in (0.4, 0.75))])
 def test_a_clock_that_steps_back_is_flagged_by_the_first_record_and_starts_the_track_anew_with_the_second(rng, back_s):
     motion = drawn_motion(rng)
     records = stream(motion, 3.0, Shots(), rng)
@@ -47,7 +47,10 @@ def test_a_clock_that_steps_back_is_flagged_by_the_first_record_and_starts_the_t
     assert max(nees) < 25.0
 
 
-@pytest.mark.parametrize("ahead_s", [-0.23, -1 / 6, -0.05, 0.05, 0.5], ids=lambda value: f"{value:.2f}")
+STEPS_S = [-0.23, *(pytest.param(step_s, marks=pytest.mark.slow) for step_s in (-1 / 6, -0.05, 0.05)), 0.5]
+
+
+@pytest.mark.parametrize("ahead_s", STEPS_S, ids=lambda value: f"{value:.2f}")
 def test_no_line_after_a_step_ahead_or_by_less_than_two_intervals_is_wrong_without_a_flag(rng, ahead_s):
     """Such a step leaves no two stamps among earlier ones: it is a motion that the gate tests."""
     motion = drawn_motion(rng)

@@ -244,7 +244,7 @@ def test_a_whole_ring_has_its_centre_in_the_middle_of_the_image(study):
     assert view.center_m[2] == pytest.approx(0.8)
 
 
-@pytest.mark.parametrize("name", ["sizes", "sizes-rendered"])
+@pytest.mark.parametrize("name", ["sizes", pytest.param("sizes-rendered", marks=pytest.mark.slow)])
 def test_the_radius_of_a_ring_and_its_error_are_columns_of_their_own(name):
     study = replace(read_study(study_path(name)), level="features", methods=(StudyMethod.ML,))
 
@@ -327,7 +327,7 @@ def test_an_image_of_a_study_is_detected_and_scored(study):
     assert first[0]["detect_s"] > 0
 
 
-@pytest.mark.parametrize("index", [412, 966, *(pytest.param(each, marks=pytest.mark.slow) for each in (710, 1084))])
+@pytest.mark.parametrize("index", [412, *(pytest.param(each, marks=pytest.mark.slow) for each in (966, 710, 1084))])
 def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_without_a_flag(index):
     """A stripe on a surface behind the ring beside a missing or a wrong one: two stripes that agree on another ring."""
     row = study_rows(read_study(study_path("outliers")), index)[0]

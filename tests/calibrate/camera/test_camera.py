@@ -203,6 +203,7 @@ def test_bouguets_corner_list_gives_bouguets_camera(shared_data):
     assert found.camera.distortion_coefficients[:4] == pytest.approx([-0.12821, -0.39441, -0.00435, -0.00732], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_rendered_camera_lies_within_three_reported_sigmas_of_the_truth(shared_data):
     board = Board(kind="charuco", squares_x=11, squares_y=8, square_m=0.025, marker_m=0.018, dictionary="DICT_5X5_100")
     paths = sorted((shared_data / "rendered" / "calib_b" / "camera").glob("*.png"))
