@@ -268,6 +268,7 @@ def _check_distances(poses: Sequence[ReportedPose], location: str, convention: P
         raise DataError(location, finding, "likely the positions are in metres: give m in --robot-convention")
     if convention is not None and convention.rotation in ("angles", "rotation_vector") and len(poses) > 2:
         turned = [np.arccos(np.clip((np.trace(pose.rotation) - 1) / 2, -1, 1)) for pose in poses]
+        # Radians that are read as degrees: none of the three exceeds pi.
         if convention.angle_rad < 1.0 and max(turned) < pi * convention.angle_rad * np.sqrt(3):
             finding = f"no pose is turned by more than {max(turned) / convention.angle_rad:.3g} degrees from the base"
             raise DataError(location, finding, "likely the angles are in radians: give rad in --robot-convention")

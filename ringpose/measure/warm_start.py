@@ -51,10 +51,10 @@ class WarmStart:
         """Break points that the last shot with a pose showed."""
         self._ghosts: tuple[SubtractedGhost, ...] = ()
         """Ghosts of the last shot that had some: they are a property of the camera."""
-        self._sharing = 0
-        """Number of shots with the newest background so far, if it was subtracted from the last one, else 0."""
-        self._used = 0
-        """Number of shots from which the newest background was subtracted so far."""
+        self._is_subtracted = False
+        """Whether a background was subtracted from the last shot ..."""
+        self._background_shots = 0
+        """... and the number of shots from which the newest one was subtracted so far."""
         self._is_followed = False
         """Whether the last measurement continued the track."""
         self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
@@ -72,10 +72,9 @@ class WarmStart:
         self._ghosts = detection.ghosts or self._ghosts
         dark = np.flatnonzero(shot.lasers == 0)
         if len(dark):
-            self._background, self._used = list(shot.frames)[int(dark[-1])], 0
-        is_subtracted = bool(len(dark)) or prior.background is not None
-        self._used += is_subtracted
-        self._sharing = self._used if is_subtracted else 0
+            self._background, self._background_shots = list(shot.frames)[int(dark[-1])], 0
+        self._is_subtracted = bool(len(dark)) or prior.background is not None
+        self._background_shots += self._is_subtracted
 
     def added(self, line: PoseLine, clock: Callable[[], float] = lambda: float("inf")) -> TrackLine:
         """The track after a pose line; `clock` is the host's. Raises `DataError` as `Tracker.add` does."""
@@ -83,7 +82,8 @@ class WarmStart:
         if line.stamp_s > self._stamp_s:
             self._interval_s = line.stamp_s - self._stamp_s
         self._stamp_s = line.stamp_s
-        attempt = self.tracker.add(line, clock(), shared_inflation(self._sharing))
+        number = self._background_shots if self._is_subtracted else 0
+        attempt = self.tracker.add(line, clock(), shared_inflation(number))
         self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
         return self.tracker.line_of(attempt, clock())
 
@@ -92,10 +92,10 @@ class WarmStart:
         stamps_s = np.full(len(rig.lasers.names), shot.measured_at_s)
         for image in laser_images(shot, len(stamps_s)):
             stamps_s[list(image.lasers)] = image.stamp_s
-        rings = {stamp_s: self._ring_at(stamp_s, self.tracker.camera) for stamp_s in set(stamps_s.tolist())}
-        each = [rings[stamp_s] for stamp_s in stamps_s.tolist()]
-        predicted = None if None in each else predicted_stripes([ring for ring in each if ring is not None], rig)
-        if predicted is None or self._seen is None:
+        ring_at = {stamp_s: self._ring_at(stamp_s, self.tracker.camera) for stamp_s in set(stamps_s.tolist())}
+        rings = [ring for stamp_s in stamps_s.tolist() if (ring := ring_at[stamp_s]) is not None]
+        predicted = predicted_stripes(rings, rig) if len(rings) == len(stamps_s) else None
+        if predicted is None or self._seen is None:  # ends that the last shot did not show are not searched
             return predicted
         position_px = np.where(self._seen[..., None], predicted.position_px, np.nan)
         return replace(predicted, position_px=position_px)

@@ -52,10 +52,10 @@ def _arcs_of(state: RingStates, stamp_s: float, camera: CameraMotion | None) -> 
 
 
 def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | None:
-    """The stripes of the lasers, each on the ring at the time of its own frame (`rings`); None if it is too uncertain.
+    """The stripes of the lasers, each on the ring at the time of its own frame (`rings`); None if one is too uncertain.
 
-    Stripes that are not in view are NaN. `labelled`: whether the stripes are so far apart that a measured one can be
-    assigned to its laser.
+    A stripe is in view if one of its ends is; others are NaN. `labelled` of the result: whether the stripes are so far
+    apart that a measured one can be assigned to its laser.
     """
     if rig.stripes_along_columns:
         from ringpose.geometry.quarter_turn import rig_along_rows, to_columns, to_rows  # for few rigs
@@ -68,10 +68,10 @@ def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | Non
     points_m, sigma_px = np.full((count, 2, 3), np.nan), np.full((count, 2, 2), np.nan)
     with np.errstate(all="ignore"):  # a plane that misses the ring has NaN
         for laser, ring in enumerate(rings):
-            every = predicted_break_points(ring.arcs, rig.lasers.normal, rig.lasers.distance_m)
-            points_m[laser] = every[laser]
-            sigma_px[laser] = break_point_sigmas_px(ring.arcs, ring.covariance, every, rig)[laser]
-        points_m[(points_m[..., 2] <= 0.0).any(axis=1)] = np.nan
+            of_all_m = predicted_break_points(ring.arcs, rig.lasers.normal, rig.lasers.distance_m)
+            points_m[laser] = of_all_m[laser]
+            sigma_px[laser] = break_point_sigmas_px(ring.arcs, ring.covariance, of_all_m, rig)[laser]
+        points_m[(points_m[..., 2] <= 0.0).any(axis=1)] = np.nan  # behind the camera
         position_px = project(points_m, camera)
         size_px = np.array([camera.image_width, camera.image_height]) - 1.0
     inside = np.asarray(((position_px > BORDER_PX) & (position_px < size_px - BORDER_PX)).all(axis=-1))
@@ -80,16 +80,17 @@ def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | Non
     sigma_px = np.where(in_view[:, None, None], sigma_px, np.nan)
     if not in_view.any() or not (sigma_px[in_view] < [MAX_ALONG_PX, MAX_ACROSS_PX]).all():
         return None
-    straight_px = undistorted_pixels(position_px, camera)
     left_first = position_px[:, 0, 0] <= position_px[:, 1, 0]
+    undistorted_px = undistorted_pixels(position_px, camera)
+    left_to_right_px = np.where(left_first[:, None, None], undistorted_px, undistorted_px[:, ::-1])
     covariance_px2 = np.zeros((count, 2, 2, 2))
     covariance_px2[..., [0, 1], [0, 1]] = sigma_px**2
     return BreakPoints(
         position_px=np.where(inside[..., None], position_px, np.nan),
         covariance_px2=np.where(inside[..., None, None], covariance_px2, np.nan),
         flags=np.zeros((count, 2), dtype=np.int64),
-        face_start_undistorted_px=np.where(left_first[:, None], straight_px[:, 0], straight_px[:, 1]),
-        face_end_undistorted_px=np.where(left_first[:, None], straight_px[:, 1], straight_px[:, 0]),
+        face_start_undistorted_px=left_to_right_px[:, 0],
+        face_end_undistorted_px=left_to_right_px[:, 1],
         face_sigma_px=sigma_px[..., 1],
         labelled=_are_apart(position_px[in_view], sigma_px[in_view, :, 1].max(axis=1)),
     )

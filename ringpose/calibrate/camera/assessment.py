@@ -138,7 +138,7 @@ def coverage(calibration: CameraCalibration) -> Coverage:
     middles = [view.pose.rotation @ view.board.points_board_m.mean(axis=0) + view.pose.translation_m for view in used]
     normals = np.array([view.pose.rotation[:2, 2] for view in used])
     variance = np.linalg.eigvalsh(np.cov(normals.T)) if len(used) > 1 else np.zeros(2)
-    across, along = np.sqrt(np.maximum(variance, 0.0)).tolist()
+    across, along = np.sqrt(np.maximum(variance, 0.0)).tolist()  # ascending
     rows = max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
     # Each ninth of the image is divided into nine cells again: the share of these that contain corners.
     seen = (_counts(points_px, camera, 9, 9) > 0).reshape(3, 3, 3, 3).mean(axis=(1, 3))

@@ -113,25 +113,27 @@ def wrong_views(solution: MountSolution) -> WrongViews | None:
     views = len(numbers.z)
     if views <= MIN_VIEWS:
         return None
-    alone = [WrongViews((view,), slipped=False) for view in range(views)]
-    moved = [WrongViews(_fewer(np.arange(views) >= first), slipped=True) for first in range(2, views - 1)]
-    chi2 = [_chi2(_with(numbers, views_off), weights, solution.prior) for views_off in (*alone, *moved)]
+    explanations = [WrongViews((view,), slipped=False) for view in range(views)]
+    explanations += [WrongViews(_fewer(np.arange(views) >= first), slipped=True) for first in range(2, views - 1)]
+    tests = len(explanations)  # the probability that one of them seems significant by chance is so many times larger
+    degrees_of_freedom = 6 * views - 18  # six of mount, board and explanation each
     before = _chi2(numbers, weights, solution.prior)
-    count, degrees_of_freedom = len(chi2), 6 * views - 18
-    if views >= MIN_FREE_VIEWS and count * _chance(before, min(chi2), degrees_of_freedom) > MAX_USUAL_CHANCE:
+    chi2 = [_chi2(_with(numbers, explanation), weights, solution.prior) for explanation in explanations]
+    if views >= MIN_FREE_VIEWS and tests * _chance(before, min(chi2), degrees_of_freedom) > MAX_USUAL_CHANCE:
         return None
-    ranked = sorted(zip(chi2, (*alone, *moved), strict=True), key=lambda pair: pair[0])
-    tried = [views_off for _, views_off in ranked if not views_off.slipped][:TRIED]
-    tried += [views_off for _, views_off in ranked if views_off.slipped][:TRIED]
+    ranked = [explanations[index] for index in np.argsort(chi2, kind="stable")]
+    tried = [explanation for explanation in ranked if not explanation.slipped][:TRIED]
+    tried += [explanation for explanation in ranked if explanation.slipped][:TRIED]
     wrong = []
-    for views_off in tried:
-        explained = _with(numbers, views_off)
-        sigmas = robot_sigmas(explained, _padded(solution.prior, explained))
-        own = inverse_marginal(numbers, sigmas)
-        chance = _chance(_chi2(numbers, own, solution.prior), _chi2(explained, own, solution.prior), degrees_of_freedom)
-        wrong.append((chance, sigmas.translation_m, views_off))
+    for explanation in tried:
+        model = _with(numbers, explanation)
+        sigmas = robot_sigmas(model, _padded(solution.prior, model))
+        smaller = inverse_marginal(numbers, sigmas)  # weights by the robot's error that the explanation leaves
+        chi2_without, chi2_with = (_chi2(views_of, smaller, solution.prior) for views_of in (numbers, model))
+        chance = _chance(chi2_without, chi2_with, degrees_of_freedom)
+        wrong.append((chance, sigmas.translation_m, explanation))
     chance, _, best = min(wrong, key=lambda entry: entry[:2])
-    return best if count * chance < CHANCE and views - len(best.views) >= MIN_VIEWS else None
+    return best if tests * chance < CHANCE and views - len(best.views) >= MIN_VIEWS else None
 
 
 def _fewer(later: Bool[Array, "view"]) -> tuple[int, ...]:
