@@ -11,7 +11,7 @@ from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.laser_check import LitPixels
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
-from ringpose.capture.pipeline import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
+from ringpose.capture.settle import MAX_SETTLE_S, SETTLE_MARGIN, LaserResponse, laser_responses
 from ringpose.types.record import Key, Presence
 
 DeviceVerdict = Literal["ok", "warning", "fault"]

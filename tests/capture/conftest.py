@@ -26,7 +26,7 @@ class VirtualTime:
 def drawn_devices(rng, monkeypatch):
     """Creates a camera, and the lasers that it sees, switched by contacts with faults."""
     clock = VirtualTime()
-    for module in ("drawn_camera", "ringpose.capture.pipeline", "ringpose.capture.self_test", LaserDriver.__module__):
+    for module in ("drawn_camera", "ringpose.capture.settle", "ringpose.capture.self_test", LaserDriver.__module__):
         monkeypatch.setattr(f"{module}.time", clock)
 
     def created(faults=None, reports=True, **camera_options):

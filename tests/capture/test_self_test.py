@@ -9,8 +9,8 @@ import pytest
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.laser_check import lit_pixels
 from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.pipeline import SETTLE_MARGIN, measured_settle_s
 from ringpose.capture.self_test import run_self_test
+from ringpose.capture.settle import SETTLE_MARGIN, measured_settle_s
 from ringpose.capture.shot_check import require_off
 from ringpose.errors import LaserSafetyError
 from ringpose.simulate.serve.relays import RelayFaults
