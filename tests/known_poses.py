@@ -12,7 +12,7 @@ from ringpose.files.records import line_of
 from ringpose.files.records.poses import pose_record
 from ringpose.files.records.truths import truth_record
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
 NORMAL = np.array([0.0, 0.0, -1.0])

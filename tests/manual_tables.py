@@ -28,11 +28,12 @@ from ringpose.types.board import Board
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
 from ringpose.types.rig import RobotPose
-from ringpose.types.scene import Approach, Truth
+from ringpose.types.scene import Approach
 from ringpose.types.session import Session
 from ringpose.types.study import Drawn, Factors, Limits
 from ringpose.types.target import Foil, Gap, Material
 from ringpose.types.track import TrackLine
+from ringpose.types.truth import Truth
 
 MAN = Path(__file__).parents[1] / "man"
 

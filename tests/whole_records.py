@@ -22,7 +22,6 @@ from ringpose.types.pose import (
     RingVelocity,
 )
 from ringpose.types.rig import PlaneCorrection
-from ringpose.types.scene import Truth, TruthFrame
 from ringpose.types.track import (
     Attempt,
     FusionStatus,
@@ -34,6 +33,7 @@ from ringpose.types.track import (
     TrackLine,
     Validity,
 )
+from ringpose.types.truth import Truth, TruthFrame
 
 
 def record_of(values: dict[str, Any]) -> dict[str, Any]:

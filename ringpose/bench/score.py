@@ -21,7 +21,7 @@ from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, Status
 from ringpose.types.record import Key
 from ringpose.types.rig import Camera
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 Value = str | float | int | bool
 """Value of a group."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
-    from ringpose.types.scene import Truth
+    from ringpose.types.truth import Truth
 
 
 @app.command()

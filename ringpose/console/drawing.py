@@ -18,8 +18,9 @@ from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.image import ALL_LASERS
 from ringpose.types.pose import RingPose
 from ringpose.types.rig import Camera, Rig
-from ringpose.types.scene import Earth, Light, Scene, Truth
+from ringpose.types.scene import Earth, Light, Scene
 from ringpose.types.target import MATERIALS, Box, Part
+from ringpose.types.truth import Truth
 
 Color = tuple[int, int, int]
 Dash = Literal["solid", "dashed", "dotted"]

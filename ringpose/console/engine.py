@@ -28,8 +28,9 @@ from ringpose.types.arrays import Array, UInt8
 from ringpose.types.image import Shot
 from ringpose.types.pose import PoseLine
 from ringpose.types.rig import Camera, Rig
-from ringpose.types.scene import Scene, Truth
+from ringpose.types.scene import Scene
 from ringpose.types.track import TrackLine
+from ringpose.types.truth import Truth
 
 PREVIEW_WIDTH = 640
 """Largest width of a preview, which is rendered with one ray a pixel."""

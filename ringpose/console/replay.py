@@ -22,7 +22,7 @@ from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.image import ALL_LASERS
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 WIDTH_PX = 800
 """Width of the pictures, at most."""

@@ -10,7 +10,7 @@ from ringpose.geometry.rays import intersect, rays
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Camera
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 MAX_BAND_DISTANCE_M = 0.005
 """A grasp point farther than this from the rim is wrong, whatever its covariance."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 
 def stripes_shown(truths: Iterable[Truth], names: Sequence[str] = ()) -> str:

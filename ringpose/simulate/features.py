@@ -47,8 +47,9 @@ from ringpose.types.detection import (
     joined_edge_points,
 )
 from ringpose.types.rig import Camera
-from ringpose.types.scene import RingView, Scene, Truth
+from ringpose.types.scene import RingView, Scene
 from ringpose.types.target import RingForm
+from ringpose.types.truth import Truth
 
 _FEATURES, _COMMON = 2, 3
 """First numbers of the seeds of shots and of their common errors; images have 0 and 1."""

@@ -19,8 +19,9 @@ from ringpose.simulate.renderer import TIMES, RenderedView, render_view
 from ringpose.simulate.target.parts import board_target, part_around, view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
-from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene, Truth, TruthFrame
+from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene
 from ringpose.types.target import TimedPoses
+from ringpose.types.truth import Truth, TruthFrame
 
 _SHOTS, _BOARDS = 0, 1
 """First number of each seed, so that the noise of boards and shots is independent."""

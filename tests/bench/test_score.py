@@ -13,7 +13,7 @@ from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
 from ringpose.types.pose import PoseFlag, PoseLine, RingVelocity
 from ringpose.types.rig import Camera
-from ringpose.types.scene import Truth, TruthFrame
+from ringpose.types.truth import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
 NO_POSE = bench_estimate_of(PoseLine(shot="a", stamp_s=0.0, pose=None), "x")

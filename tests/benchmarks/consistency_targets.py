@@ -23,8 +23,9 @@ from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.assumptions import RING_TOLERANCE_M, AssumptionOptions
 from ringpose.types.pose import KnownRadii, PoseFlag, PoseLine
 from ringpose.types.rig import ParameterCovariance, Rig
-from ringpose.types.scene import Approach, Scene, Truth
+from ringpose.types.scene import Approach, Scene
 from ringpose.types.session import parsed_sequence
+from ringpose.types.truth import Truth
 
 RIGS = {"A": "paper-virtual-scene.yaml", "B": "paper-physical-scene.yaml"}
 DISTANCES_M = (0.3, 0.5, 1.0)

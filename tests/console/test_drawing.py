@@ -10,7 +10,7 @@ from ring_scenes import PROJECTED, make_camera
 from ringpose.console.drawing import PALE, Ball, Ellipsoid, bounds, recorded_elements, rig_elements, rings, stripes
 from ringpose.geometry.rays import project
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 RIG = Rig(camera=make_camera((800, 600), (889.0, 890.0), (410.0, 290.0)), lasers=PROJECTED)
 RING = Truth(

@@ -13,7 +13,7 @@ from ringpose.estimate.pose_errors import (
     truth_at,
 )
 from ringpose.geometry.rotations import tilted
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 ORIGIN = np.zeros(3)
 Z = np.array([0.0, 0.0, 1.0])

@@ -16,8 +16,8 @@ from ringpose.files.records.detections import detection_record
 from ringpose.files.records.truths import truth_record
 from ringpose.types.detection import Detection, NoBreakPoints
 from ringpose.types.pose import LaserState, PoseFlag
-from ringpose.types.scene import Truth
 from ringpose.types.session import Capture, Session
+from ringpose.types.truth import Truth
 
 DETECTION = record_of(detection_record(Detection(shot="a", stamp_s=1.0, break_points=NoBreakPoints.NO_RING)))
 _TRUTH = Truth(

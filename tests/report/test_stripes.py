@@ -3,7 +3,7 @@
 import numpy as np
 
 from ringpose.report.stripes import stripes_shown
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 
 def truth(*seen) -> Truth:

@@ -21,8 +21,9 @@ from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Scene, Truth
+from ringpose.types.scene import Scene
 from ringpose.types.study import Row, Study, StudyMethod
+from ringpose.types.truth import Truth
 
 PART_S = (0.5, 10.0)
 """Time after which finished shots are written to a new part file, at first and later: what a killed study loses."""

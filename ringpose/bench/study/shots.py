@@ -37,7 +37,7 @@ from ringpose.types.image import Shot
 from ringpose.types.options import Method
 from ringpose.types.pose import KnownRadii, NoPose, PoseLine, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.scene import Approach, Scene, Truth
+from ringpose.types.scene import Approach, Scene
 from ringpose.types.study import (
     CASE,
     SURFACES,
@@ -49,6 +49,7 @@ from ringpose.types.study import (
     Value,
     columns,
 )
+from ringpose.types.truth import Truth
 
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
 """First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, turned plane and case."""

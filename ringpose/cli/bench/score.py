@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ringpose.measure.stream import Stream
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
-    from ringpose.types.scene import Truth
+    from ringpose.types.truth import Truth
 
 DEFAULT_GROUPS = ("distance_m", "light")
 

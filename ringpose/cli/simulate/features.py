@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from ringpose.simulate.features import Deviations
     from ringpose.types.rig import Rig
-    from ringpose.types.scene import Scene, Truth
+    from ringpose.types.scene import Scene
+    from ringpose.types.truth import Truth
 
 Features = Annotated[
     bool, typer.Option("--features", help="Draw detection records from the ring's model; no images are rendered.")

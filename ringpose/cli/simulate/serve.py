@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
     from typing import Any
 
-    from ringpose.types.scene import Scene, Truth
+    from ringpose.types.scene import Scene
+    from ringpose.types.truth import Truth
 
 SceneArgument = Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="The scene (scene.yaml).")]
 SceneOption = Annotated[Path | None, typer.Option("--scene", metavar="SCENE", help="The same as SCENE.")]

@@ -17,7 +17,8 @@ from ringpose.types.board import Board
 from ringpose.types.detection import Detection
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
-from ringpose.types.scene import NamedBoardPose, Truth
+from ringpose.types.scene import NamedBoardPose
+from ringpose.types.truth import Truth
 
 
 class SimulationFolder:

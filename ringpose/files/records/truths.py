@@ -8,7 +8,7 @@ from ringpose.files import records
 from ringpose.files.inputs import file_lines
 from ringpose.files.records.codec import RecordType
 from ringpose.files.schema import TRUTH, Fields
-from ringpose.types.scene import Truth
+from ringpose.types.truth import Truth
 
 _KNOWN = {"center_m": {"type": "array"}, "normal": {"type": "array"}}
 

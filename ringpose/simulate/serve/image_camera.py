@@ -24,8 +24,9 @@ from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_
 from ringpose.simulate.renderer import RenderedView
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame
-from ringpose.types.scene import RingView, Scene, Truth
+from ringpose.types.scene import RingView, Scene
 from ringpose.types.target import TargetPath
+from ringpose.types.truth import Truth
 from ringpose.wire import images as wire
 from ringpose.wire.images import ServedFrame, ServedPose
 

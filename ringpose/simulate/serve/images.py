@@ -21,7 +21,8 @@ from typing import Any
 from ringpose.errors import DeviceError
 from ringpose.simulate.serve import image_clients
 from ringpose.simulate.serve.image_camera import ImageCamera
-from ringpose.types.scene import Scene, Truth
+from ringpose.types.scene import Scene
+from ringpose.types.truth import Truth
 from ringpose.wire import images as wire
 from ringpose.wire.images import MalformedMessage, ServedFrame
 
