@@ -18,8 +18,9 @@ from ringpose.files.cameras.ros import CameraFile, CameraInfo
 from ringpose.files.records.codec import Attribute, Choice, Definition, Numbers, definition_of
 from ringpose.files.rigs import RigFile
 from ringpose.files.scenes.motions import MotionEntry
+from ringpose.files.scenes.rings import FormEntry, RingEntry
 from ringpose.files.scenes.scene import SceneFile
-from ringpose.files.scenes.targets import FormEntry, RingEntry, TargetEntry
+from ringpose.files.scenes.targets import TargetEntry
 from ringpose.files.scenes.views import BoardSetEntry, ViewEntry
 from ringpose.files.schemas import RECORDS
 from ringpose.files.studies.specification import StudyFile

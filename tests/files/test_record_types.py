@@ -19,6 +19,7 @@ from ringpose.files.records.detections import detection_of
 from ringpose.files.records.poses import pose_line_of
 from ringpose.files.rigs import LaserEntry, MountEntry, RigFile
 from ringpose.files.scenes.motions import MotionEntry, TimedPose
+from ringpose.files.scenes.rings import FormEntry, RingEntry
 from ringpose.files.scenes.scene import LightEntry, SceneFile, SunEntry
 from ringpose.files.scenes.targets import (
     BoxEntry,
@@ -26,10 +27,8 @@ from ringpose.files.scenes.targets import (
     CylinderEntry,
     DiscEntry,
     FaceEdges,
-    FormEntry,
     PanelEntry,
     RevolutionEntry,
-    RingEntry,
     TargetEntry,
 )
 from ringpose.files.scenes.views import BoardsEntry, BoardSetEntry, BoardViewEntry, GeneratedViews, ViewEntry

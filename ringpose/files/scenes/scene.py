@@ -9,7 +9,7 @@ import numpy as np
 
 from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
 from ringpose.files.rigs import read_rig
-from ringpose.files.scenes import targets, views
+from ringpose.files.scenes import rings, targets, views
 from ringpose.files.scenes.motions import MotionEntry, mass_properties, motion_of
 from ringpose.files.schema import SCENE, Fields
 from ringpose.files.yaml import read_yaml
@@ -104,7 +104,7 @@ class SceneFile:
     ] = None
     period_s: Annotated[float | None, Key("Time between shots.", least=0, presence=Presence.IF_KNOWN)] = None
     start_s: Annotated[float | None, Key("Stamp of the first shot.", least=0, presence=Presence.IF_KNOWN)] = None
-    ring: Annotated[targets.RingEntry | None, Key("The ring; needed without a target.", presence=Presence.IF_KNOWN)] = (
+    ring: Annotated[rings.RingEntry | None, Key("The ring; needed without a target.", presence=Presence.IF_KNOWN)] = (
         None
     )
     body: Annotated[
@@ -247,7 +247,7 @@ def _target(fields: Fields, entry: SceneFile) -> targets.Target:
     if entry.ring is not None:
         if target.ring is not None:
             raise fields.problem("ring", "is given, but the target has a ring", "remove one of them")
-        target = targets.Target(parts=target.parts, ring=targets.ring_of(fields.fields("ring"), entry.ring))
+        target = targets.Target(parts=target.parts, ring=rings.ring_of(fields.fields("ring"), entry.ring))
     return target
 
 
