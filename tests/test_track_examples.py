@@ -1,7 +1,6 @@
 """The bridges from a track to controllers."""
 
 import argparse
-import ast
 import json
 import runpy
 import socket
@@ -95,10 +94,3 @@ def test_datagrams_go_on_while_no_lines_arrive_and_end_with_a_hold():
             assert awaited("no track for")["do"] == "hold"
             process.stdin.close()
             assert awaited("ended")["do"] == "hold"
-
-
-def test_the_bridge_to_ros_2_is_valid_python_that_reads_the_keys_of_the_messages():
-    text = (EXAMPLES / "track_to_ros2.py").read_text()
-
-    ast.parse(text)
-    assert all(f'"{key}"' in text for key in ("validity", "pose", "twist"))
