@@ -104,6 +104,10 @@ def _asymmetric_centers(board: Board) -> Float64[Array, "circle xyz=3"]:
     return board.circle_spacing_m * (lattice + _FIRST)
 
 
+def _symmetric_centers(board: Board) -> Float64[Array, "circle xyz=3"]:
+    return board.circle_spacing_m * (_lattice(board.squares_x, board.squares_y) + _FIRST)
+
+
 def _corners_of_markers(board: Board) -> Float64[Array, "corner xyz=3"]:
     return marker_corners(board).reshape(-1, 3)
 
@@ -212,6 +216,13 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         keys=(*_COUNTS, ("spacing_m", "spacing_in_row_m", "spacing_diagonal_m")),
         min_count=2,
         corners=_asymmetric_centers,
+        outline_m=_circles_outline,
+    ),
+    "symmetric_circles": Layout(
+        pattern="circles",
+        keys=(*_COUNTS, ("spacing_m",)),
+        min_count=2,
+        corners=_symmetric_centers,
         outline_m=_circles_outline,
     ),
 }

@@ -15,7 +15,7 @@ from ringpose.types.record import Key, Presence
 MAX_SQUARES = 200
 """Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
 
-BoardKind = Literal["charuco", "chessboard", "four_markers", "aruco_grid", "asymmetric_circles"]
+BoardKind = Literal["charuco", "chessboard", "four_markers", "aruco_grid", "asymmetric_circles", "symmetric_circles"]
 
 
 def _length(description: str, length: Range) -> Key:
@@ -44,8 +44,8 @@ class Board:
     spacing_m: Annotated[
         float | None,
         _length(
-            "Distance of the rows of circles, from centre to centre: of `asymmetric_circles` half the distance of "
-            "neighbours in a row.",
+            "Distance of the rows of circles, from centre to centre: of `symmetric_circles` also that of neighbours in "
+            "a row, of `asymmetric_circles` half of it.",
             plausible.SQUARE_M,
         ),
     ] = None

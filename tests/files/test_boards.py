@@ -15,7 +15,8 @@ BOARDS = [
     Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025, square_y_m=0.026),
     Board(kind="four_markers", **FOUR_MARKERS, order="0 left"),
     Board(kind="aruco_grid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_4X4_50"),
-    Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),
+    Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_in_row_m=0.02),
+    Board(kind="symmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),
 ]
 
 

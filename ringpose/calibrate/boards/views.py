@@ -18,7 +18,7 @@ from ringpose.calibrate.boards.patterns.markers import (
     markers_of,
     other_layout,
 )
-from ringpose.geometry.board import corner_points, marker_corners, marker_count, marker_dictionary
+from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 
@@ -42,7 +42,7 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
     if (failure := diagnostics.hopeless(grey, board)) is not None:
         return failure
     try:
-        view = _marker_view(grey, board, name) if marker_count(board) else _pattern_view(grey, board, name)
+        view = _VIEWS[LAYOUTS[board.kind].pattern](grey, board, name)
     except cv2.error as error:  # some of its searches fail on what they find, for example at the image's rim
         finding = f"OpenCV fails on its {grey.shape[1]} x {grey.shape[0]} pixels: {' '.join(str(error.err).split())}"
         view = diagnostics.NoBoard(failure=diagnostics.BoardFailure.GIVEN_UP, finding=finding)
@@ -54,15 +54,19 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
     return replace(view, saturated_share=float(np.mean(saturated[row, column])))
 
 
-def _pattern_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
-    """The view of a chessboard or a grid of circles: all of it must be visible."""
-    columns, rows = board.squares_x or 0, board.squares_y or 0
-    if board.kind == "chessboard":
-        if chessboard.visible_grid(grey, columns - 1, rows - 1) is None:
-            return diagnostics.pattern_failure(grey, board, None)
-        corners, seen = chessboard.chessboard_corners(grey, columns - 1, rows - 1)
-        return diagnostics.pattern_failure(grey, board, seen) if corners is None else _view(name, board, corners)
-    circles = circle_centers(grey, corner_points(board), columns, rows)
+def _chessboard_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
+    """The view of a chessboard: all of it must be visible."""
+    columns, rows = (board.squares_x or 0) - 1, (board.squares_y or 0) - 1
+    if chessboard.visible_grid(grey, columns, rows) is None:
+        return diagnostics.pattern_failure(grey, board, None)
+    corners, seen = chessboard.chessboard_corners(grey, columns, rows)
+    return diagnostics.pattern_failure(grey, board, seen) if corners is None else _view(name, board, corners)
+
+
+def _circle_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
+    """The view of a grid of circles: all of it must be visible."""
+    counts = (board.squares_x or 0, board.squares_y or 0)
+    circles = circle_centers(grey, corner_points(board), *counts, board.kind == "asymmetric_circles")
     if circles is None:
         return diagnostics.circle_failure(grey, board)
     return replace(_view(name, board, circles.points_px), circle_radius_m=circles.radius_m)
@@ -126,3 +130,12 @@ def _charuco_corners(
     distance_px = np.linalg.norm(points_px[:, None] - points_px, axis=-1)
     square_px = float(distance_px[neighbours].min()) if neighbours.any() else 0.0
     return numbers, chessboard.refined_corners(grey, points_px, white_share * square_px), markers
+
+
+_VIEWS = {
+    "charuco": _marker_view,
+    "chessboard": _chessboard_view,
+    "circles": _circle_view,
+    "markers": _marker_view,
+}
+"""The search for each pattern."""

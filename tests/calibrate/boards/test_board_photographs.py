@@ -45,9 +45,8 @@ def test_circles_of_opencvs_photographs_are_where_its_tests_expect_them(number, 
     folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
     storage = cv2.FileStorage(str(folder / f"acircles_corners{number}.dat"), cv2.FILE_STORAGE_READ)
 
-    found = opencv_ellipse_centers(
-        cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), *SIZES[number]
-    )
+    image = cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE)
+    found = opencv_ellipse_centers(image, *SIZES[number], is_asymmetric=True)
 
     expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
     assert np.abs(found - expected).max() < 0.01

@@ -1,12 +1,15 @@
 """Centres of circles and of ellipses, drawn here point by point."""
 
 import functools
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from drawn_boards import CHESSBOARD, drawn_board
 from scipy.special import ndtr
 
+from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers, refined_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.board import corner_points
@@ -41,7 +44,7 @@ def tilted_circles(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
 def test_centres_of_tilted_circles_differ_from_those_of_their_ellipses(radius_m):
     image, centers_px = tilted_circles(radius_m)
 
-    middles = np.linalg.norm(opencv_ellipse_centers(image, 4, 7) - centers_px, axis=1)
+    middles = np.linalg.norm(opencv_ellipse_centers(image, 4, 7, is_asymmetric=True) - centers_px, axis=1)
     found = np.linalg.norm(find_board(image, GRID, "tilted").points_px - centers_px, axis=1)
 
     assert np.median(middles) > 0.08
@@ -55,6 +58,23 @@ def test_circles_are_found_in_an_image_a_quarter_as_bright():
     found = np.linalg.norm(find_board(dim, GRID, "dim").points_px - centers_px, axis=1)
 
     assert np.median(found) < 0.03
+
+
+@pytest.mark.parametrize("counts", [(3, 7), (4, 5), (4, 6)])
+def test_part_of_a_larger_grid_is_not_taken_for_the_board(counts):
+    """Its circles could be any of the larger grid; the distances would be right and the board's frame wrong."""
+    image, _ = tilted_circles(0.006)
+
+    found = find_board(image, replace(GRID, squares_x=counts[0], squares_y=counts[1]), "part")
+
+    assert isinstance(found, NoBoard)
+    assert "28 circles are seen" in found.finding
+
+
+def test_squares_of_a_chessboard_are_no_grid_of_circles():
+    board = Board(kind="symmetric_circles", squares_x=4, squares_y=4, spacing_m=0.02)
+
+    assert isinstance(find_board(drawn_board(CHESSBOARD), board, "chessboard"), NoBoard)
 
 
 def test_noise_makes_circles_no_larger(rng):

@@ -277,18 +277,27 @@ def _in_board_order(image: GreyImage, grid: Grid) -> Grid:
     A board whose numbers of squares are both odd or both even is symmetric under half a turn: then the first corner is
     the one nearer to the image's top left.
     """
-    right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if right[0] * down[1] - right[1] * down[0] < 0:
-        grid = grid[:, ::-1]
+    grid = unmirrored(grid)
     rows, columns = grid.shape[:2]
     if (rows + columns) % 2 == 0:
-        return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else grid[::-1, ::-1]
+        return upright(grid)
     # The square between the first four corners has the outer top-left one's colour: is it darker than its neighbours?
     middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     column, row = np.clip(np.rint(middle).astype(np.int64).reshape(-1, 2), 0, np.array(image.shape[::-1]) - 1).T
     values = image[row, column].astype(np.float64).reshape(middle.shape[:2])
     sign = 1 - 2 * (np.indices(values.shape).sum(axis=0) % 2)
     return grid if np.sum(sign * (values - np.median(values))) < 0 else grid[::-1, ::-1]
+
+
+def unmirrored(grid: Grid) -> Grid:
+    """The grid with its columns in the order in which y is clockwise from x in the image, as seen from in front."""
+    right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    return grid if right[0] * down[1] - right[1] * down[0] >= 0 else grid[:, ::-1]
+
+
+def upright(grid: Grid) -> Grid:
+    """The grid turned so that the first point is nearer to the image's top left than the last."""
+    return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else grid[::-1, ::-1]
 
 
 def largest_grid(image: GreyImage) -> Grid | None:

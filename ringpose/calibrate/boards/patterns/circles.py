@@ -1,4 +1,4 @@
-"""Projected centres of the circles of an asymmetric grid (ringpose-method(7), section 7).
+"""Projected centres of the circles of a grid, dark or light ones (ringpose-method(7), section 7).
 
 The projection of a circle is an ellipse whose centre is not the projection of the circle's centre, because the nearer
 half appears larger. The difference grows with the square of the radius, which is measured from the dark area.
@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
+from ringpose.calibrate.boards.patterns.chessboard import unmirrored, upright
 from ringpose.calibrate.boards.patterns.image_patch import (
     MIN_BLUR_PX,
     GreyImage,
@@ -48,6 +49,10 @@ PAPER_PX = 4.0
 MIN_LEVEL_PIXELS = 20
 """Minimum number of pixels for a grey level that is a plane, of paper or ink."""
 
+NEAR_PLACE = 0.3
+"""Distance of a circle from the place that its neighbours predict, in spacings: distortion displaces it by less than
+0.1; doubled, wrongly ordered circles would pass, and what is printed beside the grid be part of it."""
+
 _ROUNDS = 2
 
 _SHARES = (-0.5, 1.5)
@@ -63,13 +68,27 @@ class CircleCenters(NamedTuple):
 
 
 def circle_centers(
-    grey: GreyImage, points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int
+    grey: GreyImage, points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int, is_asymmetric: bool
 ) -> CircleCenters | None:
-    """Projected centres of the circles with these positions on the board; None if not all are found."""
-    ellipses_px = opencv_ellipse_centers(grey, columns, rows)
-    if ellipses_px is None:
-        return None
-    centers_m = points_m[:, :2]
+    """Projected centres of the circles with these positions on the board; None if not all are found.
+
+    Light circles on a dark board are dark ones in the negative, which is searched if the image shows no grid.
+    """
+    grid_m = points_m[:, :2].reshape(rows, columns, 2)
+    for image in (grey, negative(grey)):
+        ellipses_px = opencv_ellipse_centers(image, columns, rows, is_asymmetric)
+        if ellipses_px is not None and _is_whole_grid(image, ellipses_px, grid_m):
+            return _projected_centers(image, ellipses_px, points_m[:, :2])
+    return None
+
+
+def negative(grey: GreyImage) -> GreyImage:
+    """The image with dark and bright exchanged, its brightest pixel black."""
+    return grey.max() - grey
+
+
+def _projected_centers(grey: GreyImage, ellipses_px: Centers, centers_m: Centers) -> CircleCenters:
+    """The centres of dark ellipses refined, and corrected for the perspective of their circles."""
     image_from_board = _homography(centers_m, ellipses_px)
     radius_m = _radius_m(grey, ellipses_px, centers_m, image_from_board)
     for _ in range(_ROUNDS if radius_m else 0):
@@ -78,11 +97,45 @@ def circle_centers(
     return CircleCenters(ellipses_px - ellipse_offsets(centers_m, radius_m, image_from_board), radius_m)
 
 
-def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int) -> Centers | None:
-    """OpenCV's centres of the ellipses; None if not all are found."""
-    flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
-    is_found, centers = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
-    return np.asarray(centers, dtype=np.float64).reshape(-1, 2) if is_found else None
+def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int, is_asymmetric: bool) -> Centers | None:
+    """OpenCV's centres of the dark ellipses in the order of the board's circles; None if not all are found."""
+    detector, image = _blob_detector(grey, columns * rows), brightened(grey)
+    kind = cv2.CALIB_CB_ASYMMETRIC_GRID if is_asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
+    for by_clusters in (cv2.CALIB_CB_CLUSTERING, 0):  # clusters of near circles; if clutter is near, the graph of them
+        is_found, centers = cv2.findCirclesGrid(image, (columns, rows), flags=kind | by_clusters, blobDetector=detector)
+        if is_found:
+            grid = np.asarray(centers, dtype=np.float64).reshape(rows, columns, 2)
+            return (grid if is_asymmetric else upright(unmirrored(grid))).reshape(-1, 2)
+    return None
+
+
+def _blob_detector(grey: GreyImage, circles: int) -> cv2.SimpleBlobDetector:
+    """OpenCV's detector of dark blobs, each of them at most of its share of an image that the board fills."""
+    parameters = cv2.SimpleBlobDetector.Params()
+    parameters.maxArea = grey.size / circles
+    return cv2.SimpleBlobDetector.create(parameters)
+
+
+def _is_whole_grid(grey: GreyImage, ellipses_px: Centers, grid_m: Float64[Array, "grid_row grid_column xy=2"]) -> bool:
+    """Whether each circle is where its neighbours predict it, and no further ones are beyond a side of the grid.
+
+    Perspective is undone first. A row is predicted by three rows beside it, of which every other one is shifted if the
+    grid is asymmetric.
+    """
+    blobs = _blob_detector(grey, len(ellipses_px)).detect(brightened(grey))
+    board_from_image = np.linalg.inv(_homography(grid_m.reshape(-1, 2), ellipses_px))
+    seen_px = np.concatenate([ellipses_px, np.array([blob.pt for blob in blobs]).reshape(-1, 2)])
+    seen_m = cv2.perspectiveTransform(seen_px[None], board_from_image)[0]
+    rows, blobs_m = seen_m[: len(ellipses_px)].reshape(grid_m.shape), seen_m[len(ellipses_px) :]
+    columns, near_m = rows.swapaxes(0, 1), NEAR_PLACE * float(np.linalg.norm(grid_m[1, 0] - grid_m[0, 0]))
+    predicted = [(rows[:-3], rows[1:-2] + rows[2:-1] - rows[3:]), (columns[:-2], 2 * columns[1:-1] - columns[2:])]
+    if any((np.linalg.norm(places - circles, axis=-1) > near_m).any() for circles, places in predicted):
+        return False
+    beyond = [2 * columns[0] - columns[1], 2 * columns[-1] - columns[-2]]
+    if len(rows) > 2:
+        beyond += [rows[0] + rows[1] - rows[2], rows[-1] + rows[-2] - rows[-3]]
+    nearest_m = [np.linalg.norm(places[:, None] - blobs_m, axis=-1).min(axis=1) for places in beyond]
+    return all(np.mean(distance_m < near_m) < 0.5 for distance_m in nearest_m)
 
 
 def brightened(grey: GreyImage) -> GreyImage:

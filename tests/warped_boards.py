@@ -1,0 +1,83 @@
+"""Views of each kind of board, drawn point by point: the print as a function of the place on the board, with a lens."""
+
+import functools
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+from known_views import projected_px, rotation
+from ring_scenes import make_camera
+
+from ringpose.types.board import Board
+
+CAMERA = make_camera((480, 360), (520.0, 518.0), (243.0, 176.0), (-0.12, 0.06, 0.0008, -0.0005, 0.0))
+SUBPIXELS, BLUR_PX, NOISE_DN = 4, 0.7, 1.5
+DARK_DN, LIGHT_DN = 35.0, 205.0
+
+Ink = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Whether there is ink at x, y on the board."""
+
+
+def disks(spacing_m: float, radius_m: float, columns: int, rows: int, asymmetric: bool) -> Ink:
+    """A grid of circles, its first centre one spacing from the board's corner in x and y."""
+
+    def ink(x, y):
+        row = np.clip(np.rint(y / spacing_m - 1), 0, rows - 1)
+        pitch, shift = (2, row % 2) if asymmetric else (1, 0)
+        column = np.clip(np.rint((x / spacing_m - 1 - shift) / pitch), 0, columns - 1)
+        return np.hypot(x - spacing_m * (pitch * column + shift + 1), y - spacing_m * (row + 1)) < radius_m
+
+    return ink
+
+
+@functools.cache
+def rays() -> np.ndarray:
+    """Undistorted directions through the points of all pixels, interpolated between those of the pixels' centres."""
+    width, height = CAMERA.image_width, CAMERA.image_height
+    pixels = np.stack(np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1)), axis=-1).reshape(-1, 2)
+    seen = pixels
+    for _ in range(12):
+        directions = (seen - CAMERA.camera_matrix[:2, 2]) / np.diag(CAMERA.camera_matrix)[:2]
+        seen = seen + pixels - projected_px(np.column_stack([directions, np.ones(len(seen))]), CAMERA)
+    fine = cv2.resize(directions.reshape(height + 2, width + 2, 2), None, fx=SUBPIXELS, fy=SUBPIXELS)
+    return fine[SUBPIXELS:-SUBPIXELS, SUBPIXELS:-SUBPIXELS].reshape(-1, 2)
+
+
+def drawn_view(
+    ink: Ink, pose: tuple[np.ndarray, np.ndarray], rng: np.random.Generator, light_on_dark: bool = False
+) -> np.ndarray:
+    """The board with this ink at a pose, on a sheet without end, with blur and noise."""
+    turn, place = pose
+    x, y = rays().T
+    depth = (turn[:, 2] @ place) / (x * turn[0, 2] + y * turn[1, 2] + turn[2, 2])
+    offset = [depth * x - place[0], depth * y - place[1], depth - place[2]]
+    on_board = [sum(turn[axis, side] * offset[axis] for axis in range(3)) for side in (0, 1)]
+    share = ink(*on_board).astype(np.float32).reshape(CAMERA.image_height * SUBPIXELS, -1)
+    share = cv2.resize(share, (CAMERA.image_width, CAMERA.image_height), interpolation=cv2.INTER_AREA)
+    share = 1 - share if light_on_dark else share
+    light = cv2.GaussianBlur(LIGHT_DN + (DARK_DN - LIGHT_DN) * share.astype(np.float64), (0, 0), BLUR_PX)
+    return np.clip(np.rint(light + NOISE_DN * rng.standard_normal(light.shape)), 0, 255).astype(np.uint8)
+
+
+def tilted_poses(rng: np.random.Generator, outline_m: Sequence[float], views: int) -> list:
+    """Boards tilted to all sides that fill most of the image, at distances that differ by a third."""
+    middle = np.array([*outline_m, 0.0]) / 2
+    fitting_m = max(outline_m[0] / CAMERA.image_width, outline_m[1] / CAMERA.image_height) * CAMERA.camera_matrix[0, 0]
+    poses = []
+    for number in range(views):
+        way = 2 * np.pi * number / views + rng.uniform(0, 0.5)
+        turn = rotation([0.5 * np.cos(way), 0.5 * np.sin(way), rng.uniform(-0.15, 0.15)])
+        distance_m = fitting_m * rng.uniform(1.3, 1.7)
+        shift = 0.05 * distance_m * rng.uniform(-1, 1, 2)
+        poses.append((turn, np.array([*shift, distance_m]) - turn @ middle))
+    return poses
+
+
+SYMMETRIC = Board(kind="symmetric_circles", squares_x=9, squares_y=7, spacing_m=0.02)
+ASYMMETRIC = Board(kind="asymmetric_circles", squares_x=5, squares_y=9, spacing_in_row_m=0.036)
+KINDS: dict[str, tuple[Board, Ink, tuple[float, float], bool]] = {
+    "symmetric circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), False),
+    "asymmetric circles": (ASYMMETRIC, disks(0.018, 0.007, 5, 9, True), (0.2, 0.18), False),
+    "light circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), True),
+}
+"""A board file's contents, the ink by formulas of its own, width and height in m, whether the ink is light on dark."""
