@@ -102,13 +102,12 @@ def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
     shorter = overexposure(points, images) if isinstance(points, NoBreakPoints) else 1.0
     if shorter > MAX_RATIO:  # the face is brighter than what is seen of the stripes
         return tuple(exposure_s / shorter for exposure_s in exposures_of(shot))
-    scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
     stripes = list(_stripes_on_face(points, images, rig)) if rig is not None and isinstance(points, BreakPoints) else []
-    if not stripes:
-        centers = [(i, find_stripes(i.lit, i.dark, saturation_dn=i.threshold_scale_dn).position_px) for i in images]
-        stripes = [(image, position_px) for image, position_px in centers if len(position_px) >= MIN_STRIPE_COLUMNS]
+    stripes = stripes or list(_all_stripes(images))
     if not stripes:
         return tuple(factor_without_stripes(shot) * exposure_s for exposure_s in exposures_of(shot))
+    merged = shot.meta.get("merged")  # its grey values are as of one exposure
+    scale_s = float(shot.exposure_s.max()) if merged is None else merged["scale_s"]
     shortest_s = exposures_of(shot)[0]
     best_s = [_best_exposure_s(image, position_px, scale_s, shortest_s) for image, position_px in stripes]
     if max(best_s) > BRACKET_RATIO * min(best_s):
@@ -128,6 +127,14 @@ def _stripes_on_face(
                 columns = np.arange(np.ceil(start[0]), end[0])
                 if len(columns) >= MIN_STRIPE_COLUMNS:
                     yield image, np.column_stack([columns, np.interp(columns, *np.stack([start, end], axis=1))])
+
+
+def _all_stripes(images: list[LaserImage]) -> Iterator[tuple[LaserImage, Float64[Array, "column xy=2"]]]:
+    """The images with the centres of their stripes, on any surface; those with too few are left out."""
+    for image in images:
+        centers = find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
+        if len(centers.position_px) >= MIN_STRIPE_COLUMNS:
+            yield image, centers.position_px
 
 
 def _best_exposure_s(

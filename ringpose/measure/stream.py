@@ -174,10 +174,9 @@ class Stream:
         for outcome in outcomes(_ByItself(self.setup, read), items, jobs):
             if isinstance(outcome, Exception):
                 yield outcome
-            elif self.rig is self.setup.rig:
-                yield self._next(outcome[1])
-            else:
-                yield self._outcome(outcome[0], read)
+                continue
+            item, line = outcome
+            yield self._next(line) if self.rig is self.setup.rig else self._outcome(item, read)
 
     def _outcome(self, item: Item, read: "Callable[[Item], Shot | Detection]") -> Measured | Exception:
         try:

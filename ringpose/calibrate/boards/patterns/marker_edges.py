@@ -319,12 +319,12 @@ def _pixels(
     interval = np.array([left_out, 1.0 - left_out]) * side.length
     ends = np.sort(side.start[line_axis] + interval * side.along[line_axis])
     lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
-    t = (lines - side.start[line_axis]) / side.along[line_axis]
-    t = t - side.offset(t) * side.normal[line_axis] / side.along[line_axis]
+    t = (lines - side.start[line_axis]) / side.along[line_axis]  # where a line crosses the chord ...
+    t = t - side.offset(t) * side.normal[line_axis] / side.along[line_axis]  # ... and, nearly, the parabola
     crossing = side.start[pixel_axis] + t * side.along[pixel_axis] + side.offset(t) * side.normal[pixel_axis]
     half = int(np.ceil(reach / side.pixel_spacing))
     pixels = np.rint(crossing)[:, None] + np.arange(-half, half + 1)
-    slope = side.coefficients[1] + 2 * side.coefficients[2] * t
+    slope = side.coefficients[1] + 2 * side.coefficients[2] * t  # of the parabola against its chord
     distance_per_pixel = side.normal[pixel_axis] - slope * side.along[pixel_axis]
     across = (pixels - crossing[:, None]) * distance_per_pixel[:, None]
     by_line = image if is_horizontal else image.T
