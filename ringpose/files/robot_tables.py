@@ -4,6 +4,7 @@ Tables of numbers (CSV, TUM, robots' own lines), a folder of files with one pose
 """
 
 import re
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite, pi
 from pathlib import Path
@@ -11,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringpose.errors import DataError, UsageError
-from ringpose.files.inputs import Input, Problem, Record, file_lines, holds_records, inputs
-from ringpose.files.schema import MAX_QUATERNION_ERROR, ROBOT_POSE, ROUNDED, Fields, kind_of
+from ringpose.errors import DataError, NoInputError, UsageError
+from ringpose.files.inputs import Input, Problem, Record, file_lines, holds_records, inputs, lines
+from ringpose.files.schema import MAX_QUATERNION_ERROR, NOT_KNOWN, ROBOT_POSE, ROUNDED, Fields, kind_of
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.robot_conventions import PoseConvention, convention_named
 from ringpose.geometry.rotations import rotation_of
@@ -28,6 +29,8 @@ FAR_M = 20.0
 NEAR_M = 0.02
 """Distance from the base that the tool cannot always keep; in a file in millimetres it is in metres."""
 
+_STDIN = "standard input"
+
 _FOLDER_SUFFIXES = (".txt", ".csv", ".dat", ".pose", ".yaml", ".yml")
 _YAML_SUFFIXES = (".yaml", ".yml")
 
@@ -41,12 +44,15 @@ _EXPLICIT = "give --robot-convention, as kuka, or mm,ZYX,deg, or m,xyzw (ringpos
 def read_tool_poses(
     source: str, convention: PoseConvention | None = None, columns: Sequence[str] = (), is_tum: bool = False
 ) -> ReportedPoses:
-    """The poses of a file, a folder of files with one pose each, or standard input (`-`, JSON lines).
+    """The poses of a file, a folder of files with one pose each, or standard input (`-`).
 
-    Identical repeats are left out and counted; two poses of one stamp or name that differ are an error.
+    Standard input has a table if there is a convention, else JSON lines. Identical repeats are left out and counted;
+    two poses of one stamp or name that differ are an error.
     """
     path = Path(source)
-    if source == STDIN or holds_records(path):
+    if source == STDIN and convention is not None:
+        read = list(_poses_in_table(_table_on_stdin(), _STDIN, convention, columns, is_tum))
+    elif source == STDIN or holds_records(path):
         if convention is not None and (convention.order, convention.length_m) != ("xyzw", 1.0):
             raise UsageError("--robot-convention", "is of no use for JSON lines: their keys state it", "leave it out")
         read = [_pose_in_record(item) for item in inputs([source], (".jsonl",))]
@@ -54,7 +60,7 @@ def read_tool_poses(
         read = [pose for file in _files(path) for pose in _poses_in_file(file, convention, columns, is_tum, one=True)]
     else:
         read = list(_poses_in_file(path, convention, columns, is_tum, one=False))
-    location = "standard input" if source == STDIN else source
+    location = _STDIN if source == STDIN else source
     if not read:
         raise DataError(location, "holds no pose", "give one pose a line")
     _check_distances(read, location, convention)
@@ -91,16 +97,33 @@ def _poses_in_file(
     else:
         if convention is None:
             raise UsageError("--robot-convention", f"is missing: {path} does not state units and order", _EXPLICIT)
-        rows = list(_rows(path))
-        if convention.rotation == "matrix":
-            rows = _whole_matrices(rows, path)
-        if is_tum and not columns:
-            columns = ("stamp_s", *convention.names)
-        poses = list(_poses_in_rows(rows, convention, [name.lower() for name in columns]))
+        poses = list(_poses_in_table(file_lines(path), str(path), convention, columns, is_tum))
     if one and len(poses) != 1:
         raise DataError(str(path), f"holds {len(poses)} poses, must hold one in a folder of poses", "give one file")
     for pose in poses:
         yield pose._replace(name=path.stem) if one and not pose.name else pose
+
+
+def _table_on_stdin() -> list[bytes]:
+    """The lines of standard input, of a table; JSON lines are rejected, whose keys state what a convention does."""
+    if sys.stdin is None:
+        raise NoInputError(_STDIN, "is closed")
+    table = [line.encode(errors="surrogateescape") for line in lines()]
+    if next(filter(bytes.strip, table), b"").lstrip().startswith(b'{"'):
+        raise UsageError("--robot-convention", "is of no use for JSON lines: their keys state it", "leave it out")
+    return table
+
+
+def _poses_in_table(
+    table: Iterable[bytes], location: str, convention: PoseConvention, columns: Sequence[str], is_tum: bool
+) -> Iterator[ReportedPose]:
+    """The poses in the lines of a table."""
+    rows = list(_rows(table, location))
+    if convention.rotation == "matrix":
+        rows = _whole_matrices(rows, location)
+    if is_tum and not columns:
+        columns = ("stamp_s", *convention.names)
+    yield from _poses_in_rows(rows, convention, [name.lower() for name in columns])
 
 
 class _Row(NamedTuple):
@@ -112,12 +135,14 @@ class _Row(NamedTuple):
     """Name of a robot's variable, or of the tool's point, that the line assigns."""
 
 
-def _rows(path: Path) -> Iterator[_Row]:
+def _rows(table: Iterable[bytes], location: str) -> Iterator[_Row]:
     """The lines of a table; brackets, and what robots write around the numbers, are left out."""
-    for number, line in enumerate(file_lines(path), start=1):
+    for number, line in enumerate(table, start=1):
         text = line.decode(errors="replace").strip().lstrip("\ufeff")
         if not text.replace("\t", " ").isprintable() or "\ufffd" in text:
-            raise DataError(f"{path}:{number}", "is not text", "give a table with one pose a line (ringpose-robot(7))")
+            raise DataError(
+                f"{location}:{number}", "is not text", "give a table with one pose a line (ringpose-robot(7))"
+            )
         if not text or text[0] in "#%":
             continue
         name = ""
@@ -131,7 +156,7 @@ def _rows(path: Path) -> Iterator[_Row]:
             words = text.split(",")
         else:
             words = text.split()
-        yield _Row(f"{path}:{number}", [_bare(word) for word in words if _bare(word) or "," in text], name)
+        yield _Row(f"{location}:{number}", [_bare(word) for word in words if _bare(word) or "," in text], name)
 
 
 def _bare(word: str) -> str:
@@ -151,12 +176,12 @@ def _is_missing(word: str) -> bool:
     return word.lower() in ("", "null", "none", "nan", "-nan", "n/a")
 
 
-def _whole_matrices(rows: list[_Row], path: Path) -> list[_Row]:
+def _whole_matrices(rows: list[_Row], location: str) -> list[_Row]:
     """One row for each matrix, if each is written in four lines."""
     if any(len(row.words) != 4 for row in rows):
         return rows
     if len(rows) % 4:
-        raise DataError(str(path), f"has {len(rows)} lines of four numbers", "give all four lines of each matrix")
+        raise DataError(location, f"has {len(rows)} lines of four numbers", "give all four lines of each matrix")
     blocks = [rows[start : start + 4] for start in range(0, len(rows), 4)]
     return [_Row(block[0].location, [word for row in block for word in row.words]) for block in blocks]
 
@@ -212,10 +237,10 @@ def _usual_columns(row: _Row, words: list[str], convention: PoseConvention) -> l
 
 def _value(row: _Row, name: str, word: str) -> float:
     value = _number(word)
+    if _is_missing(word):
+        raise DataError(f"{row.location}: {name}", *NOT_KNOWN)
     if value is None or not isfinite(value):
-        raise DataError(
-            row.location, f"{name} is {word or 'empty'}, must be a number", "leave out lines without a pose"
-        )
+        raise DataError(row.location, f"{name} is {word}, must be a number", "leave out lines without a pose")
     return value
 
 
@@ -278,7 +303,7 @@ def _pose_in_record(item: Input | Problem) -> ReportedPose:
     """The pose in a JSON line; `stamp_s` may be missing if there is a `shot`, or if poses go by their order."""
     if not isinstance(item, Record):
         if isinstance(item, Path):
-            raise DataError(str(item), "is not a file of robot poses", "give JSON lines in a file *.jsonl")
+            raise DataError(str(item), "is not a robot pose", "give JSON lines, or --robot-convention for a table")
         raise item
     fields = Fields(item.location, item.values)
     other = kind_of(fields.values)
@@ -311,10 +336,17 @@ def _poses_in_yaml(path: Path) -> Iterator[ReportedPose]:
             continue
         place = body.fields("position" if body.has("position") else "translation")
         turn = body.fields("orientation" if body.has("orientation") else "rotation")
-        position_m = np.array([place.quantity(axis, REACH_M) for axis in "xyz"])
-        plain = {"orientation_xyzw": [turn.number(axis) for axis in "xyzw"]}
-        rotation = rotation_of(Fields(path.name, plain, path=turn.path).quaternion("orientation_xyzw"))
+        position_m = _listed(place, "xyz").quantities(place.path, 3, REACH_M)
+        rotation = rotation_of(_listed(turn, "xyzw").quaternion(turn.path))
         yield ReportedPose(location, name, stamp_s, position_m, rotation)
+
+
+def _listed(fields: Fields, axes: str) -> Fields:
+    """The numbers of a point or a quaternion as one list, under its own name."""
+    for axis in axes:
+        if axis not in fields.values:
+            raise fields.missing(axis)
+    return Fields(fields.file, {fields.path: [fields.values[axis] for axis in axes]})
 
 
 def _ros_stamp_s(entry: Fields) -> float | None:

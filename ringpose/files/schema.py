@@ -38,6 +38,10 @@ _TOLERANCE = 1e-9
 Value = TypeVar("Value")
 
 
+NOT_KNOWN = ("has null or NaN among its numbers", "leave out what is not known")
+"""Finding and remedy where numbers are missing, in files of any format."""
+
+
 class Fields:
     """A mapping with its location, such as `rig.yaml: lasers[1]`; unknown keys are rejected if `known` is given."""
 
@@ -158,7 +162,7 @@ class Fields:
             given = " x ".join(map(str, array.shape)) or "one"
             raise self.problem(key, f"has {given} numbers, must have {expected}")
         if not allow_nan and np.isnan(array).any():
-            raise self.problem(key, "has null or NaN among its numbers", "leave out what is not known")
+            raise self.problem(key, *NOT_KNOWN)
         if finding := unusable(array, allow_nan):
             raise self.problem(key, finding)
         return array

@@ -98,7 +98,15 @@ CONVENTIONS = {
     "ur": PoseConvention(length_m=1.0, rotation="rotation_vector", columns=("rx", "ry", "rz")),
     "yaskawa": _angles("xyz", "rx", "ry", "rz"),
 }
-"""By the names of makers and formats; ringpose-robot(7) has the matrix and an example of each."""
+"""By the names of makers and formats; ringpose-robot(7) has the matrix and an example of each.
+
+Sources. Orders of angles of denso, doosan, fanuc, kawasaki, kuka, mitsubishi, nachi, staubli, techman and yaskawa: the
+table "Euler angles: definition and convention" in the manual of Mech-Mind's software, docs.mech-mind.net, where sxyz is
+`xyz` and rzyx is `ZYX`; yaskawa also in Motoman's DX100 manual, 4.3.1.1, and Basler's rc_cube, "Yaskawa pose format".
+mecademic: "Space orientation and Euler angles" on mecademic.com and the Meca500's programming manual (mobile XYZ).
+franka: libfranka, robot_state.h, `O_T_EE` ("4x4 matrix in column-major format"). abb: RAPID, data type `orient`.
+ur: URScript, "pose". ros: geometry_msgs/Quaternion. tum: the file formats of TUM's RGB-D benchmark.
+"""
 
 _PAIRS = [a + b + a for a, b in permutations("XYZ", 2)]
 ANGLE_ORDERS = tuple(word for upper in (*map("".join, permutations("XYZ")), *_PAIRS) for word in (upper, upper.lower()))

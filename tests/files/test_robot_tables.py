@@ -1,5 +1,6 @@
 """Robot poses in tables, folders, YAML and JSON lines."""
 
+import io
 import json
 
 import numpy as np
@@ -109,8 +110,7 @@ def test_json_lines_need_no_stamp_where_they_name_the_shot(tmp_path):
         ("1000,200,300,0.5,1.2,-2.1", "kuka", "in radians"),
         ("1,0.2,0.3,90,0,90", "m,ZYX,rad", "in degrees"),
         ("1,0.2,0.3,0.5,0.5,0.5,0.9", "m,xyzw", "must be 1"),
-        ("1000,200,300,nan,0,0", "kuka", "is nan, must be a number"),
-        ("1000,200,300,null,0,0", "kuka", "is null, must be a number"),
+        ("1000,200,300,inf,0,0", "kuka", "is inf, must be a number"),
         ("1000,200,300,0,0", "kuka", "--robot-columns"),
         ("1,0,0,0,0,1,0,0,0,0,1,0,0.1,0.2,0.3,1", "m,matrix", "column by column"),
         ("1,0,0,1000,0,1,0,200,0,0,1,300,0,0,0,1", "m,matrix", "millimetres"),
@@ -119,6 +119,46 @@ def test_json_lines_need_no_stamp_where_they_name_the_shot(tmp_path):
 def test_implausible_values_are_refused_with_the_likely_cause(row, convention, cause, tmp_path):
     with pytest.raises(DataError, match=cause):
         read(tmp_path, f"{row}\n" * 3, convention, name="poses.txt")
+
+
+@pytest.mark.parametrize("word", ["nan", "null", ".nan", "NaN", ""])
+def test_nan_and_null_have_one_message_in_every_format(word, tmp_path):
+    json_line = '{"base_from_tool": {"position_m": [0.1, 0.2, %s], "orientation_xyzw": [0, 0, 0, 1]}}\n'
+    ros = "pose: {position: {x: 0.1, y: 0.2, z: %s}, orientation: {x: 0, y: 0, z: 0, w: 1}}\n"
+    if word not in (".nan", ""):
+        with pytest.raises(DataError, match="has null or NaN among its numbers; leave out what is not known"):
+            read(tmp_path, json_line % word.replace("nan", "NaN"), name="poses.jsonl")
+    if word.lower() != "nan":
+        with pytest.raises(DataError, match="position: has null or NaN among its numbers; leave out what is not known"):
+            read(tmp_path, ros % word, name="poses.yaml")
+    if word != ".nan":
+        with pytest.raises(DataError, match="csv:1: z: has null or NaN among its numbers; leave out what is not known"):
+            read(tmp_path, f"a,0.1,0.2,{word},0,0,0,1\n", "ros")
+
+
+def test_a_table_is_read_from_standard_input(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("shot X Y Z A B C\na 100 200 300 90 0 0\n"))
+
+    (pose,) = read_tool_poses("-", convention_named("kuka")).poses
+
+    assert (pose.name, pose.location) == ("a", "standard input:2")
+    np.testing.assert_allclose(pose.rotation, QUARTER, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "convention", "message"),
+    [
+        ('{"stamp_s": 1}\n', "kuka", "--robot-convention: is of no use for JSON lines: their keys state it"),
+        ("100 200 300 90 0 0\n", None, "give JSON lines, or --robot-convention for a table"),
+        ("100 200 300 90 0\n", "kuka", "standard input:1: has 5 columns"),
+        ("", "kuka", "standard input: holds no pose"),
+    ],
+)
+def test_what_is_wrong_on_standard_input_is_named(text, convention, message, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO(text))
+
+    with pytest.raises((DataError, UsageError), match=message):
+        read_tool_poses("-", None if convention is None else convention_named(convention))
 
 
 @pytest.mark.parametrize("content", [b"1,2,3\x1b[2J,4,5,6\n", bytes(range(128, 256)) * 4])

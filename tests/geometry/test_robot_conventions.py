@@ -49,7 +49,7 @@ def test_every_convention_has_words_that_mean_the_same():
 
 
 def rows_of_the_manual() -> dict[str, str]:
-    found = re.findall(r"^\.It Cm (\w+) Ta .* Ta .*: ([-\d. ]+)$", MANUAL.read_text(), re.MULTILINE)
+    found = re.findall(r"^\.It Cm (\w+)\n.*: ([-\d. ]+)$", MANUAL.read_text(), re.MULTILINE)
     return dict(found)
 
 

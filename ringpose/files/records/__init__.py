@@ -85,18 +85,21 @@ def read(stream: Iterable[str | bytes], location: str) -> Iterator[tuple[str, di
 
 def parsed_record(line: str | bytes, location: str) -> dict[str, Any]:
     """The record on one line; NaN and Infinity are rejected, since they are not JSON."""
+    from ringpose.files.schema import NOT_KNOWN
+
+    def reject_constant(word: str) -> None:
+        if word == "NaN":
+            raise DataError(location, *NOT_KNOWN)
+        raise ValueError(f"{word} is not a number; leave out what is not known")
+
     try:
-        record = json.loads(line, parse_constant=_reject_constant, object_pairs_hook=_mapping)
+        record = json.loads(line, parse_constant=reject_constant, object_pairs_hook=_mapping)
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise DataError(location, f"is not valid JSON: {reason}") from None
     if not isinstance(record, dict):
         raise DataError(location, "is not a record", "write one JSON object a line")
     return record
-
-
-def _reject_constant(word: str) -> None:
-    raise ValueError(f"{word} is not a number; leave out what is not known")
 
 
 def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

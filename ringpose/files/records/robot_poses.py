@@ -112,7 +112,7 @@ def _robot_pose(item: Input | Problem) -> RobotPose:
     """The pose in a record; its errors name the line."""
     if not isinstance(item, Record):
         if isinstance(item, Path):
-            raise DataError(str(item), "is not a file of robot poses", "give JSON lines in a file *.jsonl")
+            raise DataError(str(item), "is not a robot pose", "give JSON lines, or --robot-convention for a table")
         raise item
     other = kind_of(item.values)
     if other is not None and other is not ROBOT_POSE:
