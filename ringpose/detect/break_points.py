@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.difference_images import LaserImage
+from ringpose.detect.difference_images import LaserImage, beside_left_out
 from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import lens
@@ -97,14 +97,16 @@ def break_points(
     """Break points of the face's stripes, with left ends first named as on the inner edge; `segments`: all segments."""
     ends = _measured(_with_common_bluntness(_ends(face, images, rig, saturation_dn)), rig.camera)
     beside = beside_occluder(ends, segments, rig)
-    stamp_s = np.full(len(rig.lasers.names), np.nan)
+    hidden, stamp_s = np.zeros_like(beside), np.full(len(rig.lasers.names), np.nan)
     for image in images:
         shown = [laser for laser in image.lasers if laser in face.lasers]
         stamp_s[shown] = image.stamp_s
+        hidden |= beside_left_out(ends.position_px, image)
+    flags = np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0) | np.where(hidden, int(BreakPointFlag.UNCLEAR), 0)
     return BreakPoints(
-        position_px=ends.position_px,
-        covariance_px2=ends.covariance_px2,
-        flags=ends.flags | np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0),
+        position_px=np.where(hidden[..., None], np.nan, ends.position_px),
+        covariance_px2=np.where(hidden[..., None, None], np.nan, ends.covariance_px2),
+        flags=ends.flags | flags,
         face_start_undistorted_px=ends.straight_px[:, 0],
         face_end_undistorted_px=ends.straight_px[:, 1],
         face_sigma_px=ends.straight_sigma_px,

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64, UInt
+from ringpose.optics.feature_errors import OUTSIDE_COLUMNS
+from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Frame, Shot, searched_frames
 
@@ -33,6 +34,8 @@ class LaserImage:
     """Mid exposure of the background; NaN without one."""
     label: int = UNLABELLED
     """The laser of its stripes if they can belong to a single one only."""
+    left_out: Bool[Array, "row column"] | None = None
+    """Pixels that the background was put into, as a ghost of saturated light was there."""
 
 
 def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[LaserImage]:
@@ -146,6 +149,19 @@ def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], s
 def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Array, "offset"]]:
     """The image that shows the ambient light, and the rows about a stripe's line in which to look at it."""
     return (image.lit, FLANK_ROWS) if image.dark is None else (image.dark, np.array([-1.0, 0.0, 1.0]))
+
+
+def beside_left_out(position_px: Float64[Array, "laser edge=2 xy=2"], image: LaserImage) -> Bool[Array, "laser edge=2"]:
+    """Which ends of stripes are near pixels of a frame that were left out, so that the stripes may go on there."""
+    beside = np.zeros(position_px.shape[:2], dtype=bool)
+    if image.left_out is None:
+        return beside
+    for laser in image.lasers:
+        for edge in np.flatnonzero(np.isfinite(position_px[laser]).all(axis=1)):
+            x, y = np.rint(position_px[laser, edge]).astype(int)
+            rows, columns = slice(max(y - 3, 0), y + 4), slice(max(x - OUTSIDE_COLUMNS, 0), x + OUTSIDE_COLUMNS + 1)
+            beside[laser, edge] = image.left_out[rows, columns].any()
+    return beside
 
 
 SATURATED_SHARE = 0.02

@@ -47,7 +47,7 @@ from ringpose.types.detection import (
 )
 from ringpose.types.image import Frame, Shot
 from ringpose.types.options import StripeSource
-from ringpose.types.rig import Camera, Rig
+from ringpose.types.rig import Camera, LaserGhost, Rig
 
 DARK_SHARE = 8 / 255
 """Share of the saturation value that the brightest pixel of a frame must reach, or the image is reported as dark."""
@@ -107,6 +107,12 @@ class View:
         """Grey value from which a pixel is saturated."""
         return self.images[0].saturation_dn
 
+    @property
+    def ghosts_of_lasers(self) -> dict[int, LaserGhost]:
+        """The ghosts that the rig states, by the number of the laser."""
+        names = self.rig.lasers.names
+        return {names.index(name): ghost for name, ghost in self.rig.ghosts.items()}
+
     def unlabelled_lasers(self) -> list[int]:
         """Lasers that are on in frames with others, so that their stripes are not assigned by the frame."""
         return [laser for image in self.images if image.label == UNLABELLED for laser in image.lasers]
@@ -160,6 +166,7 @@ def _detected_along_columns(shot: Shot, rig: Rig, prior: Prior, source: StripeSo
         camera=turn.motion(prior.camera),
         predicted=None if predicted is None else turn.break_points(predicted),
         background=turn.frame(prior.background),
+        ghosts=turn.ghosts(prior.ghosts),
     )
     found = detect(turn.shot(shot), rig_along_rows(rig), turned, source=source, edges=edges)
     return to_columns(rig.camera).detection(found)
@@ -334,7 +341,7 @@ def _without_ghosts(
     view: View, parts: Sequence[Stripes], stripes_of: Callable[[LaserImage], Stripes]
 ) -> tuple[View, list[Stripes]]:
     """Frames and their stripes without ghosts and reflections, assigned to the lasers of frames with one."""
-    images, clean, ghosts = without_ghosts(view.images, parts, view.ghosts, stripes_of)
+    images, clean, ghosts = without_ghosts(view.images, parts, view.ghosts, view.ghosts_of_lasers, stripes_of)
     return replace(view, images=images, ghosts=ghosts), [
         _labelled(part, image) for part, image in zip(clean, images, strict=True)
     ]
@@ -431,7 +438,7 @@ def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = 
         return found
     image = image if motion is None else _without_moved_background(image, motion)
     search = partial(_stripes_in, camera=rig.camera, bands=bands)
-    (image,), (stripes,), _ = without_ghosts([image], [search(image)], view.ghosts, search)
+    (image,), (stripes,), _ = without_ghosts([image], [search(image)], view.ghosts, view.ghosts_of_lasers, search)
     if not len(stripes.piece):
         return found
     stripes = replace(stripes, laser=_nearest_lasers(stripes, found, image.lasers, rig.camera))

@@ -18,7 +18,7 @@ stripe_sigmas.c (standard deviations).
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -33,7 +33,7 @@ from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REA
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes, SubtractedGhost
 from ringpose.types.image import full_scale_dn
-from ringpose.types.rig import Camera
+from ringpose.types.rig import Camera, LaserGhost
 
 STRIPE_SIGMA_PX = 1.6
 """Width (sigma) of a typical stripe, for converting a peak value into a response of the ridge filter."""
@@ -267,19 +267,22 @@ def without_ghosts(
     images: Sequence[LaserImage],
     parts: Sequence[Stripes],
     known: Sequence[SubtractedGhost],
+    of_lasers: Mapping[int, LaserGhost],
     stripes_of: Callable[[LaserImage], Stripes],
 ) -> tuple[list[LaserImage], list[Stripes], tuple[SubtractedGhost, ...]]:
     """Frames and their stripes without ghosts, and without reflections in frames of one laser; and the ghosts.
 
-    A frame that does not show a ghost by itself is searched for those of the others, and for known ones. `stripes_of`
-    finds the stripes of a frame from which one was subtracted.
+    A frame that does not show a ghost by itself is searched for those that the rig states `of_lasers`, for those of the
+    other frames, and for known ones. `stripes_of` finds the stripes of a frame from which one was subtracted.
     """
     pairs = [_pairs_in_columns(part) for part in parts]
     own_px = [_ghost_offset_px(part, of_part) for part, of_part in zip(parts, pairs, strict=True)]
     others_px = [*own_px, *(ghost.offset_px for ghost in known)]
     clean_images, clean_parts, ghosts = [], [], []
     for image, part, of_part, offset_px in zip(images, parts, pairs, own_px, strict=True):
-        ghost = _ghost_at(image, part, [each for each in (offset_px, *others_px) if each is not None])
+        stated = [of_lasers[laser] for laser in image.lasers if laser in of_lasers]
+        offsets_px = (offset_px, *(each.offset_px for each in stated), *others_px)
+        ghost = _ghost_at(image, part, [each for each in offsets_px if each is not None], stated)
         clean, stripes, of_stripes = image, part, of_part
         if ghost is not None:
             ghosts.append(ghost)
@@ -289,6 +292,13 @@ def without_ghosts(
         clean_images.append(clean)
         clean_parts.append(_without_reflections(stripes, of_stripes, image.label, ghost))
     return clean_images, clean_parts, tuple(ghosts)
+
+
+def shown_ghost(image: LaserImage) -> SubtractedGhost | None:
+    """The ghost that the stripes of a frame, along its rows, show by themselves; None if they show none."""
+    stripes = find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
+    offset_px = _ghost_offset_px(stripes, _pairs_in_columns(stripes))
+    return None if offset_px is None else _ghost_at(image, stripes, [offset_px], ())
 
 
 class Pairs(NamedTuple):
@@ -357,49 +367,70 @@ GHOST_REACH = np.arange(-3, 4)
 """Rows about a centre over which the light of a stripe and of its ghost is summed: twice the width of a stripe."""
 
 
-def _ghost_at(image: LaserImage, stripes: Stripes, offsets_px: Sequence[float]) -> SubtractedGhost | None:
+def _ghost_at(
+    image: LaserImage, stripes: Stripes, offsets_px: Sequence[float], stated: Sequence[LaserGhost]
+) -> SubtractedGhost | None:
     """The ghost at the first of some offsets at which a frame shows one; None if it does at none of them.
 
-    Its ratio is the median, over the brighter half of the stripes' centres that are not saturated, of the light there
-    less that on the other side of the stripe, which is the stripe's own, over the light at the stripe.
+    Its ratio is the mean, by their variances, of the measured one and of the one that the rig states, unless these
+    contradict each other. Of saturated stripes the latter is the only one.
     """
     if not offsets_px or len(stripes.piece) < MIN_GHOST_COLUMNS:
         return None
-    light = _laser_light(image)
-    column, row = np.rint(stripes.position_px).astype(np.int64).T
-    bright = (image.lit[row, column] < image.saturation_dn) & (stripes.peak_dn >= np.median(stripes.peak_dn))
     for offset_px in offsets_px:
-        reach = math.ceil(abs(offset_px)) + GHOST_REACH[-1]
-        inside = bright & (row >= reach) & (row < len(light) - reach)
-        if np.count_nonzero(inside) < MIN_GHOST_COLUMNS:
-            continue
-        at, beside, opposite = (
-            light[(row[inside] + round(step_px))[:, None] + GHOST_REACH, column[inside, None]].sum(
-                axis=1, dtype=np.float64
-            )
-            for step_px in (0.0, offset_px, -offset_px)
-        )
-        is_light = opposite < at  # a copy has its light on the other side
-        if not is_light.any():
-            continue
-        ratios = (beside - opposite)[is_light] / np.maximum(at[is_light], 1.0)
-        ratio = float(np.median(ratios))
-        sigma = math.sqrt(math.pi / 2) * robust_std(ratios - ratio) / math.sqrt(len(ratios))  # of a median
+        ratio, sigma = _ghost_ratio(image, stripes, offset_px)
+        for each in stated:
+            close = math.hypot(GHOST_ROWS, GHOST_SIGMAS * each.offset_sd_px)
+            agrees = abs(each.ratio - ratio) < GHOST_SIGMAS * math.hypot(each.ratio_sd, sigma)
+            if abs(each.offset_px - offset_px) < close and agrees:
+                weight = 1.0 if math.isinf(sigma) else sigma**2 / (sigma**2 + each.ratio_sd**2)
+                ratio, sigma = ratio + weight * (each.ratio - ratio), math.sqrt(weight) * each.ratio_sd
+                break
         if GHOST_SIGMAS * sigma < ratio < MAX_GHOST_RATIO:
             return SubtractedGhost(offset_px=offset_px, ratio=ratio)
     return None
+
+
+def _ghost_ratio(image: LaserImage, stripes: Stripes, offset_px: float) -> tuple[float, float]:
+    """The ratio of a ghost of this offset, and its standard deviation: infinite where the frame does not show it.
+
+    It is the median, over the brighter half of the stripes' centres that are not saturated, of the light there less
+    that on the other side of the stripe, which is the stripe's own, over the light at the stripe.
+    """
+    light = _laser_light(image)
+    column, row = np.rint(stripes.position_px).astype(np.int64).T
+    reach = math.ceil(abs(offset_px)) + GHOST_REACH[-1]
+    inside = (image.lit[row, column] < image.saturation_dn) & (row >= reach) & (row < len(light) - reach)
+    if np.count_nonzero(inside) < MIN_GHOST_COLUMNS:
+        return 0.0, math.inf
+    inside &= stripes.peak_dn >= np.median(stripes.peak_dn[inside])
+    at, beside, opposite = (
+        light[(row[inside] + round(step_px))[:, None] + GHOST_REACH, column[inside, None]].sum(axis=1, dtype=np.float64)
+        for step_px in (0.0, offset_px, -offset_px)
+    )
+    is_light = opposite < at  # a copy has its light on the other side
+    if np.count_nonzero(is_light) < MIN_GHOST_COLUMNS:
+        return 0.0, math.inf
+    ratios = (beside - opposite)[is_light] / np.maximum(at[is_light], 1.0)
+    ratio = float(np.median(ratios))
+    return ratio, math.sqrt(math.pi / 2) * robust_std(ratios - ratio) / math.sqrt(len(ratios))  # of a median
 
 
 def _without_ghost(image: LaserImage, ghost: SubtractedGhost) -> LaserImage:
     """The image less the ghost of its laser light (of all light without a background), to the third order of the ratio.
 
     The light itself is what is seen, less its ghost; the background has the ghost of the ambient light in both frames.
+    How bright the copy of saturated light is is not known: in a frame of one laser it is left out.
     """
     seen = _laser_light(image)
     light = seen - np.float32(ghost.ratio) * _moved_rows(seen, ghost.offset_px)
     copy = np.float32(ghost.ratio) * _moved_rows(light, ghost.offset_px)
-    clean = np.rint(image.lit - np.maximum(copy, 0.0)).clip(0.0)
-    return replace(image, lit=clean.astype(image.lit.dtype))
+    clean = np.rint(image.lit - np.maximum(copy, 0.0)).clip(0.0).astype(image.lit.dtype)
+    if image.label == UNLABELLED or image.dark is None:
+        return replace(image, lit=clean)
+    saturated = (image.lit >= image.saturation_dn) & (image.dark < image.saturation_dn)
+    left_out = _moved_rows(saturated.astype(np.float32), ghost.offset_px) > 0.0
+    return replace(image, lit=np.where(left_out, image.dark, clean), left_out=left_out)
 
 
 def _laser_light(image: LaserImage) -> Float32[Array, "row column"]:

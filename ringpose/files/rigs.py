@@ -29,7 +29,15 @@ from ringpose.types.plausible import (
     ROBOT_SD_RAD,
 )
 from ringpose.types.record import Form, Key, Presence
-from ringpose.types.rig import LaserPlanes, Mount, ParameterCovariance, Rig, camera_parameters, laser_parameters
+from ringpose.types.rig import (
+    LaserGhost,
+    LaserPlanes,
+    Mount,
+    ParameterCovariance,
+    Rig,
+    camera_parameters,
+    laser_parameters,
+)
 from ringpose.types.session import MAX_LASERS
 
 SCHEMA = "rig/1"
@@ -59,6 +67,7 @@ class LaserEntry:
         Float64[Array, "xyz=3"] | None,
         Key("Position of the projector.", plausible=PLANE_DISTANCE_M, presence=Presence.IF_KNOWN),
     ] = None
+    ghost: Annotated[LaserGhost | None, Key("Ghost of its stripes.", presence=Presence.IF_KNOWN)] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,6 +181,7 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         covariance=ros.checked_parameters(fields, entry.covariance, known),
         mount=None if entry.mount is None else _mount(fields.fields("mount"), entry.mount),
         stability=entry.stability,
+        ghosts={laser.name: laser.ghost for laser in entry.lasers if laser.ghost is not None},
         provenance=entry.provenance or {},
         sha256=sha256,
     )
@@ -279,6 +289,7 @@ def rig_values(rig: Rig) -> dict[str, Any]:
             normal=normal,
             distance_m=distance_m,
             projector_m=projector_m if np.isfinite(projector_m).all() else None,
+            ghost=rig.ghosts.get(name),
         )
         for name, normal, distance_m, projector_m in zip(
             lasers.names, lasers.normal, lasers.distance_m.tolist(), lasers.projector_m, strict=True

@@ -16,7 +16,15 @@ from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import RingArcs
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.detection import BreakPoints, Detection, JudgedRing, RingEdgePoints, Segments, Stripes
+from ringpose.types.detection import (
+    BreakPoints,
+    Detection,
+    JudgedRing,
+    RingEdgePoints,
+    Segments,
+    Stripes,
+    SubtractedGhost,
+)
 from ringpose.types.image import Frame, Shot
 from ringpose.types.pose import (
     MEASURED_PARAMETERS,
@@ -89,7 +97,12 @@ class QuarterTurn:
             lasers=replace(lasers, normal=self.vectors(lasers.normal), projector_m=self.vectors(lasers.projector_m)),
             covariance=None if rig.covariance is None else self._covariance(rig.covariance),
             mount=None if mount is None else self._mount(mount),
+            ghosts={name: replace(ghost, offset_px=-ghost.offset_px) for name, ghost in rig.ghosts.items()},
         )
+
+    def ghosts(self, ghosts: Sequence[SubtractedGhost]) -> tuple[SubtractedGhost, ...]:
+        """Turned ghosts: by each of the two quarter turns, a column further on becomes a row further back."""
+        return tuple(replace(ghost, offset_px=-ghost.offset_px) for ghost in ghosts)
 
     def motion(self, camera: CameraMotion | None) -> CameraMotion | None:
         """The motion of the turned camera."""
@@ -126,6 +139,7 @@ class QuarterTurn:
             ring=None if ring is None else self.judged(ring),
             stripes=None if stripes is None else self.stripes(stripes),
             segments=None if segments is None else self._segments(segments),
+            ghosts=self.ghosts(detection.ghosts),
         )
 
     def break_points(self, points: BreakPoints) -> BreakPoints:

@@ -1,14 +1,16 @@
 """Results of the calibrations of camera and light planes, with the quantities and limits by which they are assessed."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.rig import Camera, LaserPlanes, ParameterCovariance
+from ringpose.types.detection import SubtractedGhost
+from ringpose.types.rig import Camera, LaserGhost, LaserPlanes, ParameterCovariance
 
 
 class Grade(StrEnum):
@@ -88,6 +90,8 @@ class StripeView:
     """Lasers that were on in a frame, according to the shot's masks."""
     max_stripes: int = 0
     """Largest number of stripes on the board in a frame."""
+    ghosts: tuple[tuple[int, SubtractedGhost], ...] = ()
+    """By laser, the ghosts of the frames in which it was on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -163,6 +167,8 @@ class PlanesCalibration:
     """Shots that were rejected because they contradict the others, and how: lasers exchanged, images turned."""
     excess: float = 1.0
     """Factor by which the variances of corners and stripes were inflated to explain the differences of the views."""
+    ghosts: Mapping[str, LaserGhost] = field(default_factory=dict)
+    """By the laser's name, ghosts of its stripes that several views show."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

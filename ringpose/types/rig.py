@@ -174,6 +174,22 @@ class LaserPlanes:
     """Position of the projector; NaN if not known."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserGhost:
+    """A fainter copy of a laser's light, some rows beside it, by reflections inside the camera."""
+
+    offset_px: Annotated[
+        float,
+        Key(
+            "Row of the copy less that of the light; column where stripes run along columns.",
+            plausible=plausible.GHOST_PX,
+        ),
+    ]
+    offset_sd_px: Annotated[float, Key("Standard deviation of the offset from frame to frame.", least=0.0)]
+    ratio: Annotated[float, Key("Brightness of the copy over that of the light.", least=0.0, most=1.0)]
+    ratio_sd: Annotated[float, Key("Standard deviation of the ratio from frame to frame.", least=0.0)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneCorrection:
     """Correction of a light plane that a stream of shots has shown to have moved."""
@@ -202,6 +218,8 @@ class Rig:
     """Mount of the camera on a robot's tool, or in its base; None if it is not known."""
     moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
     """Corrections by the laser's name; the light planes are the corrected ones."""
+    ghosts: Mapping[str, LaserGhost] = field(default_factory=dict)
+    """By the laser's name, what calibrate-planes has seen; other lasers may have a ghost that it has not seen."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from composed_ghosts import moved, with_ghost
 
 from ringpose.detect.pipeline import Prior, detect
 from ringpose.files.images.shots import read_shot
@@ -11,29 +12,11 @@ from ringpose.files.rigs import read_rig
 from ringpose.measure.stream import Setup
 from ringpose.measure.warm_start import WarmStart
 from ringpose.track.pipeline import Tracker
-from ringpose.types.detection import SubtractedGhost
+from ringpose.types.detection import BreakPointFlag, SubtractedGhost
 from ringpose.types.pose import PoseFlag
+from ringpose.types.rig import LaserGhost
 
 SHOTS = ("B_z0500_p01_dim", "B_z0500_p01_normal", "V03_occl_B500_dim")
-
-
-def moved(image, rows):
-    """The image moved down by a number of rows, by linear interpolation."""
-    at = np.arange(len(image)) - rows
-    first = np.floor(at).astype(int)
-    share = (at - first)[:, None]
-    padded = np.pad(image, ((100, 100), (0, 0)))
-    return (1 - share) * padded[first + 100] + share * padded[first + 101]
-
-
-def with_ghost(shot, ratio, rows):
-    """The shot with a copy of the laser light in each frame with lasers on, of all light without a background."""
-    dark = shot.images[0].astype(np.float64) if shot.lasers[0] == 0 else 0.0
-    frames = [
-        image if mask == 0 else np.clip(np.rint(image + ratio * moved(image - dark, rows)), 0, 255).astype(np.uint8)
-        for image, mask in zip(shot.images, shot.lasers.tolist(), strict=True)
-    ]
-    return replace(shot, images=np.stack(frames))
 
 
 def carried_shot(carried_data, name):
@@ -79,6 +62,51 @@ def test_a_track_remembers_the_ghosts_of_its_camera(carried_data):
     start.after(shot, seen, start.before(shot, rig))
 
     assert start.before(shot, rig).ghosts == seen.ghosts != ()
+
+
+def stating(rig, offset_px, ratio):
+    """The rig with this ghost of each laser."""
+    ghost = LaserGhost(offset_px=offset_px, offset_sd_px=0.02, ratio=ratio, ratio_sd=0.02 * ratio)
+    return replace(rig, ghosts=dict.fromkeys(rig.lasers.names, ghost))
+
+
+def stripes_beside(detection, clean):
+    """How many stripe centres have none of the other detection within two rows in their column."""
+    near = {(x, round(y) + rows) for x, y in clean.stripes.position_px for rows in range(-2, 3)}
+    return sum((x, round(y)) not in near for x, y in detection.stripes.position_px)
+
+
+def test_the_ghost_of_saturated_stripes_is_removed_where_the_rig_states_it(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    full = with_ghost(shot, 0.1, -10.0, light=20.0)
+    clean, unstated = detect(with_ghost(shot, 0.0, -10.0, light=20.0), rig), detect(full, rig)
+    stated = detect(full, stating(rig, -10.0, 0.1))
+
+    assert unstated.ghosts == ()
+    assert [ghost.ratio for ghost in stated.ghosts] == pytest.approx([0.1], rel=0.05)
+    assert stripes_beside(unstated, clean) > 3000
+    assert stripes_beside(stated, clean) < 300
+
+
+def test_a_ghost_that_the_rig_states_and_the_shot_does_not_show_is_not_removed(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    assert detect(shot, stating(rig, -15.0, 0.1)).ghosts == ()
+
+
+def test_an_end_that_the_ghost_of_saturated_light_may_hide_is_not_measured(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p00_dim")
+    seen_px = detect(shot, rig).break_points.position_px[1]
+    (left, _), (right, row) = seen_px[np.argsort(seen_px[:, 0])]
+    cut, images = int(left + 0.6 * (right - left)), shot.images.copy()
+    images[shot.lasers.tolist().index(2), int(row) + 12 : int(row) + 19, cut : int(right) + 60] = 255
+    glint = replace(shot, images=images)
+
+    ends = detect(with_ghost(glint, 0.1, -15.0), rig).break_points
+
+    hidden = np.isnan(ends.position_px[1, :, 0])
+    assert hidden.sum() == 1
+    assert (ends.flags[1, hidden] & int(BreakPointFlag.UNCLEAR)).all()
+    assert np.nanmin(ends.position_px[1, :, 0]) == pytest.approx(left, abs=1.0)
 
 
 @pytest.mark.parametrize("name", SHOTS)

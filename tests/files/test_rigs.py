@@ -6,7 +6,7 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_mount, write_rig
-from ringpose.types.rig import Mount, ParameterCovariance
+from ringpose.types.rig import LaserGhost, Mount, ParameterCovariance
 
 MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
 """Turns the z axis over alone: what comes of a left-handed frame."""
@@ -38,7 +38,8 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     root = rng.normal(size=(4, 4)) * np.array([[1.0], [0.01], [1e-4], [1e-5]])
     before = read_rig(rig_file())
     joint = ParameterCovariance(parameters=names, data=root @ root.T)
-    object.__setattr__(before, "covariance", joint)
+    ghost = LaserGhost(offset_px=-15.0, offset_sd_px=0.02, ratio=0.1, ratio_sd=0.001)
+    before = replace(before, covariance=joint, ghosts={"right": ghost})
 
     write_rig(tmp_path / "again.yaml", before, inputs=[tmp_path / "rig.yaml"])
     after = read_rig(tmp_path / "again.yaml")
@@ -51,6 +52,7 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     assert after.mount.delay_s == before.mount.delay_s
     assert after.mount.robot_translation_sd_m == before.mount.robot_translation_sd_m == 1e-4
     assert after.covariance.parameters == names
+    assert after.ghosts == before.ghosts
     np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}
 

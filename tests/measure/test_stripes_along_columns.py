@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from composed_ghosts import with_ghost
 from turned_cameras import SWAP, TURN, transposed_rig, transposed_shot, turned_px, turned_rig, turned_shot
 
 from ringpose.bench.design.bounds import cramer_rao
@@ -23,6 +24,7 @@ from ringpose.simulate.placement import ring_views
 from ringpose.types.assumptions import USUAL
 from ringpose.types.options import Method
 from ringpose.types.pose import MEASURED_PARAMETERS
+from ringpose.types.rig import LaserGhost
 
 SHOTS = Path(__file__).parents[1] / "data" / "rig_b"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "scene.yaml"
@@ -71,6 +73,15 @@ def test_the_pose_is_the_turned_pose(lines):
     for name in ("covariance_center_m2", "covariance_grasp_m2"):
         expected = TURN @ getattr(usual.pose, name) @ TURN.T
         np.testing.assert_allclose(getattr(turned.pose, name), expected, rtol=1e-5, atol=1e-14)
+
+
+def test_a_faint_ghost_is_found_at_the_column_offset_that_the_rig_states(rig):
+    shot = with_ghost(read_shot(SHOTS / "shots" / "B_z0500_p01_dim.npz"), 0.01, -15.0)
+    ghost = LaserGhost(offset_px=15.0, offset_sd_px=0.02, ratio=0.01, ratio_sd=0.002)
+    stating = replace(turned_rig(rig), ghosts=dict.fromkeys(rig.lasers.names, ghost))
+
+    assert [each.offset_px for each in detect(turned_shot(shot), stating).ghosts] == [15.0]  # up becomes right
+    assert detect(turned_shot(shot), turned_rig(rig)).ghosts == ()
 
 
 def test_its_covariance_and_velocity_hold_in_the_tilt_basis_of_the_turned_normal(moving):

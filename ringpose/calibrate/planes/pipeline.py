@@ -16,7 +16,7 @@ from ringpose.calibrate.planes import joint_adjustment, plane_fit
 from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
-from ringpose.calibrate.planes.stripes.extraction import stripe_view, triangulated
+from ringpose.calibrate.planes.stripes.extraction import ghost_of_rig, stripe_view, triangulated
 from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
 from ringpose.errors import DataError, UsageError
 from ringpose.geometry.board import LAYOUTS
@@ -24,7 +24,7 @@ from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView, Verdict
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import Camera, LaserPlanes, ParameterCovariance
+from ringpose.types.rig import Camera, LaserGhost, LaserPlanes, ParameterCovariance
 
 _SIGMA_ROUNDS = 5
 """Maximum number of re-estimations of the corners' standard deviations."""
@@ -187,7 +187,17 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         remarks=tuple(remarks),
         contradicting=tuple(contradicting),
         excess=solution.excess,
+        ghosts=_ghosts(views, model.names),
     )
+
+
+def _ghosts(views: Sequence[StripeView], names: Sequence[str]) -> dict[str, LaserGhost]:
+    """By the laser's name, the ghosts that several views show."""
+    seen = {
+        name: ghost_of_rig([ghost for view in views for of, ghost in view.ghosts if of == laser])
+        for laser, name in enumerate(names)
+    }
+    return {name: ghost for name, ghost in seen.items() if ghost is not None}
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:

@@ -41,7 +41,7 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
     """The rig of camera and light planes; a joint covariance replaces the camera's own."""
     joint = calibration.covariance is not None
     own = replace(calibration.camera, covariance=None) if joint else calibration.camera
-    return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance)
+    return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance, ghosts=calibration.ghosts)
 
 
 def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
@@ -128,6 +128,11 @@ def planes_summary(assessment: PlanesAssessment) -> list[str]:
     lines = [f"{name}: {reason}" for name, reason in assessment.calibration.remarks]
     for laser in quality["lasers"]:
         lines += _laser_lines(laser, quality["standard_deviations"])
+    for name, ghost in assessment.calibration.ghosts.items():
+        lines.append(
+            f"{name}: a ghost at {ghost.offset_px:+.2f} ± {ghost.offset_sd_px:.2f} px, "
+            f"{100 * ghost.ratio:.1f} ± {100 * ghost.ratio_sd:.1f} % as bright; detection will subtract it"
+        )
     for angle in plane_angles(assessment.calibration):
         sd = f" ± {np.degrees(angle['sd_rad']):.4f}" if np.isfinite(angle["sd_rad"]) else ""
         lines.append(f"{' to '.join(angle['lasers'])}: {np.degrees(angle['angle_rad']):.3f}{sd} deg")

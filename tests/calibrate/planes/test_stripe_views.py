@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import scipy.io
+from composed_ghosts import with_ghost
 from drawn_boards import FOUR
 from known_views import TRUE_CAMERA
 from recorded_shots import make_shot
@@ -16,10 +17,12 @@ from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes.stripes.extraction import stripe_view
+from ringpose.calibrate.planes.quality import calibrated_rig
+from ringpose.calibrate.planes.stripes.extraction import ghost_of_rig, stripe_view
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration
+from ringpose.types.detection import SubtractedGhost
 from ringpose.types.image import Shot, board_image
 from ringpose.types.options import PlanesMethod
 
@@ -47,6 +50,28 @@ def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
     """Distance between estimated and true planes on the line x = 0, z = 0.5."""
     height = [(d - 0.5 * n[:, 2]) / n[:, 1] for n, d in ((found.planes.normal, found.planes.distance_m), RENDERED)]
     return height[0] - height[1]
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.1])
+def test_a_ghost_that_several_views_show_is_a_property_of_the_rig(rendered_plane_views, ratio):
+    switched = [(shot, found) for shot, found in rendered_plane_views if len(shot.lasers) > 2]
+    views = [stripe_view(with_ghost(shot, ratio, -12.0), found, FOUR, TRUE_CAMERA, 3) for shot, found in switched]
+
+    calibration = calibrate_planes(views, TRUE_CAMERA, PlanesModel(names=("left", "middle", "right")))
+
+    assert tuple(calibration.ghosts) == (("left", "middle", "right") if ratio else ())
+    for ghost in calibration.ghosts.values():
+        assert abs(ghost.offset_px + 12.0) < 0.1
+        assert abs(ghost.ratio - ratio) < 4.0 * ghost.ratio_sd < 0.02
+    assert calibrated_rig(calibration).ghosts == calibration.ghosts
+
+
+def test_reflections_at_another_offset_in_every_view_are_not_a_ghost_of_the_rig():
+    seen = [SubtractedGhost(offset_px=offset_px, ratio=0.2) for offset_px in (-9.0, -13.0, 6.0, 22.0)]
+
+    assert ghost_of_rig(seen) is None
+    assert ghost_of_rig(seen[:1] * 2) is None
+    assert ghost_of_rig([*seen[:1] * 3, seen[1]]).offset_px == -9.0
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ of the board's plane, and texture, do not form lines. `stripe_failure` finds the
 wrong.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,16 +14,17 @@ import numpy as np
 
 from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.pose import board_pose
-from ringpose.detect.stripes import find_stripes
+from ringpose.detect.difference_images import LaserImage
+from ringpose.detect.stripes import GHOST_ROWS, find_stripes, shown_ghost
 from ringpose.geometry.board import marker_corners, outline_m
 from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.detection import Stripes
-from ringpose.types.image import Shot, board_image, dark_image
-from ringpose.types.rig import Camera
+from ringpose.types.detection import Stripes, SubtractedGhost
+from ringpose.types.image import Frame, Shot, board_image, dark_image
+from ringpose.types.rig import Camera, LaserGhost
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""
@@ -115,6 +117,7 @@ def stripe_view(
     labelled: dict[int, Float64[Array, "_ xy=2"]] = {}
     unlabelled: tuple[Float64[Array, "_ xy=2"], ...] = ()
     remarks: list[str] = []
+    ghosts: list[tuple[int, SubtractedGhost]] = []
     most = 0
     for frame in sorted(shot.frames, key=lambda frame: (frame.lasers & every).bit_count()):
         on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
@@ -126,7 +129,10 @@ def stripe_view(
         if len(stripes) != len(on):
             remark = stripe_failure(frame.image, dark, surface, len(stripes), on, shot.saturation_dn)
             remarks += [] if remarks and len(on) > 1 else [remark]
-        elif len(on) == 1:
+            continue
+        ghost = _shown_ghost(shot, frame, dark, along_columns=lines[0].upright)
+        ghosts += [] if ghost is None else [(laser, ghost) for laser in on]
+        if len(on) == 1:
             labelled[on[0]] = stripes[0]
         elif len(on) == lasers and not unlabelled:
             unlabelled = stripes
@@ -137,6 +143,45 @@ def stripe_view(
         remarks=tuple(remarks),
         lit=frozenset(laser for laser in range(lasers) if (shot.lasers >> laser & 1).any()),
         max_stripes=most,
+        ghosts=tuple(ghosts),
+    )
+
+
+def _shown_ghost(
+    shot: Shot, frame: Frame, dark: UInt[Array, "row column"] | None, *, along_columns: bool
+) -> SubtractedGhost | None:
+    """The ghost of the stripes in a frame, its offset across them."""
+    lit = np.ascontiguousarray(frame.image.T) if along_columns else frame.image
+    image = LaserImage(
+        lit=lit,
+        dark=dark if dark is None or not along_columns else np.ascontiguousarray(dark.T),
+        saturation_dn=shot.saturation_dn,
+        threshold_scale_dn=shot.usual_full_dn,
+        lasers=(),
+        stamp_s=frame.stamp_s,
+    )
+    return shown_ghost(image)
+
+
+MIN_GHOSTS = 3
+"""Frames that must show a ghost for the rig to have it: fewer have no scatter. Twice as many are more than the stripes
+of a laser in a usual calibration; half would take one board's reflection for it."""
+
+
+def ghost_of_rig(ghosts: Sequence[SubtractedGhost]) -> LaserGhost | None:
+    """The ghost of a laser by those of its frames, with the scatter between these; None if too few show the same one.
+
+    A reflection of the board, or another stripe, has another offset in every view.
+    """
+    offset_px, ratio = np.array([[each.offset_px, each.ratio] for each in ghosts]).reshape(-1, 2).T
+    same = np.abs(offset_px - np.median(offset_px)) < GHOST_ROWS if len(ghosts) else np.zeros(0, dtype=bool)
+    if np.count_nonzero(same) < max(MIN_GHOSTS, len(ghosts) / 2):
+        return None
+    return LaserGhost(
+        offset_px=float(offset_px[same].mean()),
+        offset_sd_px=float(offset_px[same].std(ddof=1)),
+        ratio=float(ratio[same].mean()),
+        ratio_sd=float(ratio[same].std(ddof=1)),
     )
 
 
