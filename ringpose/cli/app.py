@@ -145,7 +145,9 @@ _INPUTS = typer.Argument(metavar="INPUT...", help="Files or folders; - reads nam
 Inputs = Annotated[list[str], _INPUTS]
 OptionalInputs = Annotated[list[str] | None, _INPUTS]
 RigFile = Annotated[Path, file_option("--rig", meaning="The calibrated rig (rig.yaml).")]
-BoardFile = Annotated[Path, file_option("--board", meaning="The board file: its kind and its sizes.")]
+_BOARD = file_option("--board", meaning="The board file: its kind and its sizes.")
+BoardFile = Annotated[Path, _BOARD]
+OptionalBoardFile = Annotated[Path | None, _BOARD]
 Overlay = Annotated[
     Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
 ]

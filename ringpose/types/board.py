@@ -4,7 +4,7 @@ Board frame: origin at the top-left outer corner, x right, y down, z into the bo
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from ringpose.types import plausible
@@ -116,6 +116,22 @@ class BoardView:
     """Share of the corners with saturated pixels beside them, where dark squares and markers appear smaller."""
     marker_size_ratio: tuple[float, float] | None = None
     """Width and height of the markers over `marker_m`, from their distances; None if not determined."""
+
+
+@dataclass(kw_only=True, eq=False)
+class BoardViews:
+    """The views of a board in the images of one camera, in their order, and the images that show none."""
+
+    views: list[BoardView] = field(default_factory=list)
+    without_board: list[tuple[str, str]] = field(default_factory=list)
+    """Names of the images that show no board, and the reasons."""
+    image_width: int = 0
+    image_height: int = 0
+
+    @property
+    def images(self) -> int:
+        """Number of images in which the board was searched."""
+        return len(self.views) + len(self.without_board)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

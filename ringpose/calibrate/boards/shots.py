@@ -12,7 +12,7 @@ from ringpose.calibrate.boards.views import BoardFinder, find_board
 from ringpose.errors import DataError
 from ringpose.processes import LimitedCalls, WorkerKilled
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
-from ringpose.types.board import Board, BoardView
+from ringpose.types.board import Board, BoardView, BoardViews
 from ringpose.types.image import Shot, board_image
 
 MAX_SEARCH_S, MAX_SEARCH_S_PER_PIXEL = 10, 1e-5
@@ -30,20 +30,17 @@ _MIN_CORRELATION = 0.8
 """Normalised correlation below which a template is not found."""
 
 
-class BoardShots:
-    """The views of a board in the shots of one camera, in their order, and the images that show none.
+class BoardShots(BoardViews):
+    """The views of a board that are found in the shots of one camera.
 
     Boards are found while the `with` block of this object runs, which ends the process that searches for them.
     """
 
     def __init__(self, board: Board, *, names_differ: bool = False) -> None:
         """With `names_differ`, a second image of the same name is an error: its overlay would replace the first."""
+        super().__init__()
         self.board = board
         self.find_board = BoardSearch()
-        self.views: list[BoardView] = []
-        self.without_board: list[tuple[str, str]] = []
-        """Names of the images that show no board, and the reasons."""
-        self.image_width = self.image_height = 0
         self._names_differ = names_differ
         self._names: dict[str, str] = {}
         """Names of the images by their SHA-256."""
@@ -53,11 +50,6 @@ class BoardShots:
 
     def __exit__(self, *_: object) -> None:
         self.find_board.__exit__()
-
-    @property
-    def images(self) -> int:
-        """Number of images in which the board was searched."""
-        return len(self.views) + len(self.without_board)
 
     def add(self, shot: Shot, luminance: Callable[[], Shot] | None = None) -> BoardView | NoBoard:
         """The view of the board in a shot, or the reason why there is none; DataError if the shot cannot be used.

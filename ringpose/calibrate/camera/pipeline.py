@@ -7,13 +7,12 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, residuals
-from ringpose.calibrate.boards.shots import BoardShots
 from ringpose.calibrate.camera import bundle_adjustment, outliers
 from ringpose.calibrate.camera.assessment import DISTANCES_M, camera_assessment
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameter_names
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool
-from ringpose.types.board import BoardView
+from ringpose.types.board import BoardView, BoardViews
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView
 from ringpose.types.rig import Camera, ParameterCovariance
 
@@ -24,13 +23,13 @@ _MAX_ITERATIONS = 5
 
 
 def assessed_camera(
-    boards: BoardShots,
+    boards: BoardViews,
     model: CameraModel = PLUMB_BOB,
     camera_name: str = "camera",
     distances_m: Sequence[float] = DISTANCES_M,
     compare: bool = False,
 ) -> CameraAssessment:
-    """The camera of the shots of a board, with its covariance as the agreement of the views justifies it."""
+    """The camera of views of a board, with its covariance as the agreement of the views justifies it."""
     calibration = calibrate_camera(boards.views, boards.image_width, boards.image_height, model, camera_name)
     return camera_assessment(calibration, model, distances_m, compare)
 

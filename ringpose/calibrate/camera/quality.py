@@ -125,12 +125,12 @@ def camera_summary(assessment: CameraAssessment, verdict: Verdict) -> list[str]:
 
 
 def _scale_line(assessment: CameraAssessment) -> str:
-    """Size and distances of the board as they follow from the board file: no residual shows a wrong scale."""
+    """Size and distances of the board as they follow from its given sizes: no residual shows a wrong scale."""
     corners_m = np.concatenate([view.board.points_board_m for view in assessment.calibration.views])
     width_m, height_m = np.ptp(corners_m[:, :2], axis=0)
     near_m, far_m = min(assessment.coverage.distance_m), max(assessment.coverage.distance_m)
     size = f"{1e3 * width_m:.1f} x {1e3 * height_m:.1f} mm from the first to the last corner"
-    return f"by the board file: {size}, seen from {near_m:.3g} to {far_m:.3g} m; measure both"
+    return f"the board as given: {size}, seen from {near_m:.3g} to {far_m:.3g} m; measure both"
 
 
 def _comparison_lines(comparison: ModelComparison) -> list[str]:

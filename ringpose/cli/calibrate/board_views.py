@@ -1,20 +1,21 @@
 """Reading of board images, shared by the calibration commands."""
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.shots import BoardShots
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch, with_progress
-from ringpose.errors import NO_POSE
+from ringpose.errors import NO_POSE, UsageError
 from ringpose.files.atomic import make_folder, reject_inputs
 from ringpose.files.images.codecs import write_image
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.inputs import Input, path_of_input
 from ringpose.files.inputs import inputs as named
 from ringpose.report.boards import board_overlay
-from ringpose.types.board import BoardView
+from ringpose.types.board import BoardView, BoardViews
 from ringpose.types.image import Shot, board_image
 
 
@@ -65,11 +66,7 @@ class BoardReader:
                     finding = f"no board: {view.value}" if isinstance(view, NoBoard) else on_view(shot, view)
                     if verbose:
                         messages.echo(f"{shot.name}: {finding}")
-        for name, reason in boards.without_board:
-            messages.echo(f"{name}: no board: {reason}")
-        batch.record_status(NO_POSE if boards.without_board else 0)
-        if not boards.images and batch.status:
-            batch.finish()
+        report_missing(boards, batch)
 
     def _read(self, item: Input) -> tuple[Shot, BoardView | NoBoard]:
         path = path_of_input(item)
@@ -83,3 +80,37 @@ class BoardReader:
             drawn = board_overlay(board_image(shot), view)
             write_image(self._overlay / f"{shot.name}.png", drawn, force=self._force)
         return shot, view
+
+
+def report_missing(boards: BoardViews, batch: Batch) -> None:
+    """Report images without a board; the command ends here if no input could be read, and its errors are reported."""
+    for name, reason in boards.without_board:
+        messages.echo(f"{name}: no board: {reason}")
+    batch.record_status(NO_POSE if boards.without_board else 0)
+    if not boards.images and batch.status:
+        batch.finish()
+
+
+def listed_views(
+    inputs: Sequence[str], board: Path | None, image_size: str | None, batch: Batch, without: Mapping[str, object]
+) -> BoardViews:
+    """The views in lists of corners; `without` are options that need images, by name, and must not be given."""
+    from ringpose.files.boards import read_board
+    from ringpose.files.corner_lists import is_corner_list, read_corner_lists
+
+    images = [name for name in inputs if not is_corner_list(name)]
+    if images:
+        raise UsageError("INPUT", f"{images[0]} is no list of corners, and others are", "give images or lists")
+    for name, value in without.items():
+        if value is not None:
+            raise UsageError(name, "needs images, and lists of corners are given", "leave it out")
+    size = re.fullmatch(r"(\d{1,5})x(\d{1,5})", image_size or "")
+    if size is None or "0" in size.groups():
+        finding = f"is {image_size!r}" if image_size else "is missing: lists of corners do not state it"
+        raise UsageError("--image-size", finding, "give width and height in pixels, as 640x480")
+    boards = BoardViews()
+    with batch.guarded():
+        places = None if board is None else read_board(board)
+        boards = read_corner_lists([Path(name) for name in inputs], places, (int(size[1]), int(size[2])))
+    report_missing(boards, batch)
+    return boards

@@ -1,14 +1,15 @@
 """`ringpose calibrate-camera`: images of a board -> camera.yaml."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ringpose.cli.app import (
-    BoardFile,
     CalibrationOutput,
     Force,
     ImageChannel,
+    OptionalBoardFile,
     OptionalInputs,
     Overlay,
     Quiet,
@@ -29,12 +30,15 @@ Compare = Annotated[bool, typer.Option("--compare", help="Solve with the other d
 Distances = Annotated[
     str, typer.Option("--distances", metavar="METRES", help="Where the uncertainty is given in mm, comma between.")
 ]
+ImageSize = Annotated[
+    str | None, typer.Option("--image-size", metavar="WxH", help="Of lists of corners: width and height in pixels.")
+]
 CameraName = Annotated[str, typer.Option("--camera-name", metavar="NAME", help="The camera's name in the file.")]
 
 
 @app.command("calibrate-camera", cls=CommandWithModes)
 def calibrate_camera(
-    board: BoardFile,
+    board: OptionalBoardFile = None,
     inputs: OptionalInputs = None,
     output: CalibrationOutput = None,
     distortion_model: Model = DistortionModel.PLUMB_BOB,
@@ -44,6 +48,7 @@ def calibrate_camera(
     compare: Compare = False,
     distances: Distances = "0.2,0.5,1",
     camera_name: CameraName = "camera",
+    image_size: ImageSize = None,
     print_board: PrintBoard = None,
     overlay: Overlay = None,
     report: Report = None,
@@ -52,7 +57,7 @@ def calibrate_camera(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the camera's intrinsic parameters from images of a board.
+    """Estimate the camera's intrinsic parameters from images of a board, or from lists of its corners.
 
     Ten to fifteen images are good: the board flat, tilted by 20 to 40 degrees to different sides, near and far, its
     corners in every part of the image. No board yet: --print-board board.pdf --board board.yaml.
@@ -60,7 +65,7 @@ def calibrate_camera(
     if print_board is not None:
         from ringpose.cli.calibrate.outputs import print_board as printed
 
-        printed(print_board, board, "charuco", force=force, quiet=quiet)
+        printed(print_board, given(board, "--board"), "charuco", force=force, quiet=quiet)
         return
 
     from ringpose.calibrate.boards.shots import BoardShots
@@ -68,27 +73,38 @@ def calibrate_camera(
     from ringpose.calibrate.camera.pipeline import assessed_camera
     from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibrate.board_views import BoardReader
+    from ringpose.cli.calibrate.board_views import BoardReader, listed_views
     from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
+    from ringpose.errors import UsageError
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.ros import write_camera
+    from ringpose.files.corner_lists import is_corner_list
     from ringpose.files.io import write_page
 
     output = given(output, "--output")
-    reject_existing_outputs(output, report, force, [board])
+    reject_existing_outputs(output, report, force, [] if board is None else [board])
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
     distances_m = numbers(distances, "--distances", "give metres, as 0.2,0.5,1", DISTANCE_M)
-    boards = BoardShots(read_board(board), names_differ=overlay is not None)
-    batch = Batch()
-    reader = BoardReader(boards, overlay=overlay, channel=channel, outputs=(output, report), force=force)
-    reader.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
+    inputs, batch = given(inputs, "INPUT"), Batch()
+    read = [] if board is None else [board]
+    if any(map(is_corner_list, inputs)):
+        without = {"--overlay": overlay, "--channel": channel}
+        boards = listed_views(inputs, board, image_size, batch, without)
+        read += map(Path, inputs)
+    else:
+        if image_size is not None:
+            raise UsageError("--image-size", "is that of lists of corners, and images are given", "leave it out")
+        boards = BoardShots(read_board(given(board, "--board")), names_differ=overlay is not None)
+        reader = BoardReader(boards, overlay=overlay, channel=channel, outputs=(output, report), force=force)
+        reader.read_each(inputs, batch, quiet=quiet, verbose=verbose)
+        read += reader.paths
     with batch.guarded():
         assessment = assessed_camera(boards, model, camera_name, distances_m, compare)
         verdict = camera_verdict(assessment, boards.images)
         quality = camera_quality(assessment, verdict, boards.without_board)
-        write_camera(output, assessment.calibration.camera, extra=quality, force=force, inputs=[board, *reader.paths])
+        write_camera(output, assessment.calibration.camera, extra=quality, force=force, inputs=read)
         if report is not None:
             from ringpose.report.camera import camera_report
 
