@@ -149,6 +149,25 @@ def test_a_page_is_clean_mdoc(page):
     assert done.stdout == ""
 
 
+def wide_tables(page: Path) -> list[str]:
+    """Rows of tables whose cells do not fit into their columns, or leave less than 20 of 80 characters to the last."""
+    found = []
+    for head, rows in re.findall(r"^\.Bl (-column [^\n]*)\n(.*?)^\.El", page.read_text(), re.DOTALL | re.MULTILINE):
+        widths = [len(width) for width in re.findall(r'"([^"]*)"', head)][:-1]
+        for row in re.findall(r"^\.It (.*)", rows, re.MULTILINE):
+            plain = re.sub(r"(?<!\S)(?:Em|Va|Cm|Li|No|Fl|Ar) ", "", row)
+            *cells, last = [cell.strip() for cell in plain.split("Ta ")]
+            is_cut = any(len(cell) > width for cell, width in zip(cells, widths, strict=True))
+            if is_cut or sum(widths) + min(len(last), 20) > 65:
+                found.append(row)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_fit_into_80_columns(page):
+    assert wide_tables(page) == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_that_are_referred_to_exist(page):
     referred = re.findall(r"^\.Xr (ringpose\S*) (\d)", page.read_text(), re.MULTILINE)
