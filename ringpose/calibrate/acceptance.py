@@ -36,7 +36,8 @@ BOARD_LIMITS: Mapping[str, Limit] = {
         "relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
         "marker_m: measure the print, a size in the board file is wrong"),
     "bow_sigmas": Limit(5.0, inf,  # root of chi-squared of its three coefficients: 1.5 for flat boards, rarely 4
-        "the board is not flat, by about {height_mm:.2f} mm: fix it to glass or a plate"),
+        "the board is not flat, by about {height_mm:.2f} mm, which changes fx by {fx_px:.1f} px (the standard "
+        "deviations contain it): fix it to glass or a plate"),
 }
 
 CAMERA_LIMITS: Mapping[str, Limit] = {
@@ -66,13 +67,14 @@ CAMERA_LIMITS: Mapping[str, Limit] = {
         "bring the board to the image's corners, or use --distortion-model plumb_bob"),
     # The following are unknown if there are too few views, which another check reports.
     "view_disagreement": Limit(2.5, 15.0,
-        "the views disagree by more than their noise: check that the board is flat and its sizes are true, that all "
-        "images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner",
-        if_unknown=""),
+        "the views disagree by more than their noise (the standard deviations contain it): check that the board is "
+        "flat and its sizes are true, that all images are one camera's, its focus and zoom fixed, and that no glare or "
+        "cable is taken for a corner", if_unknown=""),
     "leave_one_out_px": Limit(1.0, inf,
         "the result depends mainly on {place}: add views like it, or leave it out", if_unknown=""),
     "split_half_px": Limit(1.0, inf,
-        "half of the views give another camera than the rest: add views of every kind", if_unknown=""),
+        "half of the views give another camera than the rest, fx by {fx_px:.1f} px to each side: "
+        "add views of every kind", if_unknown=""),
     "held_out_ratio": Limit(1.05, inf,
         "views left out fit another model better: use --distortion-model {other}", if_unknown=""),
 }

@@ -279,7 +279,7 @@ class CameraAssessment:
     """A camera calibration with the quantities by which it is assessed."""
 
     calibration: CameraCalibration
-    """The calibration, with the covariance inflated if the views disagree more than noise explains."""
+    """The calibration, with the covariance inflated if the views disagree more than noise explains, or show a bow."""
     coverage: Coverage
     sigma_px: Float64[Array, "map_row map_column"]
     """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with
@@ -288,6 +288,8 @@ class CameraAssessment:
     """The results of leaving out each view; empty if there are too few views."""
     split_half_px: Float64[Array, "map_row map_column"]
     """Displacement between the cameras of the even and the odd views; NaN if a half does not determine a camera."""
+    half_difference: Float64[Array, "parameter"]
+    """Half of the difference between the parameters of these two cameras; zero if a half does not determine one."""
     disagreement: float
     """Ratio of the projection uncertainties by jackknife and by the noise of the corners, medians over the image: 1 if
     noise explains the differences of the views; NaN for too few views."""

@@ -2,11 +2,13 @@
 
 A bent board (ringpose-method(7), section 7) has the same shape in every view, so that the views agree on a wrong camera
 and no other check detects it. A bow of 0.1 mm over a sheet of A4 changes the focal length by 3 to 10 of its standard
-deviations.
+deviations. Systematic errors that the views show enlarge the covariance in their own direction: the change of the
+camera by the bow, and half of the difference between the cameras of two halves of the views.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +18,11 @@ from ringpose.calibrate.boards.pose import projection_jacobians
 from ringpose.calibrate.camera import validation
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
-from ringpose.calibrate.camera.parameters import CameraModel
+from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.calibration import CameraAssessment, CameraCalibration, Check, Coverage
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, Check, Coverage, Grade
 from ringpose.types.rig import Camera
 
 CHANCE = 2.5
@@ -69,28 +71,45 @@ def camera_assessment(
     sigma_px = np.where(known, validation.projection_sigma_px(calibration.camera, covariance.data), np.nan)
     disagreement = float(np.median(jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
     widening = disagreement if disagreement > 1 + CHANCE / np.sqrt(len(used) - 1) else 1.0
-    wider = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
+    halves = validation.split_halves(used, whole, model)
+    half = np.zeros(len(model.free)) if halves is None else (parameters_of(halves[0]) - parameters_of(halves[1])) / 2
+    bow = bow_error(used, whole, model, widening)
+    data = widening**2 * covariance.data
+    if widening > 1:
+        data = data + np.outer(half, half)
+    if bow.finding.grade is not Grade.GOOD:
+        data = data + np.outer(bow.shift, bow.shift)
+    wider = replace(calibration.camera, covariance=replace(covariance, data=data))
     return CameraAssessment(
         calibration=replace(calibration, camera=wider),
         coverage=coverage(calibration),
-        sigma_px=widening * sigma_px,
+        sigma_px=np.where(known, validation.projection_sigma_px(wider, data), np.nan),
         left_out=left_out,
-        split_half_px=validation.split_half_px(used, whole, model),
+        split_half_px=np.full(known.shape, np.nan) if halves is None else validation.displacement_px(*halves),
+        half_difference=half,
         disagreement=disagreement,
         distances_m=tuple(distances_m),
         comparison=validation.model_comparison(used, whole, model) if compare else None,
         board=(
             other_camera_finding(calibration),
             *marker_size_findings([view.board for view in calibration.views]),
-            bow_finding(used, whole, model, widening),
+            bow.finding,
         ),
     )
 
 
-def bow_finding(
+class BowError(NamedTuple):
+    """The error by a bow of the board that is the same in all views."""
+
+    finding: Check
+    shift: Float64[Array, "parameter"]
+    """The change of the camera's parameters that the bow causes."""
+
+
+def bow_error(
     used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
-) -> Check:
-    """Check of the board's flatness: by how many standard deviations the corners show a bow, the same in all views.
+) -> BowError:
+    """Error by the board's bow: by how many standard deviations the corners show one, the same in all views.
 
     The bow is a surface of second order, with three coefficients, estimated by one Gauss-Newton step together with
     camera and poses. `widening` is the factor by which the views' errors exceed what their residuals show.
@@ -105,12 +124,16 @@ def bow_finding(
     scale = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     scaled = jacobian[:, free] / scale
     covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    bow = (covariance @ scaled.T @ residual)[-3:]
+    step = covariance @ scaled.T @ residual
+    bow = step[-3:]
     significance = float(np.sqrt(max(bow @ np.linalg.pinv(covariance[-3:, -3:], hermitian=True) @ bow, 0.0)))
     points_m = np.concatenate([view.points_board_m for view in used])
     centered_m = points_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2
     height_m = float(np.ptp(_surface_heights(centered_m) @ (bow / scale[-3:])))
-    return check(BOARD_LIMITS, "bow_sigmas", significance / widening, height_mm=1e3 * height_m)
+    shift = np.zeros(len(model.free))
+    shift[model.free] = (step / scale)[:-3]
+    words = {"height_mm": 1e3 * height_m, "fx_px": abs(shift[0])}
+    return BowError(check(BOARD_LIMITS, "bow_sigmas", significance / widening, **words), shift)
 
 
 def _bow_equations(

@@ -210,10 +210,11 @@ def _validation_findings(assessment: CameraAssessment) -> list[Check]:
     """Checks of the agreement of the views and, where they were compared, of the distortion models."""
     unknown = LeftOutView(name="", shift_px=np.nan, rms_px=np.nan)
     view = max(assessment.left_out, key=lambda view: view.shift_px, default=unknown)
+    half_px = abs(float(assessment.half_difference[0]))
     checks = [
         check(CAMERA_LIMITS, "view_disagreement", assessment.disagreement),
         check(CAMERA_LIMITS, "leave_one_out_px", view.shift_px, view.name),
-        check(CAMERA_LIMITS, "split_half_px", float(np.median(assessment.split_half_px))),
+        check(CAMERA_LIMITS, "split_half_px", float(np.median(assessment.split_half_px)), fx_px=half_px),
     ]
     if assessment.comparison is not None:
         own, other = assessment.comparison.fits

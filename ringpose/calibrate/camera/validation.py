@@ -80,15 +80,13 @@ def leave_one_out(
     return left_out, _jackknife_px(shifts, whole, model) if shifts else unknown
 
 
-def split_half_px(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> MapValues:
-    """Displacement between the cameras of the even and the odd views; NaN if a half does not determine a camera.
+def split_halves(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> tuple[Camera, Camera] | None:
+    """The cameras of the odd and the even views; None if a half does not determine a camera.
 
     Neighbours in a series are similar, so that every other one belongs to the same half.
     """
     odd, even = (_camera(used[first::2], whole.camera, model, whole.poses[first::2]) for first in (0, 1))
-    if odd is None or even is None:
-        return np.full(map_points_px(whole.camera).shape[:2], np.nan)
-    return displacement_px(odd, even)
+    return None if odd is None or even is None else (odd, even)
 
 
 def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:

@@ -3,16 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from known_views import board_view, true_poses
+from known_views import TRUE_CAMERA, board_view, true_poses
 
-from ringpose.calibrate.camera.assessment import bow_finding, camera_assessment
+from ringpose.calibrate.camera.assessment import bow_error, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
-from ringpose.calibrate.camera.parameters import PLUMB_BOB
+from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import Grade
+from ringpose.types.calibration import CameraCalibration, Grade
 
 POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))
 NOISE_PX = 0.02
@@ -36,13 +37,13 @@ def solved(boards: Sequence[BoardView]) -> CameraSolution:
 def test_a_flat_board_is_not_reported_as_bowed(rng):
     flat = views(rng, [0.0] * 10)
 
-    assert bow_finding(flat, solved(flat), PLUMB_BOB).grade is Grade.GOOD
+    assert bow_error(flat, solved(flat), PLUMB_BOB).finding.grade is Grade.GOOD
 
 
 def test_a_bowed_board_is_reported_with_its_height(rng):
     bowed = views(rng, [1e-4] * 10)
 
-    finding = bow_finding(bowed, solved(bowed), PLUMB_BOB)
+    finding, _ = bow_error(bowed, solved(bowed), PLUMB_BOB)
 
     height_mm = float(finding.advice.split("about ")[1].split(" mm")[0])
     assert finding.grade is not Grade.GOOD
@@ -54,8 +55,47 @@ def test_a_board_that_bends_differently_in_each_view_is_not_reported_as_bowed(rn
     bending = views(rng, [1e-4, -1e-4, 3e-5, -6e-5, 8e-5, 1e-4, -4e-5, -7e-5, 9e-5, -5e-5])
     found = calibrate_camera(bending, 1600, 1200)
 
-    by_noise = bow_finding(bending, solved(bending), PLUMB_BOB)
+    by_noise, _ = bow_error(bending, solved(bending), PLUMB_BOB)
     finding = camera_assessment(found, PLUMB_BOB).board[-1]
 
     assert by_noise.grade is not Grade.GOOD
     assert finding.grade is Grade.GOOD
+
+
+def normalised_error(found: CameraCalibration) -> float:
+    """NEES of the camera's parameters."""
+    error = parameters_of(found.camera) - parameters_of(TRUE_CAMERA)
+    return float(error @ np.linalg.solve(found.covariance.data, error)) / len(error)
+
+
+def test_the_covariance_contains_the_error_by_a_bow(rng):
+    bowed = views(rng, [3e-4] * 12)
+    found = calibrate_camera(bowed, 1600, 1200)
+
+    assessed = camera_assessment(found, PLUMB_BOB)
+
+    assert normalised_error(found) > 20
+    assert normalised_error(assessed.calibration) < 3.1  # the 99.9 % bound of nine parameters
+
+
+def test_the_covariance_contains_half_of_the_difference_of_two_halves_of_the_views(rng):
+    """A sheet that is bent one way in one half of the views, and the other way in the rest."""
+    bending = views(rng, [3e-4, -3e-4] * 4)
+    found = calibrate_camera(bending, 1600, 1200, CameraModel(keep_all=True))
+    odd, even = (parameters_of(solved(bending[first::2]).camera) for first in (0, 1))
+
+    assessed = camera_assessment(found, CameraModel(keep_all=True)).calibration
+
+    half = np.abs(odd - even) / 2
+    assert half[0] > 3 * found.standard_deviations["fx"]
+    assert np.all(np.sqrt(np.diag(assessed.covariance.data)) > half)
+    assert normalised_error(found) > 3.1  # the 99.9 % bound of nine parameters
+    assert normalised_error(assessed) < 3.1
+
+
+def test_noise_alone_does_not_inflate_the_covariance(rng):
+    found = calibrate_camera(views(rng, [0.0] * 10), 1600, 1200)
+
+    assessed = camera_assessment(found, PLUMB_BOB)
+
+    assert np.array_equal(assessed.calibration.covariance.data, found.covariance.data)

@@ -94,8 +94,7 @@ def test_views_of_a_bent_board_widen_the_covariance(views):
     assessed = camera_assessment(found, PLUMB_BOB)
 
     ratio = assessed.calibration.standard_deviations["fx"] / found.standard_deviations["fx"]
-    assert ratio == pytest.approx(assessed.disagreement)
-    assert ratio > 2
+    assert ratio > assessed.disagreement > 2  # it contains the difference of two halves of the views, too
 
 
 def test_good_views_are_good(views):
