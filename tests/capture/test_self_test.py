@@ -84,7 +84,9 @@ def test_the_settling_time_is_not_measured_beyond_a_laser_that_stays_on(devices,
     assert shares_on[1:] == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.001, 0.03, 0.08])
+@pytest.mark.parametrize(
+    "delay_s", [0.0, pytest.param(0.001, marks=pytest.mark.slow), 0.03, pytest.param(0.08, marks=pytest.mark.slow)]
+)
 def test_the_settling_time_is_the_slowest_delay_to_within_one_exposure(devices, delay_s):
     camera, lasers = devices(operate_s=delay_s / 2, release_s=delay_s)
     with camera, lasers:

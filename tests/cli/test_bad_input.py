@@ -79,7 +79,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("command", ["detect", "pose"])
+@pytest.mark.parametrize("command", [pytest.param("detect", marks=pytest.mark.slow), "pose"])
 @pytest.mark.parametrize("case", BAD)
 def test_bad_shot_is_one_line_and_the_good_ones_come_out(rig, picture, tmp_path, capfd, command, case):
     make, status, finding = BAD[case]

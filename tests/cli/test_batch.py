@@ -72,6 +72,7 @@ def test_a_file_that_is_written_again_is_another_input(tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_the_first_result_does_not_wait_for_the_last_input():
     reading, writing = os.pipe()
 

@@ -31,6 +31,7 @@ def test_without_a_rig_that_covers_the_volume_the_status_is_3(capsys):
     assert "none" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_limits_of_a_ring_of_given_outer_radius_are_stated(capsys):
     main([*SMALL, "--radius-outer", "0.1"])
 

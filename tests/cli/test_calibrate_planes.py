@@ -139,6 +139,7 @@ def test_images_without_the_number_of_lasers_are_rejected(plane_folder, capsys):
     assert "--laser-names: lit does not state how many lasers are on; give one" in stderr
 
 
+@pytest.mark.slow
 def test_the_errors_of_poses_are_predicted_at_the_working_distance(plane_folder, capsys):
     calibrate("planes", *ORDER, "--working-distance", "1.0")
 

@@ -88,7 +88,7 @@ def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(forked):
     assert "2 shots" in shown
 
 
-@pytest.mark.parametrize(("ignored", "status"), [(True, 0), (False, 129)])
+@pytest.mark.parametrize(("ignored", "status"), [pytest.param(True, 0, marks=pytest.mark.slow), (False, 129)])
 def test_a_terminal_that_goes_away_takes_no_shot_with_it(started, ignored, status):
     for name in "abcdef":
         recorded(Path("in"), name)

@@ -39,7 +39,11 @@ def test_without_a_topic_every_page_is_listed_with_its_description(run):
         assert any(line.split() == [topic, *description_of(page).split()] for line in listed), page.name
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [*PAGES[::5], *(pytest.param(page, marks=pytest.mark.slow) for page in PAGES if page not in PAGES[::5])],
+    ids=lambda page: page.name,
+)
 def test_without_man_a_page_is_the_text_that_mandoc_formats(run, monkeypatch, page):
     command = [needed_program("mandoc", "mandoc"), "-T", "utf8", page]
     formatted = re.sub(".\b", "", subprocess.run(command, capture_output=True, text=True, check=True).stdout)

@@ -330,7 +330,7 @@ def test_closed_stdout_is_one_line(started, rig, detections):
     assert (status, said.count("\n")) == (74, 1)
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("unbuffered", [pytest.param("", marks=pytest.mark.slow), "1"])
 def test_nobody_to_read_the_messages_changes_no_status(started, rig, tmp_path, monkeypatch, unbuffered):
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     with Path("/dev/full").open("w") as full:

@@ -102,7 +102,7 @@ def drawn(rng, control):
 SEQUENCES = ("off,all", "all", "off", "off,1,2,3", "1+3,off", "off,all@500us", "1,1,1")
 
 
-@pytest.mark.parametrize("count", [200, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [80, pytest.param(1000, marks=pytest.mark.slow)])
 def test_after_each_drawn_value_the_state_renders(scene, views, controls, values, rng, count):
     engine, refused = Engine(scene, lambda *_: None), 0
     names = list(controls)

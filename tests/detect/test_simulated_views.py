@@ -119,6 +119,7 @@ def test_without_a_ring_there_are_no_break_points(target):
     assert isinstance(detect(shot, NARROW).break_points, NoBreakPoints)
 
 
+@pytest.mark.slow
 def test_a_dark_frame_of_all_lasers_shows_the_ends_as_precisely_as_one_frame_for_each():
     """Where no ambient light is, residuals of speckle are not those of a lit surface behind the stripes."""
     sigma_px = {}

@@ -37,7 +37,7 @@ def line_errors(rng, columns, grain_px):
 
 
 @pytest.mark.parametrize("columns", [29, 58, 120, 250])
-@pytest.mark.parametrize("grain_px", [1.0, 2.0])
+@pytest.mark.parametrize("grain_px", [pytest.param(1.0, marks=pytest.mark.slow), 2.0])
 def test_lines_are_as_sure_as_they_say(rng, columns, grain_px):
     errors = np.array([line_errors(rng, columns, grain_px) for _ in range(400)])
 

@@ -78,7 +78,7 @@ def sigmas_off(pose, scene):
 
 
 @EVERY_POINT
-@pytest.mark.parametrize("shift_px", [-25.0, 12.0])
+@pytest.mark.parametrize("shift_px", [pytest.param(-25.0, marks=pytest.mark.slow), 12.0])
 def test_a_wrong_break_point_is_left_out(scene, points, laser, edge, shift_px):
     pose = estimate_pose(shifted(points, laser, edge, shift_px), scene.rig, known=KNOWN)
 

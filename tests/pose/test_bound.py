@@ -116,6 +116,7 @@ def errors_and_bound(scene, known, rng, samples):
     return np.array(errors), np.array(squares).reshape(-1, 2), sd
 
 
+@pytest.mark.slow
 def test_errors_of_some_shots_are_near_the_bound(rng):
     errors, _, sd = errors_and_bound(make_scene("B", distance_m=0.5), False, rng, samples=150)
 

@@ -103,6 +103,7 @@ def test_a_band_as_wide_as_none_is_a_little_less_likely_at_the_limit_than_inside
     assert shares[0] == pytest.approx(shares[1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_catalogue_of_many_flanges_is_as_often_right_as_it_promises(rng):
     """Half of the rings are of the catalogue, the others of any size; exact and poor measurements."""
     rings = read_rings()

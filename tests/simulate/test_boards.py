@@ -38,7 +38,10 @@ def boards_of(kind, **values):
     return BoardSet(**{"board": BOARDS[kind], "approach": approach, "exposure_s": 0.002} | values)
 
 
-@pytest.mark.parametrize("kind", BOARDS)
+@pytest.mark.parametrize(
+    "kind",
+    ["chessboard", "four_markers", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("charuco", "aruco_grid"))],
+)
 def test_corners_are_found_at_their_projections(sharp_scene, kind):
     ((shot, pose),) = simulated_boards(sharp_scene, boards_of(kind), count=1)
 

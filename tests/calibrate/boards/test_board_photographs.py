@@ -65,6 +65,7 @@ def test_chessboards_of_opencvs_photographs_are_where_its_tests_expect_them(numb
     assert nearest.max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_bright_stripe_beside_the_board_displaces_no_column(shared_data):
     path = shared_data / "real" / "etna_laser_robot" / "calib3" / "frame0001.png"
     board = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)

@@ -37,7 +37,7 @@ def meeting(first, first_to, second, second_to) -> np.ndarray:
     return point[:2] / point[2]
 
 
-@pytest.mark.parametrize("lean", [0.0, 0.4])
+@pytest.mark.parametrize("lean", [pytest.param(0.0, marks=pytest.mark.slow), 0.4])
 def test_corners_where_moved_sides_meet_become_independent(lean, rng):
     """Each side's ends are moved outwards by numbers of correlation 0.5; corners are where the moved sides meet."""
     corners = 100.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) @ np.array([[1.0, 0.2], [lean, 1.0]])

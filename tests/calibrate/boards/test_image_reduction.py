@@ -30,6 +30,7 @@ def test_points_of_a_reduced_image_are_mapped_to_the_full_image(reduction):
     assert in_full_image(place, reduction) == pytest.approx(expected, abs=0.05)
 
 
+@pytest.mark.slow
 def test_corners_are_as_accurate_in_a_large_image_as_in_a_small_one():
     squares = (np.indices((6, 8)).sum(axis=0) % 2 * 255).astype(np.float32)
     board = np.pad(squares.repeat(300, axis=0).repeat(300, axis=1), 400, constant_values=255.0)

@@ -76,7 +76,9 @@ def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
     assert "white is saturated beside 90 % of its corners" in found["v4"]
 
 
-@pytest.mark.parametrize(("indices", "grade"), [((0, 4), Grade.IMPROVABLE), ((0, 4, 8, 12), Grade.REDO)])
+@pytest.mark.parametrize(
+    ("indices", "grade"), [((0, 4), Grade.IMPROVABLE), pytest.param((0, 4, 8, 12), Grade.REDO, marks=pytest.mark.slow)]
+)
 def test_views_of_another_camera_are_named_together(views, indices, grade):
     boards = mixed(views(15), of_longer_lens, *indices)
 

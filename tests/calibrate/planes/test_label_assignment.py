@@ -30,10 +30,12 @@ def good(rng):
 @pytest.mark.parametrize(
     ("way", "place", "text"),
     [
-        ((0, 2, 1), 0, "middle and right are exchanged against the other shots"),
-        ((1, 0, 2), 3, "left and middle are exchanged against the other shots"),
+        pytest.param((0, 2, 1), 0, "middle and right are exchanged against the other shots", marks=pytest.mark.slow),
+        pytest.param((1, 0, 2), 3, "left and middle are exchanged against the other shots", marks=pytest.mark.slow),
         ((1, 2, 0), 0, "left shows the stripe of middle, middle shows the stripe of right"),
-        ((2, 0, 1), 3, "left shows the stripe of right, middle shows the stripe of left"),
+        pytest.param(
+            (2, 0, 1), 3, "left shows the stripe of right, middle shows the stripe of left", marks=pytest.mark.slow
+        ),
         ((2, 1, 0), 5, "left and right are exchanged against the other shots"),
     ],
 )
@@ -67,7 +69,7 @@ def test_two_equally_frequent_orders_are_rejected_with_their_shots(good):
 
 
 @pytest.mark.parametrize("depths_m", [None, (0.45, 0.55), (0.4, 0.45, 0.5, 0.6)], ids=str)
-@pytest.mark.parametrize("number", [2, 3, 6])
+@pytest.mark.parametrize("number", [2, 3, pytest.param(6, marks=pytest.mark.slow)])
 def test_good_shots_are_not_suspected(number, depths_m, good, rng):
     facing = [(np.eye(3), np.array([-0.15, -0.12, depth])) for depth in depths_m or ()]
     views = stripe_views(facing, rng, 0.05, 0.05) if facing else good

@@ -22,7 +22,7 @@ NOTHING = np.empty((0, 2))
 
 
 @pytest.mark.parametrize("model", [MODEL, PAPER], ids=lambda model: model.method.value)
-@pytest.mark.parametrize("number", [3, 6])
+@pytest.mark.parametrize("number", [3, pytest.param(6, marks=pytest.mark.slow)])
 def test_exact_views_give_the_exact_planes(model, number, rng):
     found = calibrate_planes(stripe_views(true_poses(rng, number), rng), TRUE_CAMERA, model)
 

@@ -71,6 +71,7 @@ def test_an_uncertain_rig_has_wider_limits(rng, view, true_rig):
     assert limits[1] > 2 * limits[0]
 
 
+@pytest.mark.slow
 def test_offsets_of_new_views_stay_within_their_limits(rng):
     """Three sigmas and the board's flatness; of thirty views of a noisy calibration none is beyond them."""
     noisy = stripe_views(true_poses(rng, 5), rng, 0.2, 0.5)
