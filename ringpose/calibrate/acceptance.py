@@ -89,6 +89,11 @@ PLANES_LIMITS: Mapping[str, Limit] = {
     "variance_excess": Limit(3.0, 100.0,  # a board flat to 0.1 mm can reach 3; above 100 the covariance is meaningless
         "the views disagree{stray}: see that the board is flat, stood still in each shot and has the sizes in its "
         "file; calibrate the camera anew"),
+    "sheet_height_m": Limit(1e-3, 3e-3,  # over the distance: depths on the planes are wrong by as much
+        "the stripes beside the print lie {height_mm:.1f} mm {side} it, on another surface: see with --overlay, and "
+        "give the width of the sheet around the print (--surround; 0 for the print alone)",
+        if_unknown="whether the stripes beside the print lie in its plane is not determined: let them cross the "
+        "print, or tilt the board to all sides"),
     "views": Limit(5.0, 2.0,  # two determine a plane without redundancy; of five, a wrong one stands out
         "add views that show the stripe of {place}: six to ten are good"),
     "condition": Limit(10.0, 50.0,  # 200 mm wide views that differ by 20 mm across their stripes; 50: collinear

@@ -92,6 +92,15 @@ class StripeView:
     """Largest number of stripes on the board in a frame."""
     ghosts: tuple[tuple[int, SubtractedGhost], ...] = ()
     """By laser, the ghosts of the frames in which it was on."""
+    print_m: tuple[float, float] | None = None
+    """Width and height of the print that the board's frame starts at; None if all stripes are known to be on it."""
+
+    def beside_print(self, points: Float64[Array, "n xyz=3"], pose: BoardPose) -> Bool[Array, "n"]:
+        """Which points of the board's plane, in the camera frame, lie on the sheet beside the print."""
+        if self.print_m is None:
+            return np.zeros(len(points), dtype=bool)
+        position_m = ((points - pose.translation_m) @ pose.rotation)[:, :2]
+        return np.any((position_m < 0) | (position_m > self.print_m), axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -169,6 +178,9 @@ class PlanesCalibration:
     """Factor by which the variances of corners and stripes were inflated to explain the differences of the views."""
     ghosts: Mapping[str, LaserGhost] = field(default_factory=dict)
     """By the laser's name, ghosts of its stripes that several views show."""
+    sheet_height_m: tuple[float, float] | None = None
+    """How far behind the print the stripes beside it lie, and the standard deviation; NaN by a method that does not
+    estimate it, None without such stripes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

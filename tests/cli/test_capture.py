@@ -105,6 +105,20 @@ def test_shots_are_chosen_by_a_pattern_by_names_on_standard_input_or_a_count(
     assert (status, out) == (0, [f"s/{name}.npz" for name in chosen])
 
 
+def test_photographs_with_the_lasers_off_and_on_in_two_folders_are_shots_of_two_frames(capture, monkeypatch):
+    for folder, grey in (("off", 9), ("on", 90)):
+        Path(folder).mkdir()
+        for name in ("x.png", "y.png"):
+            write_image(Path(folder, name), np.full((4, 6), grey, np.uint8))
+    monkeypatch.setattr("sys.stdin", io.StringIO("off/x.png\non/x.png\noff/y.png\non/y.png\n"))
+
+    status, out, _ = capture("--sequence", "off,1", camera="files:-")
+
+    assert (status, out) == (0, ["s/x.npz", "s/y.npz"])
+    shot = read_shot(Path("s/y.npz"))
+    assert (shot.lasers.tolist(), shot.images[:, 0, 0].tolist()) == ([0, 1], [9, 90])
+
+
 def test_images_are_shots_of_one_frame_with_all_lasers_on(capture):
     Path("in").mkdir()
     write_image(Path("in/x.png"), np.full((4, 6), 9, np.uint8))

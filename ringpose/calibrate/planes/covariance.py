@@ -16,6 +16,7 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
 from ringpose.calibrate.camera.parameters import parameter_names
 from ringpose.calibrate.planes import joint_adjustment
+from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.estimate.nuisance import point_covariance
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.rays import project, rays
@@ -111,6 +112,40 @@ def laser_disagreements(data: joint_adjustment.JointData, state: joint_adjustmen
 def _degrees_of_freedom(data: joint_adjustment.JointData, laser: int) -> int:
     """Degrees of freedom of a laser: two for each of its stripes, less the parameters of its plane."""
     return 2 * sum(len(own[laser].ray) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
+
+
+def sheet_height_m(
+    data: joint_adjustment.JointData, state: joint_adjustment.JointState, excess: float
+) -> tuple[float, float]:
+    """How far behind the print the surface lies that carries the stripes beside it, and the standard deviation.
+
+    Zero is expected: the sheet of the print. With a height h common to all views, a centre beside the print is at
+    P = (D + h) r / (n_b . r), and the image of its light plane there is that of a plane at the distance d D / (D + h).
+    Boards at different distances and tilts determine h, and stripes of which a part is on the print. One Gauss-Newton
+    step finds it.
+    """
+    count = len(PLANE_PARAMETERS) * data.lasers
+    information, gradient = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
+    for index, (view, pose) in enumerate(zip(data.views, state.poses, strict=True)):
+        corners = joint_adjustment.corner_rows(data, state, index)
+        blocks = [np.column_stack([corners, np.zeros(len(corners))])]
+        for laser, stripe in joint_adjustment.stripes_of(data, state, index):
+            beside = view.beside_print(triangulated(view.stripes_px[laser], pose, state.camera), pose)
+            depth_m = float(pose.rotation[:, 2] @ pose.translation_m)
+            wrt_height = beside * state.distance_m[laser] / (depth_m * stripe.metres_per_pixel)
+            wrt_height /= data.center_px[index][laser]
+            blocks.append(np.column_stack([joint_adjustment.stripe_rows(data, index, laser, stripe), wrt_height]))
+        rows = np.concatenate(
+            [np.sqrt(joint_adjustment.robust_weights(each[:, -2]))[:, None] * each for each in blocks]
+        )
+        wrt_pose, residual = rows[:, :6], rows[:, -2]
+        wrt_shared = np.column_stack([rows[:, 6 : 6 + count], rows[:, -1]])
+        by_pose = np.linalg.solve(wrt_pose.T @ wrt_pose, wrt_pose.T @ np.column_stack([wrt_shared, residual]))
+        free = wrt_shared.T @ np.column_stack([wrt_shared, residual]) - wrt_shared.T @ wrt_pose @ by_pose
+        information += free[:, :-1]
+        gradient += free[:, -1]
+    covariance = covariance_of_free(information)
+    return float(-(covariance @ gradient)[-1]), float(np.sqrt(excess * covariance[-1, -1]))
 
 
 def worst_depth_sd_m(rig: Rig, distances_m: Sequence[float]) -> Float64[Array, "laser distance"]:

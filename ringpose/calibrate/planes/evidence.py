@@ -54,6 +54,15 @@ class StripeEvidence:
             for view, pose in zip(self.views, self.poses, strict=True)
         ]
 
+    @property
+    def any_beside_print(self) -> bool:
+        """Whether a stripe runs over the sheet beside the print of its board."""
+        return any(
+            bool(view.beside_print(points, pose).any())
+            for laser in range(len(self.names))
+            for view, pose, points in zip(self.views, self.poses, self.points(laser), strict=True)
+        )
+
     def only(self, kept: Sequence[int]) -> "StripeEvidence":
         """The evidence of some of the views."""
         views = tuple(self.views[index] for index in kept)

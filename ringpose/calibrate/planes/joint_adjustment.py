@@ -12,7 +12,7 @@ parameters). Views have only s in common, so that each pose is eliminated from t
 
 `scipy.optimize.least_squares` with Huber's loss solves the dense system of all poses instead: for eight boards and
 18,000 residuals it finds the same planes (to 2e-8 um) in 1.0 s instead of 0.1 s, and a calibration solves this system
-ten times. Nor can the limit of its loss follow the scatter of a displaced stripe (`_robust_weights`).
+ten times. Nor can the limit of its loss follow the scatter of a displaced stripe (`robust_weights`).
 """
 
 from collections.abc import Sequence
@@ -168,7 +168,7 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
 def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: float) -> float:
     """Robust sum of squares of a view's whitened corner residuals."""
     residual = corner_residuals(view.board, pose, camera) / corner_px
-    return float(_robust_weights(residual) @ residual**2)
+    return float(robust_weights(residual) @ residual**2)
 
 
 def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, float]:
@@ -246,7 +246,7 @@ def _robust_rows(data: JointData, state: JointState, index: int) -> Float64[Arra
     """The rows [P, S, r] of a view's corners and stripes, with robust weights."""
     blocks = [corner_rows(data, state, index)]
     blocks += [stripe_rows(data, index, laser, stripe) for laser, stripe in stripes_of(data, state, index)]
-    return np.concatenate([np.sqrt(_robust_weights(rows[:, -1]))[:, None] * rows for rows in blocks])
+    return np.concatenate([np.sqrt(robust_weights(rows[:, -1]))[:, None] * rows for rows in blocks])
 
 
 def corner_rows(data: JointData, state: JointState, index: int) -> Float64[Array, "row column"]:
@@ -279,7 +279,7 @@ def stripes_of(data: JointData, state: JointState, index: int) -> list[tuple[int
     ]
 
 
-def _robust_weights(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
+def robust_weights(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
     """Huber weights; the limit grows with the scatter, so that a stripe displaced as a whole keeps all its centres."""
     return huber_weights(residual, ROBUST_SIGMAS * max(1.0, robust_std(residual)))
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,12 @@ from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_share
 from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
 from ringpose.calibrate.boards.shots import STILL_PX, BoardShots, board_shift_px
 from ringpose.calibrate.planes import joint_adjustment, plane_fit
-from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
+from ringpose.calibrate.planes.covariance import (
+    laser_disagreements,
+    planes_covariance,
+    sheet_height_m,
+    variance_excess,
+)
 from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
 from ringpose.calibrate.planes.stripes.extraction import ghost_of_rig, stripe_view, triangulated
@@ -40,7 +46,7 @@ class StripeShots:
     """Accumulator of the shots of a calibration; the first determines the number of lasers if no names are given."""
 
     def __init__(
-        self, boards: BoardShots, camera: Camera, names: str | None, order: str | None, surround_m: float = 0.0
+        self, boards: BoardShots, camera: Camera, names: str | None, order: str | None, surround_m: float | None = None
     ) -> None:
         self.boards = boards
         self.camera = camera
@@ -156,6 +162,7 @@ class PlaneSolution(NamedTuple):
     covariance: ParameterCovariance | None = None
     excess: float = 1.0
     disagreement: tuple[float, ...] | None = None
+    sheet_height_m: tuple[float, float] | None = None
 
 
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
@@ -188,6 +195,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         contradicting=tuple(contradicting),
         excess=solution.excess,
         ghosts=_ghosts(views, model.names),
+        sheet_height_m=solution.sheet_height_m,
     )
 
 
@@ -245,6 +253,7 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
         camera=evidence.camera,
         corner_points=points,
         held_out=[[plane_fit.plane_without(own, view, method) for view in views] for own in points],
+        sheet_height_m=(nan, nan) if evidence.any_beside_print else None,
     )
 
 
@@ -277,6 +286,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
             covariance=planes_covariance(evidence.names, information, evidence.camera, excess, free_camera),
             excess=excess,
             disagreement=laser_disagreements(fixed, state),
+            sheet_height_m=sheet_height_m(fixed, state, excess) if evidence.any_beside_print else None,
         )
     except np.linalg.LinAlgError as error:
         finding = "corners and stripes contradict one another so far that no boards and planes fit them"

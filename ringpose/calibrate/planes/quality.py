@@ -21,6 +21,9 @@ DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
 STRAY_FACTOR = 2.0
 """The advice names a view whose held-out rms exceeds the median by this factor."""
 
+SHEET_SIGMAS = 3.0
+"""Standard deviations beyond which the height of the stripes beside the print is significant."""
+
 EXACT_M = 1e-6
 """Lower bound of the median held-out rms in that comparison."""
 
@@ -268,7 +271,18 @@ def _board_checks(calibration: PlanesCalibration, near_m: float, far_m: float) -
     if calibration.covariance is not None:
         stray = _stray_view(calibration)
         checks.append(check(PLANES_LIMITS, "variance_excess", float(calibration.excess), stray=stray))
+    if calibration.sheet_height_m is not None:
+        checks.append(_sheet_check(*calibration.sheet_height_m, far_m))
     return checks
+
+
+def _sheet_check(height_m: float, sd_m: float, far_m: float) -> Check:
+    """Check of the plane of stripes beside the print; the height is unknown if it may be too large by chance."""
+    good_m = PLANES_LIMITS["sheet_height_m"].good * far_m
+    known = abs(height_m) > SHEET_SIGMAS * sd_m or SHEET_SIGMAS * sd_m <= good_m
+    side = "behind" if height_m > 0 else "in front of"
+    value_m = abs(height_m) if known else float("nan")
+    return check(PLANES_LIMITS, "sheet_height_m", value_m, scale=far_m, height_mm=1e3 * abs(height_m), side=side)
 
 
 def _stray_view(calibration: PlanesCalibration) -> str:

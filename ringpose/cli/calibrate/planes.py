@@ -81,9 +81,13 @@ Update = Annotated[
     Path | None, file_option("--update", metavar="RIG", meaning="Estimate anew the planes of this rig that moved.")
 ]
 Surround = Annotated[
-    float,
+    float | None,
     typer.Option(
-        "--surround", metavar="METRES", min=0, callback=finite, help="The flat sheet reaches so far beyond the board."
+        "--surround",
+        metavar="METRES",
+        min=0,
+        callback=finite,
+        help="The flat sheet reaches so far beyond the print, if not as far as the image shows it.",
     ),
 ]
 
@@ -94,7 +98,7 @@ class _Inputs(NamedTuple):
     board: Path | None
     names: str | None
     order: str | None
-    surround_m: float
+    surround_m: float | None
     overlay: Path | None
     channel: str | None
     force: bool
@@ -118,7 +122,7 @@ def calibrate_planes(
     check: Check = None,
     update: Update = None,
     print_board: PrintBoard = None,
-    surround: Surround = 0.0,
+    surround: Surround = None,
     overlay: Overlay = None,
     report: Report = None,
     channel: ImageChannel = None,

@@ -151,7 +151,7 @@ def test_a_real_upright_stripe_lies_on_its_plane(uba):
     (laser,) = uba.lasers
 
     assert laser.rms_m < 0.2e-3
-    assert laser.held_out_rms_m < 0.16e-3
+    assert laser.held_out_rms_m < 0.17e-3
     assert max(view.held_out_rms_m for view in laser.views) < 0.3e-3
 
 
@@ -166,7 +166,7 @@ def test_a_saturated_stripe_on_the_sheet_beside_the_board(shared_data):
     seen = [find_board(shot.images[0], board, shot.name) for shot in shots]
     camera = calibrate_camera(seen, 1280, 1024, CameraModel(fix_k3=True, keep_all=True)).camera
 
-    stripes = [stripe_view(shot, view, board, camera, 1, 0.1) for shot, view in zip(shots, seen, strict=True)]
+    stripes = [stripe_view(shot, view, board, camera, 1) for shot, view in zip(shots, seen, strict=True)]
     (laser,) = calibrate_planes(stripes, camera, PlanesModel(names=("red",))).lasers
 
     angle = angle_between(laser.normal, np.array([0.79686689, 0.06148914, 0.60101765]))

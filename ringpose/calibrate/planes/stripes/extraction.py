@@ -4,10 +4,15 @@ On a board, a light plane draws a straight line, also in the undistorted image. 
 other from the stripe centres of a frame, the one that carries the most light first; centres beside the usable regions
 of the board's plane, and texture, do not form lines. `stripe_failure` finds the reason where the number of stripes is
 wrong.
+
+The sheet that carries the print is wider than it. Two points in a light plane that one line of sight meets are the
+same point: a line that the print shows may be followed beyond it as far as it is straight. A line beside the print
+counts where the image shows the sheet from the print up to it (`with_sheet_seen`).
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,10 +24,10 @@ from ringpose.detect.stripes import GHOST_ROWS, find_stripes, shown_ghost
 from ringpose.geometry.board import marker_corners, outline_m
 from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels
-from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import StripeView
-from ringpose.types.detection import Stripes, SubtractedGhost
+from ringpose.types.detection import SubtractedGhost
 from ringpose.types.image import Frame, Shot, board_image, dark_image
 from ringpose.types.rig import Camera, LaserGhost
 
@@ -57,6 +62,13 @@ MAX_WIDTH_PX = 25.0
 PRINT_MARGIN_PX = 5.0
 """Distance from a printed edge within which a stripe's profile is asymmetric: three stripe sigmas."""
 
+_PRINT_PERCENTILES = (5, 90)
+"""Percentiles of the grey values on the board that are those of its dark and light parts: of the usual boards a twelfth
+or more is black, of the lasers' light without a frame to subtract a twentieth or less of the board is lit."""
+
+_SHEET_REDUCTION = 2
+"""Factor by which the image is reduced in which the sheet is followed: averages noise, and thin lines of print."""
+
 _SMOOTHING_PX = 2.0
 """Standard deviation of the smoothing against noise and speckle before the width of bright regions is measured."""
 
@@ -71,7 +83,11 @@ class BoardSurface:
     pose: BoardPose
     camera: Camera
     surround_m: float = 0.0
-    """Width of the flat sheet beyond the board's outline."""
+    """Width of the flat sheet beyond the board's outline, as far as it is given."""
+    sheet: Bool[Array, "small_row small_column"] | None = None
+    """Where the image, reduced by `_SHEET_REDUCTION`, shows the sheet beside the print; None if it is not searched."""
+    lit_dn: float = 0.0
+    """Grey value above which the sheet is lit by more than ambient light."""
     first_is_used: bool = False
     """Whether stripes are used on a chessboard's squares of the outer top-left one's colour, or on the others."""
 
@@ -103,9 +119,28 @@ class BoardSurface:
             usable &= ~(on_square & ((column + row) % 2 == (1 if self.first_is_used else 0)))
         return usable
 
+    def beside(self, points_px: Float64[Array, "n xy=2"]) -> Bool[Array, "n"]:
+        """Which pixels show the sheet beside the print, by the image."""
+        if self.sheet is None:
+            return np.zeros(len(points_px), dtype=bool)
+        x, y = np.rint((points_px - (_SHEET_REDUCTION - 1) / 2) / _SHEET_REDUCTION).astype(np.int64).T
+        rows, columns = self.sheet.shape
+        shown = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
+        shown[shown] = self.sheet[y[shown], x[shown]]
+        return shown
+
+    def crossed_by(self, points_px: Float64[Array, "n xy=2"], spacing_px: int) -> bool:
+        """Whether centres at this spacing cover half of their line on the sheet; those of glare do not."""
+        middle = points_px.mean(axis=0)
+        along = np.linalg.svd(points_px - middle, full_matrices=False)[2][0]
+        along = along / np.abs(along).max()  # a pixel along the rows or the columns
+        reach = (self.camera.image_width + self.camera.image_height) // spacing_px
+        line_px = middle + spacing_px * np.arange(-reach, reach + 1)[:, None] * along
+        return 2 * len(points_px) > int(self.beside(line_px).sum())
+
 
 def stripe_view(
-    shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float = 0.0
+    shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float | None = None
 ) -> StripeView:
     """The stripes on the board in one shot, by laser where the frames identify it.
 
@@ -143,6 +178,7 @@ def stripe_view(
         remarks=tuple(remarks),
         lit=frozenset(laser for laser in range(lasers) if (shot.lasers >> laser & 1).any()),
         max_stripes=most,
+        print_m=outline_m(board),
         ghosts=tuple(ghosts),
     )
 
@@ -192,6 +228,8 @@ class StripeLine:
     points_px: Float64[Array, "n xy=2"]
     light: float
     """Sum of the peak intensities of its centres."""
+    printed_light: float
+    """That of the centres on the print, which are the board's for certain."""
     upright: bool
     """True if it runs along the columns, false if along the rows."""
 
@@ -229,33 +267,76 @@ def _lines_at_scale(
     One line more than `lasers` is returned if it is about as bright as they are.
     """
     small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
-    along_rows = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
-    dark_columns = None if small_dark is None else np.ascontiguousarray(small_dark.T)
-    transposed = find_stripes(np.ascontiguousarray(small.T), dark_columns)
-    upright = _lines(transposed, surface, lasers + 1, shrinking, upright=True)
-    best = max(along_rows, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
+    along_rows, upright = (_lines(small, small_dark, surface, lasers, shrinking, way) for way in (False, True))
+    best = max(along_rows, upright, key=lambda lines: _light(lines[:lasers]))
     rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
     return best[:lasers] + rivals
 
 
-def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
-    """The lines among the stripe centres of a frame that was reduced, and transposed for upright stripes."""
+def _light(lines: list[StripeLine]) -> tuple[float, float]:
+    """Light by which lines along the rows or along the columns are chosen: on the print, else on all of the sheet."""
+    return sum((line.printed_light for line in lines), 0.0), sum((line.light for line in lines), 0.0)
+
+
+def _lines(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    surface: BoardSurface,
+    lasers: int,
+    shrinking: int,
+    upright: bool,
+) -> list[StripeLine]:
+    """Up to one line more than `lasers` along the rows of a reduced frame or, upright, along its columns.
+
+    Lines on the print come first, each followed over the sheet beside it. If there are fewer than lasers, the others
+    may run beside the print only.
+    """
+    if upright:
+        image, dark = np.ascontiguousarray(image.T), None if dark is None else np.ascontiguousarray(dark.T)
+    stripes = find_stripes(image, dark)
     centers_px = in_full_image(stripes.position_px, shrinking)
     points_px = centers_px[:, ::-1].copy() if upright else centers_px
-    usable = surface.usable(points_px)
-    points_px, peak = points_px[usable], stripes.peak_dn[usable]
+    printed, beside = surface.usable(points_px), surface.beside(points_px)
+    if dark is None:  # between the print and a dark table, a strip of the sheet itself looks like a stripe
+        column, row = np.rint(stripes.position_px).astype(np.int64).T
+        beside &= image[row, column] > surface.lit_dn
+    on_sheet = printed | beside
+    points_px, peak, printed = points_px[on_sheet], stripes.peak_dn[on_sheet], printed[on_sheet]
     straight = undistorted_pixels(points_px, surface.camera) / shrinking
     straight = straight[:, ::-1].copy() if upright else straight
-    lines: list[StripeLine] = []
+    lines = _straight_lines(straight, peak, printed, lasers + 1)
+    if np.sum(~printed) >= MINIMUM_CENTERS:
+        wider = _straight_lines(straight, peak, np.ones_like(printed), 2 * (lasers + 1))
+        others = [line for line in wider if not any((line & own).any() for own in lines)]
+        lines = [next((line for line in wider if 2 * np.sum(line & own) > own.sum()), own) for own in lines]
+        if len(lines) < lasers:
+            crossing = [line for line in others if surface.crossed_by(points_px[line], shrinking)]
+            lines += crossing[: lasers + 1 - len(lines)]
+    return [
+        StripeLine(
+            points_px=points_px[line],
+            light=float(peak[line].sum()),
+            printed_light=float(peak[line & printed].sum()),
+            upright=upright,
+        )
+        for line in lines
+    ]
+
+
+def _straight_lines(
+    points: Float64[Array, "n xy=2"], peak: Float64[Array, "n"], left: Bool[Array, "n"], most: int
+) -> list[Bool[Array, "n"]]:
+    """Which points each line consists of, the one that carries the most light first; of the points `left` only."""
+    lines: list[Bool[Array, "n"]] = []
     rng = np.random.default_rng(0)
-    while len(lines) < most and len(points_px) >= MINIMUM_CENTERS:
-        on_line = _on_brightest_line(straight, peak, rng)
-        if on_line.sum() < MINIMUM_CENTERS:
+    while len(lines) < most and left.sum() >= MINIMUM_CENTERS:
+        index = np.flatnonzero(left)
+        near = np.zeros_like(left)
+        near[index] = _on_brightest_line(points[index], peak[index], rng)
+        if near.sum() < MINIMUM_CENTERS:
             break
-        clean = on_line & _clean(straight, on_line)
-        lines.append(StripeLine(points_px=points_px[clean], light=float(peak[clean].sum()), upright=upright))
-        rest = ~on_line
-        points_px, peak, straight = points_px[rest], peak[rest], straight[rest]
+        lines.append(near & _clean(points, near))
+        left = left & ~near
     return lines
 
 
@@ -320,6 +401,12 @@ def stripe_failure(
         width_px = 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
     if brightest > FAINT_SIGMAS and width_px > MAX_WIDTH_PX:
         return f"{finding}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
+    anywhere = replace(surface, surround_m=math.inf, sheet=None)
+    if surface.sheet is not None and stripes < len(stripe_lines(image, dark, anywhere, len(on))) <= len(on):
+        return (
+            f"{finding}: beside it, past an edge or a mark in the image; if the flat sheet reaches so far, "
+            "give its width (--surround)"
+        )
     if brightest < FAINT_SIGMAS * noise:
         most = f"nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
         return f"{finding}: too dark, or beside the board: {most}"
@@ -339,8 +426,12 @@ def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row
     return mask.astype(bool)
 
 
-def board_surface(shot: Shot, board: Board, pose: BoardPose, camera: Camera, surround_m: float = 0.0) -> BoardSurface:
+def board_surface(
+    shot: Shot, board: Board, pose: BoardPose, camera: Camera, surround_m: float | None = None
+) -> BoardSurface:
     """The board's face in a shot; on a chessboard, the grey values determine which squares are used.
+
+    Without a width of the sheet beyond the print it reaches as far as the image shows it.
 
     Light squares are used: black ink reflects a tenth of the light, and centres on it scatter three times as much.
     Without a frame with lasers off to subtract, dark squares are used: there, stripes stand out from the background.
@@ -357,8 +448,39 @@ def board_surface(shot: Shot, board: Board, pose: BoardPose, camera: Camera, sur
         odd = (row + column).ravel()[inside] % 2 == 1  # squares of the other colour than the outer top-left one
         if odd.any() and not odd.all():
             first_is_dark = float(np.median(grey[odd])) >= float(np.median(grey[~odd]))
-    first_is_used = first_is_dark == (dark_image(shot) is None)
-    return BoardSurface(board=board, pose=pose, camera=camera, surround_m=surround_m, first_is_used=first_is_used)
+    surface = BoardSurface(
+        board=board, pose=pose, camera=camera, surround_m=surround_m or 0.0,
+        first_is_used=first_is_dark == (dark_image(shot) is None),
+    )  # fmt: skip
+    return surface if surround_m is not None else with_sheet_seen(surface, board_image(shot))
+
+
+def with_sheet_seen(surface: BoardSurface, image: UInt[Array, "row column"]) -> BoardSurface:
+    """The surface with the sheet beside the print, as far as the image shows it without a break from the print on.
+
+    The sheet is as light as the light parts of the print. It ends where the image is darker than half-way to the dark
+    ones: at its edge with a shadow or a darker table behind, and at marks on it. Stripes in the image, which could lead
+    over the edge, are crossed only as far as the widest stripe is wide.
+    """
+    grey = reduced(image, _SHEET_REDUCTION)
+    board = reduced(_on_board(surface, image.shape).astype(np.uint8), _SHEET_REDUCTION)
+    if not board.any():
+        return replace(surface, sheet=board > 0)
+    dark, light = np.percentile(grey[board > 0], _PRINT_PERCENTILES).tolist()
+    half = (light - dark) / 2
+    stripes = grey > max((light + float(grey.max())) / 2, light + 2 * half)
+    clear = cv2.erode(((grey > light - half) | (board > 0)).astype(np.uint8), _disc(PRINT_MARGIN_PX))
+    _, region = cv2.connectedComponents(clear * ~stripes, connectivity=4)
+    seen = np.isin(region, np.unique(region[(board > 0) & (region > 0)])).astype(np.uint8)
+    seen |= cv2.dilate(seen, _disc(MAX_WIDTH_PX / 2)) & stripes
+    sheet = (seen > 0) & (clear > 0) & (cv2.dilate(board, _disc(PRINT_MARGIN_PX)) == 0)
+    return replace(surface, sheet=sheet, lit_dn=light + half)
+
+
+def _disc(radius_px: float) -> UInt8[Array, "side side"]:
+    """A disc of this radius in the image, as the mask of a reduced one."""
+    side = 2 * math.ceil(radius_px / _SHEET_REDUCTION) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), dtype=np.uint8)
 
 
 def triangulated(points_px: Float64[Array, "n xy=2"], pose: BoardPose, camera: Camera) -> Float64[Array, "n xyz=3"]:
