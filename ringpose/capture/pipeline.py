@@ -285,8 +285,8 @@ class _Sequencer:
     def _exposed(self, name: str, settle_s: float) -> Shot:
         """One frame for each step; all lasers are off at the end."""
         frames, read_masks, switched_mask = [], [], -1
-        controlled = None if self._control is None else self._control.exposures
-        is_bracketed = controlled is not None or any(step.exposure for step in self._procedure.steps)
+        control = None if self._control is None or self._control.exposures is None else self._control
+        is_bracketed = control is not None or any(step.exposure for step in self._procedure.steps)
         saturation_dn = self._camera.describe().saturation_dn
         for step in self._steps:
             mask = step.mask(self._lasers.count)
@@ -294,7 +294,7 @@ class _Sequencer:
             if mask != switched_mask:
                 self._lasers.wait(settle_s)
             switched_mask = mask
-            for exposure_s in (step.exposure_s,) if controlled is None else controlled:
+            for exposure_s in (step.exposure_s,) if control is None else control.of_step(mask):
                 frames.append(self._frame(mask, exposure_s))
                 read_masks.append(self._lasers.read_mask())
                 if not is_bracketed:

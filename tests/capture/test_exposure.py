@@ -9,7 +9,7 @@ from fake_camera import FakeCamera
 from small_rig import SERVED_RIG, write_scene
 
 from ringpose.capture.cameras.simulated import SimulatedLasers
-from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
+from ringpose.capture.exposure import ExposureControl, wanted_exposures
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.cli.main import main
 from ringpose.files.images.shots import read_shot
@@ -68,30 +68,46 @@ def test_the_first_shot_is_neither_dim_nor_saturated_wherever_the_exposure_begin
     assert 0.35 * FULL_DN < brightest_dn < FULL_DN
 
 
-def test_stripes_that_differ_in_brightness_are_bracketed():
-    shot = first_shot(Scene((80_000.0, 80_000.0, 3_000.0)))
+@pytest.mark.parametrize("first_s", [0.001, 0.02])
+def test_lasers_that_differ_in_brightness_have_each_their_exposure_and_the_background_all(first_s):
+    shot = first_shot(Scene((80_000.0, 40_000.0, 3_000.0), first_s=first_s))
 
-    short_s, long_s = exposures_of(shot)
+    background, *lasers, again = shot.meta["merged"]["exposures_s"]
+    (short_s,), (same_s,), (long_s,) = lasers
+    assert (background, again, same_s) == ([short_s, long_s], [short_s, long_s], short_s)
     assert 0.3 * FULL_DN < 80_000 * short_s < FULL_DN
     assert 0.3 * FULL_DN < 3_000 * long_s < FULL_DN
     assert len(shot.images) == len(STEPS)
+
+
+@pytest.mark.parametrize(("ratio", "exposures"), [(2.0, 1), (4.0, 2)])
+def test_exposures_of_lasers_differ_from_a_ratio_of_three_on_and_are_then_kept(ratio, exposures):
+    scene, lasers = Scene((60_000.0, 60_000.0, 60_000.0 / ratio)), SimulatedLasers(3)
+    procedure = Procedure(steps=parsed_sequence("off,1,2,3,all"), is_exposure_auto=True)
+
+    _, shot = captured_shots(scene, lasers, procedure, ["first", "second"])
+
+    used_s = {each for group in shot.meta["merged"]["exposures_s"] for each in group} if exposures > 1 else {0.0}
+    assert len(used_s) == exposures
+    assert exposures == 1 or len(shot.meta["merged"]["exposures_s"][-1]) == exposures
+    assert ("merged" in shot.meta) == (exposures > 1)
 
 
 def test_ambient_light_counts_as_part_of_a_stripe_s_brightness():
     scene = Scene((30_000.0,) * 3, ambient_dn_s=60_000.0)
     shot = next(captured_shots(scene, SimulatedLasers(3), Procedure(steps=STEPS, exposure_s=0.001), ["dim"]))
 
-    (wanted_s,) = wanted_exposures(shot, 3, None)
+    wanted = wanted_exposures(shot, 3, None)
 
-    assert wanted_s == pytest.approx(0.75 * FULL_DN / 90_000, rel=0.1)
+    assert [each.best_s for each in wanted.values()] == pytest.approx([0.75 * FULL_DN / 90_000] * 3, rel=0.1)
 
 
 def test_an_empty_image_is_exposed_longer_and_a_white_one_shorter():
     shot = next(captured_shots(Scene((0.0,) * 3), SimulatedLasers(3), Procedure(steps=STEPS, exposure_s=0.01), ["-"]))
     white = replace(shot, images=np.full_like(shot.images, FULL_DN))
 
-    assert wanted_exposures(shot, 3, None)[-1] == pytest.approx(0.04)
-    assert wanted_exposures(white, 3, None)[-1] == pytest.approx(0.0025)
+    assert wanted_exposures(shot, 3, None)[2].best_s == pytest.approx(0.04)
+    assert wanted_exposures(white, 3, None)[2].best_s == pytest.approx(0.0025)
 
 
 def test_a_ring_hidden_by_saturated_light_is_exposed_shorter_and_not_as_long_again(rig_of_scene):
@@ -103,11 +119,11 @@ def test_a_ring_hidden_by_saturated_light_is_exposed_shorter_and_not_as_long_aga
 
     assert not control.accepts(replace(shot, images=images))
     assert control.exposures is not None
-    assert control.exposures[-1] == pytest.approx(0.0025)
+    assert control.exposures[2] == pytest.approx(0.0025)
 
     dim = replace(shot, exposure_s=np.full(len(STEPS), 0.0025))
     assert not control.accepts(dim)  # its stripes alone suggest four times the exposure
-    assert 0.0025 < control.exposures[-1] < 0.01
+    assert 0.0025 < control.exposures[2] < 0.01
 
 
 @pytest.fixture
@@ -122,7 +138,7 @@ def test_exposures_stay_within_the_limits():
 
     assert control.accepts(shot)  # a longer one is not to be had
     assert control.exposures is not None
-    assert control.exposures == (0.01,)
+    assert control.exposures == {0: 0.01, 1: 0.01, 2: 0.01}
 
 
 @pytest.mark.parametrize("words", [["--exposure", "bright"], ["--exposure", "0"], ["--exposure", "nan"]])

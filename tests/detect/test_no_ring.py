@@ -96,3 +96,13 @@ def test_a_shorter_exposure_is_suggested_only_if_something_is_saturated():
     assert not exposure_advice(NoBreakPoints.NO_RING, shot, [image])
     assert "4 ms" in exposure_advice(clipped, shot, [image])
     assert "2 ms" in exposure_advice(NoBreakPoints.NO_RING, shot, [white])
+
+
+def test_an_exposure_of_its_own_is_suggested_for_a_laser_that_is_three_times_fainter():
+    points, image = faces(0)
+    shot = make_shot(np.stack([image.lit] * 3), [1, 2, 4], exposure_s=0.008)
+    clipped = replace(points, flags=points.flags | int(BreakPointFlag.SATURATED))
+    frames = [replace(image, lit=np.full_like(image.lit, dn), label=laser) for laser, dn in enumerate((255, 255, 60))]
+
+    assert "4 ms, but laser 3 as now: each for itself" in exposure_advice(clipped, shot, frames)
+    assert "laser" not in exposure_advice(clipped, shot, [*frames[:2], replace(frames[2], lit=frames[1].lit)])
