@@ -100,6 +100,6 @@ def assumption_lines(assumptions: Sequence[StatedAssumptions | None]) -> list[st
     """A line for each of the different assumptions of some shots."""
     different = counted(assumptions)
     return [
-        f"assumptions: {assumptions_text(each)}" + (f" ({each.shots} shots)" if len(different) > 1 else "")
-        for each in different
+        f"assumptions: {assumptions_text(stated)}" + (f" ({stated.shots} shots)" if len(different) > 1 else "")
+        for stated in different
     ]

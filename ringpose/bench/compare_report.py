@@ -153,8 +153,8 @@ def comparison_record(
         "ringpose": SCHEMA,
         "tolerance": tolerance,
         "assumptions": [
-            definition_of(CountedAssumptions).write(each)
-            for each in counted(b.assumptions or a.assumptions for _, members in paired for a, b in members)
+            definition_of(CountedAssumptions).write(assumptions)
+            for assumptions in counted(b.assumptions or a.assumptions for _, members in paired for a, b in members)
         ],
         "matched": dict(matched),
         "changed": not nothing_changed(rows),

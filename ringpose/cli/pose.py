@@ -206,11 +206,11 @@ def _check_frame(frame: PoseFrame, rig: "Rig", robot_poses: str | None, *, pictu
     if rig.mount is None or frame is rig.mount.carrier:
         return
     if robot_poses is None:
-        found = f"{frame} needs the poses of the robot, as the rig's mount is in the frame of the {rig.mount.carrier}"
-        raise UsageError("--frame", found, "give them with --robot-poses")
+        finding = f"{frame} needs the poses of the robot, as the rig's mount is in the frame of the {rig.mount.carrier}"
+        raise UsageError("--frame", finding, "give them with --robot-poses")
     if pictures:
-        found = f"{frame} excludes --overlay and --report, which draw poses as the camera sees them"
-        raise UsageError("--frame", found, "leave them out")
+        finding = f"{frame} excludes --overlay and --report, which draw poses as the camera sees them"
+        raise UsageError("--frame", finding, "leave them out")
 
 
 def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackSettings) -> None:

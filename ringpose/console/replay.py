@@ -159,7 +159,7 @@ def _plots(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> lis
     for title, key in (("centre (mm)", "center"), ("grasp point (mm)", "grasp")):
         points_m = [None if pose is None else getattr(pose, f"{key}_m") for pose in poses]
         covariances = [None if pose is None else getattr(pose, f"covariance_{key}_m2") for pose in poses]
-        sigmas_m = [None if each is None else np.sqrt(np.maximum(np.diagonal(each), 0.0)) for each in covariances]
+        sigmas_m = [None if m2 is None else np.sqrt(np.maximum(np.diagonal(m2), 0.0)) for m2 in covariances]
         plots.append(_plot(title, "xyz", 1e3, points_m, sigmas_m))
     angles_rad = [None if pose is None else (pose.pitch_rad, pose.yaw_rad) for pose in poses]
     plots.append(_plot("normal (deg)", ("pitch", "yaw"), np.degrees(1.0), angles_rad))
@@ -183,7 +183,7 @@ def _plot(
         series.append({"name": name})
         for key, of_shots in {"values": values, "sigmas": sigmas}.items():
             if of_shots is not None:
-                series[-1][key] = [None if each is None else _number(factor * each[part]) for each in of_shots]
+                series[-1][key] = [None if values is None else _number(factor * values[part]) for values in of_shots]
     return {"title": title, "series": series}
 
 

@@ -28,7 +28,7 @@ class Trajectory:
     def at(self, time_s: float) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
         """Centre and unit normal at a time; after the end, centre and normal of the last pose."""
         center_m, normal = (
-            np.array([np.interp(time_s, self.time_s, part) for part in each.T]) for each in (self.center_m, self.normal)
+            np.array([np.interp(time_s, self.time_s, part) for part in rows.T]) for rows in (self.center_m, self.normal)
         )
         return center_m, normal / np.linalg.norm(normal)
 
@@ -64,7 +64,7 @@ class RigChange:
         matrix[[0, 1], [0, 1]] *= self.focal_scale / self.pitch_scale
         if any(self.laser_tilt_rad) or any(self.laser_shift_m):
             turned = [rotation_by(np.array([tilt, 0.0, 0.0])) for tilt in self.laser_tilt_rad]
-            normal = np.stack([rotation @ each for rotation, each in zip(turned, lasers.normal, strict=True)])
+            normal = np.stack([rotation @ normal for rotation, normal in zip(turned, lasers.normal, strict=True)])
             projector_m = np.where(np.isfinite(lasers.projector_m), lasers.projector_m, 0.0)
             moved_m = projector_m + np.outer(self.laser_shift_m, [0.0, 1.0, 0.0])
             # the tilted plane through the projector keeps its offset from it, which a rig file may give

@@ -86,7 +86,7 @@ def motion_of(reported: ReportedPoses, location: str) -> RobotPoses:
 
 
 def _files(folder: Path) -> list[Path]:
-    return sorted(each for each in folder.iterdir() if each.suffix.lower() in _FOLDER_SUFFIXES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _FOLDER_SUFFIXES)
 
 
 def _poses_in_file(

@@ -448,7 +448,7 @@ SENTENCES = MappingProxyType(
 
 def sentences(findings: Finding, **names: str) -> str:
     """What findings add to the reason; `names`: what their sentences name."""
-    return "; ".join(SENTENCES[each].format(**names) for each in findings if each in SENTENCES)
+    return "; ".join(SENTENCES[finding].format(**names) for finding in findings if finding in SENTENCES)
 
 
 def explained(best: "Explanation") -> str:

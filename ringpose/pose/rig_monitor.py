@@ -73,7 +73,7 @@ class DriftMonitor:
             self._shots, self._doubted = FORGETTING * self._shots + 1.0, FORGETTING * self._doubted + 1.0
         chi2 = self._evidence.chi2_of_planes()
         names = self.rig.lasers.names
-        health = {name: sqrt(max(each, 0.0) / len(PLANE_PARAMETERS)) for name, each in zip(names, chi2, strict=True)}
+        health = {name: sqrt(max(own, 0.0) / len(PLANE_PARAMETERS)) for name, own in zip(names, chi2, strict=True)}
         if not self._evidence.shots:
             health = dict.fromkeys(names, nan)
         line = replace(line, rig_health=health)
@@ -400,7 +400,7 @@ class FormMonitor:
             return flagged, None
         to_curvature = -1.0 / radius_m**2  # the errors of curvatures are Gaussian even where those of radii are not
         covariance = pose.covariance[5:7, 5:7] * to_curvature[:, None] * to_curvature
-        same = [each for each in self._shots if abs(each[0] * radius_m - 1.0).max() < SAME_RING]
+        same = [shot for shot in self._shots if abs(shot[0] * radius_m - 1.0).max() < SAME_RING]
         self._shots = [*(same if same else []), (1.0 / radius_m, covariance)][-SHOTS_KEPT:]
         known, self._spread = self._spread, self._excessive_spread()
         is_new = self._spread and not known

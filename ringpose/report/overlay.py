@@ -301,7 +301,8 @@ def pose_texts(pose: RingPose) -> list[str]:
         )
         texts.append(f"pitch {np.degrees(pose.pitch_rad):.2f} yaw {np.degrees(pose.yaw_rad):.2f}{sigma} deg")
     radii = [
-        f"{1e3 * each:.2f}" if np.isfinite(each) else "unknown" for each in (pose.radius_inner_m, pose.radius_outer_m)
+        f"{1e3 * radius_m:.2f}" if np.isfinite(radius_m) else "unknown"
+        for radius_m in (pose.radius_inner_m, pose.radius_outer_m)
     ]
     return [*texts, f"radii {' and '.join(radii)} mm"]
 

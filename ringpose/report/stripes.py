@@ -13,7 +13,7 @@ def stripes_shown(truths: Iterable[Truth], names: Sequence[str] = ()) -> str:
 
     Empty without a shot whose truth states the break points. Lasers without a name are numbered.
     """
-    known = [each.break_points_px for each in truths if each.break_points_px is not None]
+    known = [truth.break_points_px for truth in truths if truth.break_points_px is not None]
     if not known:
         return ""
     seen = np.zeros((len(known), max(map(len, known))), dtype=np.bool_)

@@ -167,7 +167,9 @@ def _illuminated(illuminated: IlluminatedTarget, point_m: Float64[Array, "laser 
     point = illuminated.placement.points_target(point_m.reshape(-1, 3).T).T.reshape(point_m.shape)
     height_m = point[..., 2].max(axis=1)  # NaN if the light plane misses an edge
     front = (point_m[..., 2].min(axis=1) > 0) & (eye[2] > height_m) & (sheet.projector_m[:, 2] > height_m)
-    return np.array([each and bool(in_fan(sheet, laser, point[laser].T).all()) for laser, each in enumerate(front)])
+    return np.array(
+        [is_front and bool(in_fan(sheet, laser, point[laser].T).all()) for laser, is_front in enumerate(front)]
+    )
 
 
 _STEP_M = 1e-5

@@ -126,7 +126,7 @@ def caster_view(
     on[list(illuminated.lasers)] = 1.0
     return render.View(
         target=illuminated.target,
-        poses=np.array([[*each.rotation.ravel(), *each.translation_m] for each in illuminated.during]),
+        poses=np.array([[*pose.rotation.ravel(), *pose.translation_m] for pose in illuminated.during]),
         lamps=np.column_stack([lamps, _LAMP_SHARPNESS, _LAMP_SHARES]),
         lasers=np.column_stack(
             [

@@ -174,7 +174,7 @@ def place_result(scene: Scene, place: Place) -> PlaceResult:
     radii = KnownRadii(radius_m=radius_m, sd_m=np.full(2, RADIUS_SD_M))
     drawn = next(drawn_features(at_place, Deviations(noise=False), 1))
     exact = drawn.detection
-    line, known = (pose_line(exact, scene.rig, known=each, options=NOISE_ONLY) for each in (None, radii))
+    line, known = (pose_line(exact, scene.rig, known=given, options=NOISE_ONLY) for given in (None, radii))
     together = replace(at_place, sequence=((1 << len(scene.rig.lasers.names)) - 1,))
     one_frame = pose_line(
         next(drawn_features(together, Deviations(noise=False), 1)).detection, scene.rig, options=NOISE_ONLY
@@ -278,7 +278,9 @@ def summary_lines(mapped: Sequence[Design]) -> list[str]:
         size = np.array([camera.image_width, camera.image_height])
         view = np.degrees(2 * np.arctan2(size / 2, focal)).tolist()
         seen = "never" if range_m is None else f"from {1e3 * range_m[0]:.0f} to {1e3 * range_m[1]:.0f} mm"
-        angles = ", ".join(f"{round(degrees(each), 2) + 0.0:g}" for each in elevations_rad(design.rig.lasers))
+        angles = ", ".join(
+            f"{round(degrees(elevation_rad), 2) + 0.0:g}" for elevation_rad in elevations_rad(design.rig.lasers)
+        )
         lines.append(
             f"{design.name}: field of view {view[0]:.1f} x {view[1]:.1f} deg, light planes at {angles} deg; "
             f"all stripes in view {seen}; assignment ambiguous at {100 * design.share('ambiguous'):.0f} % of the places"

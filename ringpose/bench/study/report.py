@@ -227,7 +227,9 @@ def _by_main_factor(axis: Axes, summary: StudySummary, at: np.ndarray) -> None:
 
 
 def _legend(figure: Figure, methods: Sequence[str], shown: Sequence[str], others: Mapping[str, Line2D]) -> None:
-    handles = {drawn(each): Line2D([], [], marker="o", linestyle="", color=_color(methods, each)) for each in shown}
+    handles = {
+        drawn(method): Line2D([], [], marker="o", linestyle="", color=_color(methods, method)) for method in shown
+    }
     handles |= others
     figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=6, fontsize=8)
 

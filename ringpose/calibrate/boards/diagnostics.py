@@ -124,7 +124,9 @@ def _contrast_and_noise(grey: GreyImage) -> tuple[float, float]:
     """Range of the mean grey values of blocks, and the standard deviation that noise alone gives them."""
     rows, columns = (size // CONTRAST_BLOCK_PX for size in grey.shape)
     whole = grey[: rows * CONTRAST_BLOCK_PX, : columns * CONTRAST_BLOCK_PX].astype(np.float32)
-    mean, square = (cv2.resize(each, (columns, rows), interpolation=cv2.INTER_AREA) for each in (whole, whole * whole))
+    mean, square = (
+        cv2.resize(power, (columns, rows), interpolation=cv2.INTER_AREA) for power in (whole, whole * whole)
+    )
     variance = float(np.median(np.maximum(square - mean * mean, 0.0)))
     return float(mean.max() - mean.min()), np.sqrt(variance) / CONTRAST_BLOCK_PX
 

@@ -309,8 +309,8 @@ def robot_sigmas(
     starts = [np.log([5e-4, 5e-4]), usual] if start is None else [np.log(np.array(start))]
     options: Any = {"xatol": 0.01, "fatol": 1e-3}
     likeliest = min(
-        (minimize(minus_log_likelihood, each, method="Nelder-Mead", options=options) for each in starts),
-        key=lambda each: float(each.fun),
+        (minimize(minus_log_likelihood, start, method="Nelder-Mead", options=options) for start in starts),
+        key=lambda minimum: float(minimum.fun),
     )
     return RobotSigmas(*np.exp(np.clip(likeliest.x, lower, upper)).tolist())
 

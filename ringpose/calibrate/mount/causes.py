@@ -39,7 +39,7 @@ def likely_cause(
     before = _error_rad(given, boards, eye_to_hand)
     readings = [(given, not eye_to_hand, _other_direction(eye_to_hand))]
     for other, words in _other_rotations(rotations, convention):
-        poses = [Transform(each, pose.translation_m) for each, pose in zip(other, given, strict=True)]
+        poses = [Transform(rotation, pose.translation_m) for rotation, pose in zip(other, given, strict=True)]
         readings.append((poses, eye_to_hand, words))
     errors = [_error_rad(poses, boards, to_hand) for poses, to_hand, _ in readings]
     likely = [index for index, error in enumerate(errors) if error < before / MIN_GAIN and error < 2.0 * min(errors)]

@@ -233,7 +233,7 @@ def scores_of_lines(
                 raise DataError(", ".join(inputs), finding, remedy)
     if not matched.matched and batch.status:
         return [], matched
-    return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched
+    return [score for of_set, camera in sets for score in scores(estimates, of_set, camera)], matched
 
 
 def _estimates_in(inputs: list[str], truths: "list[Truth]", rig: str, batch: Batch) -> "list[PoseEstimate]":

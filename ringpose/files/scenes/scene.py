@@ -174,7 +174,7 @@ def read_scene(path: Path) -> Scene:
     _check_number_of_shots(fields, values)
     if values["ring"] is NO_RING:
         for key in ("views", "approaches"):  # they show the rest
-            values[key] = tuple(replace(each, target=_WITHOUT_RING[each.target]) for each in values[key])
+            values[key] = tuple(replace(view, target=_WITHOUT_RING[view.target]) for view in values[key])
     numbers = {key: getattr(entry, key) for key in ("exposure_s", "stripe_dn", "period_s", "start_s")}
     return Scene(
         rig=rig,
