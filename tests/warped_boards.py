@@ -30,6 +30,34 @@ def disks(spacing_m: float, radius_m: float, columns: int, rows: int, asymmetric
     return ink
 
 
+def pictures(dictionary: str, number: int, border: int) -> np.ndarray:
+    """OpenCV's pictures of the first markers, one pixel a cell: whether there is ink."""
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    size = family.markerSize + 2 * border
+    return np.array(
+        [cv2.aruco.generateImageMarker(family, each, size, borderBits=border) < 128 for each in range(number)]
+    )
+
+
+def april_grid(side_m: float, gap_m: float, columns: int, rows: int) -> Ink:
+    """As Kalibr draws it: marker 0 at the lower left, all turned by half a turn, squares of ink at their corners."""
+    cells = pictures("DICT_APRILTAG_36h11", columns * rows, 2)[:, ::-1, ::-1]
+    pitch_m = side_m + gap_m
+
+    def ink(x, y):
+        column, row = np.floor((x - gap_m) / pitch_m).astype(int), np.floor((y - gap_m) / pitch_m).astype(int)
+        in_x, in_y = x - gap_m - pitch_m * column, y - gap_m - pitch_m * row
+        marker = np.clip(column, 0, columns - 1) + columns * (rows - 1 - np.clip(row, 0, rows - 1))
+        cell_x, cell_y = (np.clip((part / side_m * 10).astype(int), 0, 9) for part in (in_x, in_y))
+        on_marker = (in_x < side_m) & (in_y < side_m) & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        in_square = (
+            (in_x >= side_m) & (in_y >= side_m) & (column >= -1) & (column < columns) & (row >= -1) & (row < rows)
+        )
+        return on_marker & cells[marker, cell_y, cell_x] | in_square
+
+    return ink
+
+
 @functools.cache
 def rays() -> np.ndarray:
     """Undistorted directions through the points of all pixels, interpolated between those of the pixels' centres."""
@@ -75,9 +103,11 @@ def tilted_poses(rng: np.random.Generator, outline_m: Sequence[float], views: in
 
 SYMMETRIC = Board(kind="symmetric_circles", squares_x=9, squares_y=7, spacing_m=0.02)
 ASYMMETRIC = Board(kind="asymmetric_circles", squares_x=5, squares_y=9, spacing_in_row_m=0.036)
+APRIL = Board(kind="aprilgrid", squares_x=4, squares_y=3, marker_m=0.04, gap_m=0.012, dictionary="DICT_APRILTAG_36h11")
 KINDS: dict[str, tuple[Board, Ink, tuple[float, float], bool]] = {
     "symmetric circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), False),
     "asymmetric circles": (ASYMMETRIC, disks(0.018, 0.007, 5, 9, True), (0.2, 0.18), False),
     "light circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), True),
+    "AprilGrid": (APRIL, april_grid(0.04, 0.012, 4, 3), (0.22, 0.168), False),
 }
 """A board file's contents, the ink by formulas of its own, width and height in m, whether the ink is light on dark."""

@@ -13,6 +13,7 @@ from ringpose.files.schema import BOARD, Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.board import LAYOUTS, marker_dictionary
 from ringpose.types.board import MAX_SQUARES, Board
+from ringpose.types.plausible import MARKER_M
 
 RECORD = RecordType(
     cls=Board,
@@ -25,7 +26,11 @@ RECORD = RecordType(
 
 def read_board(path: Path) -> Board:
     """The board in a board file, including the markers of its dictionary file, if it names one."""
-    board = board_of(read_yaml(path, RECORD.keys))
+    fields = read_yaml(path)
+    if fields.has("target_type"):
+        fields = _native(fields)
+    fields.reject_unknown(RECORD.keys)
+    board = board_of(fields)
     if board.dictionary is None:
         return board
     file = path.parent / board.dictionary
@@ -36,6 +41,26 @@ def read_board(path: Path) -> Board:
     except DataError as error:
         raise DataError(f"{path}: dictionary", error.finding, error.remedy) from error
     return board
+
+
+KALIBR_KEYS = ("target_type", "tagCols", "tagRows", "tagSize", "tagSpacing", "codeOffset")
+
+
+def _native(fields: Fields) -> Fields:
+    """The keys of a target of Kalibr as those of a board file; `tagSpacing` is the gap in sides of a marker."""
+    fields.reject_unknown(KALIBR_KEYS)
+    if fields.choice("target_type", ("aprilgrid",)) and fields.number("codeOffset", missing=0.0):
+        raise fields.problem("codeOffset", f"is {fields.values['codeOffset']}, must be 0", "give a board from marker 0")
+    side_m = fields.quantity("tagSize", MARKER_M)
+    values = {
+        "kind": "aprilgrid",
+        "squares_x": fields.integer("tagCols", least=1, most=MAX_SQUARES),
+        "squares_y": fields.integer("tagRows", least=1, most=MAX_SQUARES),
+        "marker_m": side_m,
+        "gap_m": side_m * fields.number("tagSpacing", least=0.01, most=1),
+        "dictionary": "DICT_APRILTAG_36h11",
+    }
+    return Fields(fields.file, values, RECORD.keys)
 
 
 def board_of(fields: Fields) -> Board:

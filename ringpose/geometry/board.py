@@ -2,7 +2,7 @@
 
 The board frame has its origin in the top-left outer corner, x to the right and y down. Corners of a chessboard or
 ChArUco board are numbered as in OpenCV, row by row; a marker's corner has the number 4 * marker + corner, clockwise
-from the marker's top left.
+from the marker's top left, but on an AprilGrid that of Kalibr: row by row from the lower left, across all markers.
 """
 
 import math
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.types.arrays import Array, Float64, Int64, UInt8
 from ringpose.types.board import Board, BoardKind
 
 _FIRST = np.array([1.0, 1.0, 0.0])
@@ -65,6 +65,16 @@ def marker_corners(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     return LAYOUTS[board.kind].markers(board)
 
 
+def corner_numbers(board: Board) -> Int64[Array, "marker corner=4"]:
+    """The numbers of the corners of the board's markers, in the order of `marker_corners`."""
+    return LAYOUTS[board.kind].numbers(board)
+
+
+def black_rectangles(board: Board) -> Float64[Array, "rectangle corner=4 xyz=3"]:
+    """The corners of what is printed in black beside the markers, clockwise from the top left."""
+    return LAYOUTS[board.kind].black(board)
+
+
 def outline_m(board: Board) -> tuple[float, float]:
     """Width and height of the board's printed face in metres."""
     return LAYOUTS[board.kind].outline_m(board)
@@ -109,10 +119,17 @@ def _symmetric_centers(board: Board) -> Float64[Array, "circle xyz=3"]:
 
 
 def _corners_of_markers(board: Board) -> Float64[Array, "corner xyz=3"]:
-    return marker_corners(board).reshape(-1, 3)
+    corners = marker_corners(board)
+    points = np.empty((4 * len(corners), 3))
+    points[corner_numbers(board)] = corners
+    return points
 
 
-def _no_markers(_: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+def _numbered_by_marker(board: Board) -> Int64[Array, "marker corner=4"]:
+    return np.arange(4 * len(marker_corners(board))).reshape(-1, 4)
+
+
+def _none(_: Board) -> Float64[Array, "rectangle corner=4 xyz=3"]:
     return np.empty((0, 4, 3))
 
 
@@ -139,6 +156,39 @@ def _grid_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
 
 
+def _april_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+    """Row by row from the lower left, turned by half a turn against OpenCV's pictures of them: as Kalibr draws them."""
+    gap, rows = board.gap_m or 0.0, (board.squares_y or 0)
+    upwards = _lattice(board.squares_x, rows)
+    downwards = upwards * [1, -1, 0] + [0, rows - 1, 0]
+    origins = ((board.marker_m or 0.0) + gap) * downwards + [gap, gap, 0]
+    return np.roll(_squares_at(origins, board.marker_m or 0.0), 2, axis=1)
+
+
+def _april_numbers(board: Board) -> Int64[Array, "marker corner=4"]:
+    """Row by row from the lower left, a row through the lower or the upper corners of all markers beside each other."""
+    columns = board.squares_x or 0
+    column, row, _ = _lattice(columns, board.squares_y).astype(np.int64).T
+    lower_left = 4 * columns * row + 2 * column
+    return np.stack([lower_left + 1, lower_left, lower_left + 2 * columns, lower_left + 2 * columns + 1], axis=1)
+
+
+# What is printed beside the markers
+
+
+def _chessboard_squares(board: Board) -> Float64[Array, "rectangle corner=4 xyz=3"]:
+    lattice = _lattice(board.squares_x, board.squares_y)
+    black = lattice[[not is_white(int(x), int(y), board) for x, y, _ in lattice]]
+    return _squares_at(black, 1.0) * [*board.square_size_m, 0.0]
+
+
+def _april_squares(board: Board) -> Float64[Array, "rectangle corner=4 xyz=3"]:
+    """Small squares at the corners of the markers, which make chessboard corners of them."""
+    gap = board.gap_m or 0.0
+    lattice = _lattice((board.squares_x or 0) + 1, (board.squares_y or 0) + 1)
+    return _squares_at(((board.marker_m or 0.0) + gap) * lattice, gap)
+
+
 # The outline of each kind of board
 
 
@@ -151,6 +201,12 @@ def _grid_outline(board: Board) -> tuple[float, float]:
     marker, gap = board.marker_m or 0.0, board.gap_m or 0.0
     columns, rows = board.squares_x or 0, board.squares_y or 0
     return columns * marker + (columns - 1) * gap, rows * marker + (rows - 1) * gap
+
+
+def _april_outline(board: Board) -> tuple[float, float]:
+    """With the small squares beyond the outer markers."""
+    width_m, height_m = _grid_outline(board)
+    return width_m + 2 * (board.gap_m or 0.0), height_m + 2 * (board.gap_m or 0.0)
 
 
 def _circles_outline(board: Board) -> tuple[float, float]:
@@ -167,7 +223,7 @@ def _given_outline(board: Board) -> tuple[float, float]:
 class Layout:
     """What distinguishes a kind of board."""
 
-    pattern: Literal["chessboard", "charuco", "markers", "circles"]
+    pattern: Literal["chessboard", "charuco", "markers", "aprilgrid", "circles"]
     """What is searched in an image."""
     keys: tuple[tuple[str, ...], ...]
     """The keys of its board file: of each tuple exactly one must be there."""
@@ -176,7 +232,11 @@ class Layout:
     min_count: int = 1
     """Minimum number of squares, markers or circles a side."""
     corners: Callable[[Board], Float64[Array, "corner xyz=3"]] = _corners_of_markers
-    markers: Callable[[Board], Float64[Array, "marker corner=4 xyz=3"]] = _no_markers
+    markers: Callable[[Board], Float64[Array, "marker corner=4 xyz=3"]] = _none
+    numbers: Callable[[Board], Int64[Array, "marker corner=4"]] = _numbered_by_marker
+    border_cells: int = 1
+    """Width of the markers' black border."""
+    black: Callable[[Board], Float64[Array, "rectangle corner=4 xyz=3"]] = _none
     outline_m: Callable[[Board], tuple[float, float]]
 
 
@@ -189,6 +249,7 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         min_count=2,
         corners=_inner_corners,
         markers=_charuco_markers,
+        black=_chessboard_squares,
         outline_m=_squares_outline,
     ),
     "chessboard": Layout(
@@ -197,6 +258,7 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         optional=("square_y_m",),
         min_count=4,
         corners=_inner_corners,
+        black=_chessboard_squares,
         outline_m=_squares_outline,
     ),
     "four_markers": Layout(
@@ -210,6 +272,15 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         keys=(*_COUNTS, ("marker_m",), ("gap_m",), ("dictionary",)),
         markers=_grid_markers,
         outline_m=_grid_outline,
+    ),
+    "aprilgrid": Layout(
+        pattern="aprilgrid",
+        keys=(*_COUNTS, ("marker_m",), ("gap_m",), ("dictionary",)),
+        markers=_april_markers,
+        numbers=_april_numbers,
+        border_cells=2,
+        black=_april_squares,
+        outline_m=_april_outline,
     ),
     "asymmetric_circles": Layout(
         pattern="circles",
@@ -263,23 +334,21 @@ def board_print(
 
 
 def _black_squares(board: Board) -> Iterator[_Block]:
-    """The black squares of a chessboard or ChArUco board."""
-    if LAYOUTS[board.kind].corners is not _inner_corners:
-        return
-    size_m = board.square_size_m
-    for column, row, _ in _lattice(board.squares_x, board.squares_y):
-        if not is_white(int(column), int(row), board):
-            yield _Block(column * size_m[0], row * size_m[1], size_m, np.zeros((1, 1), dtype=np.uint8))
+    """What is printed beside the markers."""
+    for (left_m, top_m, _), _, (right_m, bottom_m, _), _ in black_rectangles(board):
+        yield _Block(left_m, top_m, (right_m - left_m, bottom_m - top_m), np.zeros((1, 1), dtype=np.uint8))
 
 
 def _printed_markers(board: Board) -> Iterator[_Block]:
-    """The markers with their black borders."""
-    if not (count := marker_count(board)):
+    """The markers with their black borders, turned so that their corners are where they are given."""
+    if not marker_count(board):
         return
     aruco: Any = cv2.aruco
-    dictionary = marker_dictionary(board)
-    size = dictionary.markerSize + 2
-    cell_m = (board.marker_m or 0.0) / size
-    for number, (left_m, top_m, _) in zip(range(count), marker_corners(board)[:, 0], strict=True):
-        white = (aruco.generateImageMarker(dictionary, number, size) > 127).astype(np.uint8)
-        yield _Block(left_m, top_m, (cell_m, cell_m), white)
+    dictionary, border = marker_dictionary(board), LAYOUTS[board.kind].border_cells
+    size = dictionary.markerSize + 2 * border
+    for number, corners in enumerate(marker_corners(board)):
+        picture = aruco.generateImageMarker(dictionary, number, size, borderBits=border)
+        quarter_turns = int(np.argmin(corners[:, :2].sum(axis=1)))  # own number of the corner at the top left
+        side_m = float(np.ptp(corners[:, 0]))
+        left_m, top_m, _ = corners.min(axis=0)
+        yield _Block(left_m, top_m, (side_m / size,) * 2, (np.rot90(picture, quarter_turns) > 127).astype(np.uint8))

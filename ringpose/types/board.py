@@ -15,7 +15,9 @@ from ringpose.types.record import Key, Presence
 MAX_SQUARES = 200
 """Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
 
-BoardKind = Literal["charuco", "chessboard", "four_markers", "aruco_grid", "asymmetric_circles", "symmetric_circles"]
+BoardKind = Literal[
+    "charuco", "chessboard", "four_markers", "aruco_grid", "aprilgrid", "asymmetric_circles", "symmetric_circles"
+]
 
 
 def _length(description: str, length: Range) -> Key:

@@ -15,6 +15,7 @@ BOARDS = [
     Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025, square_y_m=0.026),
     Board(kind="four_markers", **FOUR_MARKERS, order="0 left"),
     Board(kind="aruco_grid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_4X4_50"),
+    Board(kind="aprilgrid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_APRILTAG_36h11"),
     Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_in_row_m=0.02),
     Board(kind="symmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),
 ]
@@ -56,6 +57,46 @@ def test_an_invalid_board_is_rejected(tmp_path, changes, finding):
         read_board(tmp_path / "board.yaml")
 
     assert str(caught.value).startswith(f"{tmp_path / 'board.yaml'}: {finding}")
+
+
+APRILGRID = """target_type: 'aprilgrid' #gridtype
+tagCols: 3               #number of apriltags
+tagRows: 2               #number of apriltags
+tagSize: 0.08            #size of apriltag, edge to edge [m]
+tagSpacing: 0.3          #ratio of space between tags to tagSize
+"""
+
+
+def test_a_target_of_kalibr_has_its_places_and_numbers(tmp_path):
+    """Kalibr counts corners from the lower left, x right and y up, row by row across the markers."""
+    (tmp_path / "aprilgrid.yaml").write_text(APRILGRID)
+
+    board = read_board(tmp_path / "aprilgrid.yaml")
+
+    up = np.array([0, 0.08, 0.104, 0.184])
+    right = np.array([0, 0.08, 0.104, 0.184, 0.208, 0.288])
+    kalibr = np.stack(np.meshgrid(right, up), axis=-1).reshape(-1, 2)
+    margin_m, bottom_m = 0.024, 0.184 + 0.024
+    assert corner_points(board)[:, :2] == pytest.approx(np.array([margin_m, bottom_m]) + kalibr * [1, -1], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "finding"),
+    [
+        ("0.3 ", "24  ", "tagSpacing: is 24, must be at least 0.01 and at most 1"),
+        ("tagSize: 0.08", "tagSize: 80", "tagSize: is 80, must be 0.0002 to 1; give metres: 0.08 if"),
+        ("'aprilgrid'", "'checkerboard'", "target_type: is 'checkerboard', must be one of aprilgrid"),
+        ("tagRows: 2", "codeOffset: 7", "codeOffset: is 7, must be 0"),
+        ("tagRows: 2", "tagRow: 2", "unknown key 'tagRow'; did you mean 'tagRows'?"),
+    ],
+)
+def test_a_target_of_kalibr_that_cannot_be_is_rejected(before, after, finding, tmp_path):
+    (tmp_path / "aprilgrid.yaml").write_text(APRILGRID.replace(before, after))
+
+    with pytest.raises(DataError) as caught:
+        read_board(tmp_path / "aprilgrid.yaml")
+
+    assert finding in str(caught.value)
 
 
 CIRCLES = {"kind": "asymmetric_circles", "squares_x": 4, "squares_y": 11}

@@ -19,6 +19,9 @@ BOARDS = {
     "aruco_grid": Board(
         kind="aruco_grid", squares_x=3, squares_y=2, marker_m=0.06, gap_m=0.02, dictionary="DICT_4X4_50"
     ),
+    "aprilgrid": Board(
+        kind="aprilgrid", squares_x=4, squares_y=3, marker_m=0.04, gap_m=0.012, dictionary="DICT_APRILTAG_36h11"
+    ),
     "asymmetric_circles": Board(kind="asymmetric_circles", squares_x=4, squares_y=7, spacing_m=0.02),
 }
 INCH_M = 0.0254

@@ -209,7 +209,8 @@ def _is_mirrored(grey: GreyImage, board: Board, number: int) -> bool:
 
     In a mirrored image a few markers pass for others of a large dictionary.
     """
-    mirrored = find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board))
+    border_cells = LAYOUTS[board.kind].border_cells
+    mirrored = find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board), border_cells)
     return int(np.sum(mirrored.ids < len(marker_corners(board)))) >= max(_MIN_MARKERS, 2 * number)
 
 

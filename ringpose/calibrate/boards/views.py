@@ -18,7 +18,7 @@ from ringpose.calibrate.boards.patterns.markers import (
     markers_of,
     other_layout,
 )
-from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary
+from ringpose.geometry.board import LAYOUTS, corner_numbers, corner_points, marker_corners, marker_dictionary
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 
@@ -30,7 +30,8 @@ MIN_CORNERS = 6
 
 WHITE_PER_GAP = 0.9
 """Half-window of the refinement on a ChArUco board, in widths of the white rim around its markers: a window that
-contains part of a marker increases the error from 0.02 to 0.1 px."""
+contains part of a marker increases the error from 0.02 to 0.1 px. On an AprilGrid, in widths of what is uniform beside
+a corner, the marker's border or the small square."""
 
 _SATURATION_WINDOW_PX = 9
 """Side of the square around a corner in which saturated pixels are counted."""
@@ -85,14 +86,17 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
     if board.kind == "charuco":
         ids, corners_px, markers = _charuco_corners(grey, board)
     else:
-        markers = find_markers(grey, marker_dictionary(board))
+        markers = find_markers(grey, marker_dictionary(board), LAYOUTS[board.kind].border_cells)
     # Of a number that occurs twice, it is ambiguous which of the markers is the board's.
     _, index, count = np.unique(markers.ids, return_inverse=True, return_counts=True)
     is_own = (markers.ids < len(marker_corners(board))) & (count[index] == 1)
     own = Markers(ids=markers.ids[is_own], corners_px=markers.corners_px[is_own])
     correlation = 0.0
     if board.kind != "charuco":
-        ids = (4 * own.ids[:, None] + np.arange(4)).ravel()
+        ids = corner_numbers(board)[own.ids].ravel()
+    if board.kind == "aprilgrid":
+        corners_px = _april_corners(grey, board, own)
+    elif board.kind != "charuco":
         refined = [corners_from_sides(grey, corners) for corners in own.corners_px]
         corners_px = np.reshape([one.points_px for one in refined], (-1, 2)).astype(np.float64)
         correlation = float(np.mean([one.end_correlation for one in refined])) if refined else 0.0
@@ -109,6 +113,19 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
     if board.kind == "charuco" and len(own.ids):
         return diagnostics.charuco_failure(grey, board, len(ids), own)
     return diagnostics.marker_failure(grey, board, markers, own)
+
+
+def _april_corners(grey: GreyImage, board: Board, markers: Markers) -> Float64[Array, "corner xy=2"]:
+    """The corners of an AprilGrid's markers, where they touch small squares, refined as those of a chessboard."""
+    cells = marker_dictionary(board).markerSize + 2 * LAYOUTS[board.kind].border_cells
+    clear_share = min(LAYOUTS[board.kind].border_cells / cells, (board.gap_m or 0.0) / (board.marker_m or 1.0))
+    refined = []
+    for corners in markers.corners_px:
+        grid = corners[[[0, 1], [3, 2]]]
+        half_px = WHITE_PER_GAP * clear_share * chessboard.shortest_side(grid)
+        grid = chessboard.refined_corners(grey, grid.reshape(-1, 2), half_px).reshape(2, 2, 2)
+        refined.append(chessboard.saddle_points(grey, grid, half_px)[[0, 0, 1, 1], [0, 1, 1, 0]])
+    return np.reshape(refined, (-1, 2)).astype(np.float64)
 
 
 def _charuco_corners(
@@ -133,6 +150,7 @@ def _charuco_corners(
 
 
 _VIEWS = {
+    "aprilgrid": _marker_view,
     "charuco": _marker_view,
     "chessboard": _chessboard_view,
     "circles": _circle_view,

@@ -21,9 +21,10 @@ class Markers:
     """Clockwise from the marker's own top left."""
 
 
-def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictionary) -> Markers:
+def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictionary, border_cells: int = 1) -> Markers:
     """All markers of the dictionary found in the image, with sub-pixel corners."""
     parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = border_cells
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
     return markers_of(corners, ids)

@@ -21,7 +21,7 @@ from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduce
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.stripes import GHOST_ROWS, find_stripes, shown_ghost
-from ringpose.geometry.board import marker_corners, outline_m
+from ringpose.geometry.board import black_rectangles, marker_corners, outline_m
 from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
@@ -103,8 +103,12 @@ class BoardSurface:
         marker_margin = margin
         if board.kind == "charuco":  # a grid of squares too: the margin beside a marker is its white rim
             marker_margin = min(margin, ((board.square_m or 0.0) - (board.marker_m or 0.0)) / 4)
-        for corner in marker_corners(board)[..., :2]:
-            near = (position_m > corner[0] - marker_margin) & (position_m < corner[2] + marker_margin)
+        printed_m = marker_corners(board)
+        if board.kind not in ("chessboard", "charuco"):
+            printed_m = np.concatenate([printed_m, black_rectangles(board)])
+        for corners in printed_m[..., :2]:
+            low_m, high_m = corners.min(axis=0) - marker_margin, corners.max(axis=0) + marker_margin
+            near = (position_m > low_m) & (position_m < high_m)
             usable &= ~np.all(near, axis=1)
 
         if board.kind in ("chessboard", "charuco"):
