@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.calibrate.acceptance import CAMERA_LIMITS, check
 from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.camera import bundle_adjustment, outliers
 from ringpose.calibrate.camera.assessment import DISTANCES_M, camera_assessment
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameter_names
+from ringpose.calibrate.camera.validation import radial_stretch_sd
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView, BoardViews
-from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, Grade
 from ringpose.types.rig import Camera, ParameterCovariance
 
 MAX_FOCAL_SHARE = 0.1
@@ -29,9 +31,23 @@ def assessed_camera(
     distances_m: Sequence[float] = DISTANCES_M,
     compare: bool = False,
 ) -> CameraAssessment:
-    """The camera of views of a board, with its covariance as the agreement of the views justifies it."""
-    calibration = calibrate_camera(boards.views, boards.image_width, boards.image_height, model, camera_name)
-    return camera_assessment(calibration, model, distances_m, compare)
+    """The camera of views of a board, with its covariance as the agreement of the views justifies it.
+
+    If the views do not determine k3, it is held at zero, and a check of the assessment states so.
+    """
+
+    def assessed(model: CameraModel) -> CameraAssessment:
+        calibration = calibrate_camera(boards.views, boards.image_width, boards.image_height, model, camera_name)
+        return camera_assessment(calibration, model, distances_m, compare)
+
+    free = assessed(model)
+    camera = free.calibration.camera
+    k3_sd = free.calibration.standard_deviations["k3"]
+    finding = check(CAMERA_LIMITS, "radial_stretch_sd", radial_stretch_sd(camera), k3_sd=k3_sd)
+    if model.fix_k3 or finding.grade is Grade.GOOD:
+        return free
+    held = assessed(replace(model, fix_k3=True))
+    return replace(held, board=(*held.board, finding))
 
 
 def calibrate_camera(

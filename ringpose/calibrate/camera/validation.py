@@ -236,3 +236,19 @@ def known_lens(camera: Camera, corners_px: Float64[Array, "corner xy=2"]) -> Boo
     middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
     radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (map_px, corners_px))
     return radius <= max(float(reached.max()), float(radius.min()))
+
+
+def radial_stretch_sd(camera: Camera) -> float:
+    """Standard deviation of the radial stretch in the corner of the image farthest from the principal point.
+
+    The stretch is the derivative of the distorted by the undistorted radius, 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6: it is
+    1 without distortion, and an image is folded where it is 0. Zero for the rational model (`known_lens`).
+    """
+    if camera.covariance is None or camera.distortion_model == DistortionModel.RATIONAL_POLYNOMIAL:
+        return 0.0
+    middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
+    last_px = np.array([camera.image_width - 1.0, camera.image_height - 1.0])
+    squared = float(np.sum((np.maximum(middle, last_px - middle) / focal) ** 2))
+    gradient = np.array([3 * squared, 5 * squared**2, 7 * squared**3])
+    radial = [camera.covariance.parameters.index(name) for name in ("k1", "k2", "k3")]
+    return float(np.sqrt(gradient @ camera.covariance.data[np.ix_(radial, radial)] @ gradient))

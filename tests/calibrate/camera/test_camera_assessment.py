@@ -11,9 +11,9 @@ import pytest
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view, chessboard_views, true_poses
 
 from ringpose.calibrate.camera.assessment import camera_assessment
-from ringpose.calibrate.camera.bundle_adjustment import camera_solution
+from ringpose.calibrate.camera.bundle_adjustment import camera_solution, corners_of
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
-from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.calibrate.camera.pipeline import assessed_camera, calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict, projection_sigma_m
 from ringpose.calibrate.camera.validation import (
     cameras_one_step_away,
@@ -22,7 +22,7 @@ from ringpose.calibrate.camera.validation import (
     projection_sigma_px,
 )
 from ringpose.geometry.board import corner_points
-from ringpose.types.board import BoardView
+from ringpose.types.board import BoardView, BoardViews
 from ringpose.types.calibration import Grade, Verdict
 
 POINTS = corner_points(CHESSBOARD)
@@ -247,3 +247,30 @@ def test_a_lens_that_plumb_bob_does_not_describe_asks_for_the_other_model(rng):
 
     assert value(verdict, "held_out_ratio") > 1.05
     assert any("use --distortion-model rational_polynomial" in sentence for sentence in verdict.advice)
+
+
+def within(radius_px: float, boards: list[BoardView]) -> BoardViews:
+    """The corners within this distance from the middle of the image."""
+    near = [np.linalg.norm(view.points_px - [800.0, 600.0], axis=1) < radius_px for view in boards]
+    middle = [corners_of(view, mask) for view, mask in zip(boards, near, strict=True)]
+    return BoardViews(views=middle, image_width=1600, image_height=1200)
+
+
+def test_a_k3_that_the_views_do_not_determine_is_held_at_zero_and_reported(views):
+    boards = within(250.0, views(12))
+    free = camera_assessment(calibrate_camera(boards.views, 1600, 1200), PLUMB_BOB)
+
+    found = assessed_camera(boards)
+
+    advice = camera_verdict(found, 12).advice
+    sd = free.calibration.standard_deviations["k3"]
+    assert found.calibration.standard_deviations["k3"] == 0
+    assert found.known_sigma_px.max() < free.known_sigma_px.max() / 10
+    assert f"k3 is held at 0, because the views determine it to +- {sd:.2g} only" in " ".join(advice)
+
+
+def test_a_k3_that_the_views_determine_is_estimated(views):
+    found = assessed_camera(within(1000.0, views(12)))
+
+    assert found.calibration.standard_deviations["k3"] > 0
+    assert "held" not in " ".join(camera_verdict(found, 12).advice)
