@@ -1,17 +1,18 @@
 """Diagnostics for images without a usable board: the reason as text, with the measured numbers."""
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.patterns.chessboard import Grid
-from ringpose.calibrate.boards.patterns.circles import brightened
+from ringpose.calibrate.boards.patterns.circles import blob_detector, brightened, circle_centers, negative
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage, reduced
 from ringpose.calibrate.boards.patterns.markers import Markers, find_markers
-from ringpose.geometry.board import LAYOUTS, marker_corners, marker_dictionary
+from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
@@ -72,10 +73,10 @@ class BoardFailure(Enum):
     NO_CONTRAST = "nothing but noise is seen"
     FEW_MARKERS = "too few of the board's markers found"
     OTHER_MARKERS = "markers found, but not those of this board; is it the right board file"
-    MIRRORED = "the image is mirrored: its mirror image shows the board's markers; turn the camera's flip off"
+    MIRRORED = "the image or the print is mirrored: its mirror image shows the board; turn the camera's flip off"
     OTHER_LAYOUT = "the markers do not lie as on the board of the board file"
     FEW_CORNERS = "too few of the board's corners found"
-    OTHER_SIZE = "a pattern of another size than that of the board file"
+    OTHER_SIZE = "a pattern of another size or kind than that of the board file"
     NOT_WHOLE = "the whole pattern is not found; it must be in the image, uncovered, and of the size in the board file"
     BLURRED = "blurred"
     GIVEN_UP = "the search is given up"
@@ -258,14 +259,40 @@ def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -
 
 
 def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
-    """Why a grid of circles is not found, with the number of circles found (OpenCV's dark blobs)."""
-    blobs = cv2.SimpleBlobDetector.create().detect(brightened(grey))
-    circles_px = np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
-    width_px = edge_width_px(grey)
+    """Why a grid of circles is not found: it is mirrored or another one, or circles are missing (OpenCV's blobs)."""
     columns, rows = board.squares_x or 0, board.squares_y or 0
+    images = [brightened(image) for image in (grey, negative(grey))]
+    blobs = max((blob_detector(grey, columns * rows).detect(image) for image in images), key=len)
+    circles_px = np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
+    if len(circles_px) >= columns * rows:
+        if _circles_of(np.ascontiguousarray(grey[:, ::-1]), board) is not None:
+            return NoBoard(failure=BoardFailure.MIRRORED)
+        other = next((other for other in _other_grids(board) if _circles_of(grey, other) is not None), None)
+        if other is not None:
+            finding = f"as with kind: {other.kind}, squares_x: {other.squares_x}, squares_y: {other.squares_y}"
+            return NoBoard(failure=BoardFailure.OTHER_SIZE, finding=finding, points_px=circles_px)
+    width_px = edge_width_px(grey)
     finding = f"{len(circles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
+    if len(circles_px) == columns * rows:
+        finding = f"{columns * rows} circles are seen, as many as the board has, but not in its {rows} rows"
     finding += f", {edge_width_in_words(width_px)}"
     failure = BoardFailure.NOT_WHOLE
     if len(circles_px) < columns * rows and BLURRED_PX < width_px < np.inf:
         failure = BoardFailure.BLURRED
     return NoBoard(failure=failure, finding=finding, points_px=circles_px)
+
+
+def _circles_of(grey: GreyImage, board: Board) -> Float64[Array, "circle xy=2"] | None:
+    """The centres of the circles of a grid; None if not all are found."""
+    is_asymmetric = board.kind == "asymmetric_circles"
+    found = circle_centers(grey, corner_points(board), board.squares_x or 0, board.squares_y or 0, is_asymmetric)
+    return None if found is None else found.points_px
+
+
+def _other_grids(board: Board) -> Iterator[Board]:
+    """Grids of as many circles as the board's: rows and columns exchanged, and of the other kind."""
+    for kind in ("asymmetric_circles", "symmetric_circles"):
+        for columns, rows in ((board.squares_x, board.squares_y), (board.squares_y, board.squares_x)):
+            other = replace(board, kind=kind, squares_x=columns, squares_y=rows)
+            if other != board:
+                yield other

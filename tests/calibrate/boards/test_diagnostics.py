@@ -131,6 +131,48 @@ def test_the_number_of_circles_is_reported(image, numbers, width):
     assert text.startswith(f"circles are seen, the board has 4 x 11 = 44{width}")
 
 
+EVEN = replace(CIRCLES, squares_y=10)
+"""In a mirror, an even number of rows cannot be turned into the board itself."""
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_circles_in_an_even_number_of_rows_are_found_in_their_order(turns):
+    found = find_board(np.ascontiguousarray(np.rot90(drawn_circles(4, 10, 200), turns)), EVEN, "x")
+
+    in_image, _ = cv2.findHomography(found.points_board_m[:, :2], found.points_px)
+    expected = cv2.perspectiveTransform(found.points_board_m[None, :, :2], in_image)[0]
+    assert np.abs(found.points_px - expected).max() < 0.05
+    assert np.linalg.det(in_image) > 0
+
+
+def test_a_mirrored_grid_of_circles_is_reported():
+    mirrored = np.ascontiguousarray(drawn_circles(4, 10, 200)[:, ::-1])
+
+    assert find_board(mirrored, EVEN, "x").failure is BoardFailure.MIRRORED
+
+
+def test_another_arrangement_of_as_many_circles_is_reported():
+    square = np.full((440, 480), 200, np.uint8)
+    for row, column in np.ndindex(5, 6):
+        cv2.circle(square, (70 * column + 60, 70 * row + 60), 20, 20, -1)
+
+    missing = find_board(square, replace(CIRCLES, squares_x=6, squares_y=5), "x")
+
+    assert missing.failure is BoardFailure.OTHER_SIZE
+    assert missing.finding == "as with kind: symmetric_circles, squares_x: 6, squares_y: 5"
+
+
+def test_all_circles_without_their_rows_are_not_reported_as_missing(rng):
+    scattered = np.full((480, 640), 200, np.uint8)
+    for place in rng.permutation(np.argwhere(np.ones((7, 9))))[:44]:
+        row, column = 60 * place + 50 + rng.integers(-12, 13, 2)
+        cv2.circle(scattered, (int(column), int(row)), 12, 20, -1)
+
+    finding = find_board(scattered, CIRCLES, "x").finding
+
+    assert finding.startswith("44 circles are seen, as many as the board has, but not in its 11 rows")
+
+
 def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers():
     corner = covered(covered(drawn_board(GRID), slice(125), ALL, 198), ALL, slice(125), 198)  # leaves 4, 5
 

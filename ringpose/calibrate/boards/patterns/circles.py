@@ -99,17 +99,31 @@ def _projected_centers(grey: GreyImage, ellipses_px: Centers, centers_m: Centers
 
 def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int, is_asymmetric: bool) -> Centers | None:
     """OpenCV's centres of the dark ellipses in the order of the board's circles; None if not all are found."""
-    detector, image = _blob_detector(grey, columns * rows), brightened(grey)
+    detector, image = blob_detector(grey, columns * rows), brightened(grey)
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if is_asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     for by_clusters in (cv2.CALIB_CB_CLUSTERING, 0):  # clusters of near circles; if clutter is near, the graph of them
         is_found, centers = cv2.findCirclesGrid(image, (columns, rows), flags=kind | by_clusters, blobDetector=detector)
         if is_found:
             grid = np.asarray(centers, dtype=np.float64).reshape(rows, columns, 2)
-            return (grid if is_asymmetric else upright(unmirrored(grid))).reshape(-1, 2)
+            return (_rows_in_turn(grid) if is_asymmetric else upright(unmirrored(grid))).reshape(-1, 2)
     return None
 
 
-def _blob_detector(grey: GreyImage, circles: int) -> cv2.SimpleBlobDetector:
+def _rows_in_turn(
+    grid: Float64[Array, "grid_row grid_column xy=2"],
+) -> Float64[Array, "grid_row grid_column xy=2"]:
+    """An asymmetric grid with its rows in their order.
+
+    OpenCV finds grids with an even number of rows by their graph only, and exchanges the rows of each pair where it
+    starts from the other end.
+    """
+    from_first = grid.mean(axis=1) - grid[0].mean(axis=0)
+    if len(grid) % 2 or len(grid) < 4 or from_first[1] @ from_first[2] > 0:
+        return grid
+    return grid.reshape(-1, 2, *grid.shape[1:])[:, ::-1].reshape(grid.shape)
+
+
+def blob_detector(grey: GreyImage, circles: int) -> cv2.SimpleBlobDetector:
     """OpenCV's detector of dark blobs, each of them at most of its share of an image that the board fills."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.maxArea = grey.size / circles
@@ -122,7 +136,7 @@ def _is_whole_grid(grey: GreyImage, ellipses_px: Centers, grid_m: Float64[Array,
     Perspective is undone first. A row is predicted by three rows beside it, of which every other one is shifted if the
     grid is asymmetric.
     """
-    blobs = _blob_detector(grey, len(ellipses_px)).detect(brightened(grey))
+    blobs = blob_detector(grey, len(ellipses_px)).detect(brightened(grey))
     board_from_image = np.linalg.inv(_homography(grid_m.reshape(-1, 2), ellipses_px))
     seen_px = np.concatenate([ellipses_px, np.array([blob.pt for blob in blobs]).reshape(-1, 2)])
     seen_m = cv2.perspectiveTransform(seen_px[None], board_from_image)[0]
@@ -228,7 +242,8 @@ def _middle(
     # Distance from the ellipse, negative inside: exact on the axes, and to first order near the ellipse.
     slope = offset @ shape
     size = np.sqrt(np.sum(slope * offset, axis=-1))
-    outside = (size - 1.0) * size / np.maximum(np.linalg.norm(slope, axis=-1), 1e-9)
+    gradient = np.linalg.norm(slope, axis=-1)  # zero at the very centre
+    outside = (size - 1.0) * np.divide(size, gradient, out=np.full_like(size, semi_major_px), where=gradient > 0)
     share = _ink_share(patch, offset, outside)
     if share is None:
         return None
