@@ -24,6 +24,9 @@ from ringpose.types.calibration import (
 )
 from ringpose.types.rig import CAMERA_PARAMETERS
 
+MIN_VIEWS_OFF = 3
+"""Views in which a corner must be off for a fault of the print: in one or two, glare or dirt may cover it."""
+
 
 def camera_quality(
     assessment: CameraAssessment, verdict: Verdict, without_board: Sequence[tuple[str, str]] = ()
@@ -96,12 +99,7 @@ def camera_summary(assessment: CameraAssessment, verdict: Verdict) -> list[str]:
     """The result of a calibration as lines of text."""
     calibration = assessment.calibration
     lines = [f"{view.name}: left out: {view.rejected}" for view in calibration.views if view.rejected]
-    for view in calibration.used:
-        if view.left_out.any():
-            numbers = ", ".join(str(number) for number in view.board.ids[view.left_out])
-            far_px = np.linalg.norm(view.residual_px[view.left_out], axis=1).max()
-            finding = f"more than {CORNER_SIGMAS:g} sigmas off, up to {far_px:.2f} px"
-            lines.append(f"{view.name}: corners left out: {numbers}: {finding}")
+    lines += _left_out_lines(calibration)
     lines.append(
         f"{len(calibration.used)} of {len(calibration.views)} views used, rms {calibration.rms_px:.3f} px, "
         f"corners {calibration.sigma_px:.3f} px"
@@ -131,6 +129,30 @@ def _scale_line(assessment: CameraAssessment) -> str:
     near_m, far_m = min(assessment.coverage.distance_m), max(assessment.coverage.distance_m)
     size = f"{1e3 * width_m:.1f} x {1e3 * height_m:.1f} mm from the first to the last corner"
     return f"the board as given: {size}, seen from {near_m:.3g} to {far_m:.3g} m; measure both"
+
+
+def _left_out_lines(calibration: CameraCalibration) -> list[str]:
+    """The corners left out: those that are off in most of the views in one line, then the others by view."""
+    used, focal_px = calibration.used, float(calibration.camera.camera_matrix[0, 0])
+    shown = np.concatenate([view.board.ids for view in used])
+    off = np.concatenate([view.left_out for view in used])
+    lengths_m = [np.linalg.norm(view.residual_px, axis=1) * view.pose.translation_m[2] / focal_px for view in used]
+    shift_m = np.concatenate(lengths_m)
+    lines, printed = [], []
+    for number in np.unique(shown[off]):
+        views, out = int(np.sum(shown == number)), int(np.sum(off[shown == number]))
+        if out >= MIN_VIEWS_OFF and 2 * out > views:
+            shift_mm = 1e3 * np.median(shift_m[off & (shown == number)])
+            lines.append(f"corner {number} is off in {out} of {views} views, by {shift_mm:.2f} mm: see the print there")
+            printed.append(number)
+    for view in used:
+        left_out = view.left_out & ~np.isin(view.board.ids, printed)
+        if left_out.any():
+            numbers = ", ".join(str(number) for number in view.board.ids[left_out])
+            far_px = np.linalg.norm(view.residual_px[left_out], axis=1).max()
+            finding = f"more than {CORNER_SIGMAS:g} sigmas off, up to {far_px:.2f} px"
+            lines.append(f"{view.name}: corners left out: {numbers}: {finding}")
+    return lines
 
 
 def _comparison_lines(comparison: ModelComparison) -> list[str]:

@@ -195,6 +195,24 @@ def test_corners_left_out_are_numbered_with_their_residuals(views):
     assert camera_summary(assessed, verdict)[0].startswith("v3: corners left out: 17: more than 5 sigmas off")
 
 
+def test_a_corner_that_is_misprinted_is_one_line_with_its_displacement(rng):
+    misprinted = POINTS.copy()
+    misprinted[17] += [0.0, 0.0006, 0.0]
+    boards = [
+        replace(board_view(misprinted, pose, f"v{index}", noise_px), points_board_m=POINTS)
+        for index, pose in enumerate(true_poses(rng, 8))
+        for noise_px in [NOISE_PX * rng.standard_normal(POINTS[:, :2].shape)]
+    ]
+    assessed = camera_assessment(calibrate_camera(boards, 1600, 1200), PLUMB_BOB)
+
+    lines = [
+        line for line in camera_summary(assessed, camera_verdict(assessed, 8)) if "corner" in line and " 17" in line
+    ]
+
+    (line,) = lines
+    assert re.fullmatch(r"corner 17 is off in 8 of 8 views, by 0\.(5\d|60) mm: see the print there", line)
+
+
 def test_the_manual_lists_every_limit(views):
     boards = [replace(view, marker_size_ratio=(1.0, 1.0)) for view in views(8)]
     found = calibrate_camera(boards, 1600, 1200)
