@@ -105,7 +105,7 @@ PLANES_LIMITS: Mapping[str, Limit] = {
         "see with --overlay whether the stripe of {place} is sharp and unsaturated, in {worst} first",
         if_unknown="add a third view: two leave the held-out error undetermined"),
     "disagreement": Limit(3.0, 100.0,
-        "the stripes of {place} disagree with boards and other lasers: see whether they are its own"),
+        "the stripes of {place} disagree with the boards{others}: see with --overlay whether they are its own"),
     "depth_sd_m": Limit(1e-3, 1e-2,  # over the distance of the farthest board
         "add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {laser} over the whole image"),
     "ring_center_sd_m": Limit(1e-3, 1e-2,  # over the distance; the errors of a shot at 0.5 m are five times as large
@@ -192,11 +192,15 @@ def verdict_values(verdict: Verdict) -> dict[str, Any]:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Lines of text: the grade with the values that are not good, `left views 3 (limit 5)`, then the advice."""
-    poor = []
-    for finding in verdict.findings:
-        if finding.grade is not Grade.GOOD:
-            value = "unknown" if isnan(finding.value) else f"{finding.value:.4g}"
-            poor.append(f"{finding.place} {finding.name} {value} (limit {finding.pass_limit:.4g})".lstrip())
-    reasons = "; ".join(poor) or "every number is within its limit"
+    """Lines of text: the grade with the values that are not good and the limits that they miss, then the advice."""
+    reasons = "; ".join(map(_reason, verdict.poor)) or "every number is within its limit"
     return [f"verdict: {verdict.grade}: {reasons}", *(f"advice: {sentence}" for sentence in verdict.advice)]
+
+
+def _reason(finding: Check) -> str:
+    """`left views 3 (limit 5)`, or `left views 1 (redo below 2)`."""
+    value = "unknown" if isnan(finding.value) else f"{finding.value:.4g}"
+    limit = f"limit {finding.pass_limit:.4g}"
+    if finding.grade is Grade.REDO:
+        limit = f"redo {'beyond' if finding.fail_limit >= finding.pass_limit else 'below'} {finding.fail_limit:.4g}"
+    return f"{finding.place} {finding.name} {value} ({limit})".lstrip()

@@ -51,6 +51,14 @@ class Check:
             return Grade.GOOD
         return Grade.REDO if sign * self.value > sign * self.fail_limit else Grade.IMPROVABLE
 
+    @property
+    def way_to_redo(self) -> float:
+        """Share of the way from the good limit to that of `redo`: 0 where no value is that bad, 1/2 if not known."""
+        if math.isnan(self.value):
+            return 0.5
+        way = self.fail_limit - self.pass_limit
+        return (self.value - self.pass_limit) / way if math.isfinite(way) else 0.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
@@ -64,11 +72,15 @@ class Verdict:
         return max((finding.grade for finding in self.findings), key=_FROM_GOOD_TO_BAD.index, default=Grade.GOOD)
 
     @property
+    def poor(self) -> tuple[Check, ...]:
+        """The checks that are not good, those nearest to `redo` or farthest beyond it first."""
+        poor = [finding for finding in self.findings if finding.grade is not Grade.GOOD]
+        return tuple(sorted(poor, key=lambda finding: -finding.way_to_redo))
+
+    @property
     def advice(self) -> tuple[str, ...]:
-        """Advice of the checks that are not good, the worst first, without repetitions."""
-        worst_first = sorted(self.findings, key=lambda finding: -_FROM_GOOD_TO_BAD.index(finding.grade))
-        sentences = (finding.advice for finding in worst_first if finding.grade is not Grade.GOOD and finding.advice)
-        return tuple(dict.fromkeys(sentences))
+        """Advice of the checks that are not good, in the order of `poor`, without repetitions."""
+        return tuple(dict.fromkeys(finding.advice for finding in self.poor if finding.advice))
 
 
 def _rms(values: Float64[Array, "n"]) -> float:

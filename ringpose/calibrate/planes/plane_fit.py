@@ -59,7 +59,7 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
     extent_m = float(np.sqrt(np.mean(np.sum((every - every.mean(axis=0)) ** 2, axis=1))))
     if rms_m > MAX_SCATTER * extent_m:
         finding = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
-        remedy = "see with --overlay whether these stripes are the laser's, and none are exchanged in one of the shots"
+        remedy = "see with --overlay whether these stripes are the laser's in every shot"
         raise DataError(location, finding, remedy)
     return plane
 

@@ -247,7 +247,7 @@ def planes_verdict(
     near_m, far_m = min(distances_m), max(distances_m)
     findings = [*board, *_board_checks(calibration, near_m, far_m)]
     for laser in calibration.lasers:
-        findings += _laser_checks(laser)
+        findings += _laser_checks(laser, len(calibration.lasers))
     rig = calibrated_rig(calibration)
     if calibration.covariance is not None:
         findings += _depth_checks(rig, near_m, far_m)
@@ -298,8 +298,8 @@ def _stray_view(calibration: PlanesCalibration) -> str:
     return f", {worst} most of all" if shares.get(worst, 0.0) > STRAY_FACTOR else ""
 
 
-def _laser_checks(laser: LaserCalibration) -> list[Check]:
-    """Checks of one laser's views: number, arrangement, and agreement with each other and with the boards."""
+def _laser_checks(laser: LaserCalibration, lasers: int) -> list[Check]:
+    """Checks of one laser's views: number, arrangement, and agreement with each other, boards and other lasers."""
     name, number = laser.name, len(laser.views)
     middle_m = float(np.mean([view.distance_m for view in laser.views]))
     worst = max(laser.views, key=lambda view: np.nan_to_num(view.held_out_rms_m)).name
@@ -311,7 +311,10 @@ def _laser_checks(laser: LaserCalibration) -> list[Check]:
     if np.isfinite(laser.disagreement):
         # Three standard deviations of chi-squared per degree of freedom above the limit of the views' disagreement.
         margin = 3.0 * float(np.sqrt(2 / (2 * number - 3)))
-        checks.append(check(PLANES_LIMITS, "disagreement", float(laser.disagreement), name, margin=margin))
+        others = " and the other lasers" if lasers > 1 else ""
+        checks.append(
+            check(PLANES_LIMITS, "disagreement", float(laser.disagreement), name, margin=margin, others=others)
+        )
     return checks
 
 

@@ -137,3 +137,25 @@ def test_a_middle_plane_that_is_not_between_the_others_is_reported(way, good):
 
     assert "middle_outside_rad" in {finding.name for finding in verdict.findings if finding.grade != Grade.GOOD}
     assert any(advice.startswith("middle is not between left and right") for advice in verdict.advice)
+
+
+def test_the_advice_for_a_single_laser_does_not_mention_other_lasers(rng):
+    views = [
+        replace(view, stripes_px=view.stripes_px[:1]) for view in stripe_views(facing([0.4, 0.5, 0.52]), rng, 0.02, 3.0)
+    ]
+
+    verdict = planes_verdict(calibrate_planes(views, TRUE_CAMERA, PlanesModel(names=("red",))))
+
+    assert any("red" in sentence for sentence in verdict.advice)
+    assert not any(word in sentence for sentence in verdict.advice for word in ("lasers", "each laser", "exchanged"))
+
+
+def test_a_disagreement_is_with_other_lasers_only_if_there_are_any(good):
+    for lasers, mentioned in ((good.lasers, True), (good.lasers[:1], False)):
+        (poor, *_) = (replace(laser, disagreement=9.0) for laser in lasers)
+        planes = replace(good, lasers=(poor, *lasers[1:]))
+
+        advice = planes_verdict(planes).advice
+
+        assert any("disagree with the boards" in sentence for sentence in advice)
+        assert any("the other lasers" in sentence for sentence in advice) is mentioned
