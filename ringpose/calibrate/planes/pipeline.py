@@ -56,8 +56,6 @@ class StripeShots:
         self.names: tuple[str, ...] = ()
         """Names of the lasers, by mask bit; empty before the first shot."""
         self.views: list[StripeView] = []
-        self.any_without_stripe = False
-        """Whether a shot shows the board and no stripe on it."""
 
     def add(self, shot: Shot, board: BoardView) -> StripeView:
         """Add a shot to the calibration and return the stripes on its board; DataError if the shot cannot be used."""
@@ -73,7 +71,6 @@ class StripeShots:
             raise DataError(shot.name, finding, "left out: hold it still until all frames are taken")
         view = stripe_view(shot, board, self.boards.board, self.camera, len(self.names), self.surround_m)
         self.views.append(view)
-        self.any_without_stripe |= not any(len(px) for px in (*view.stripes_px, *view.unlabelled_px))
         return view
 
     def assessment(

@@ -8,7 +8,7 @@ from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.shots import BoardShots
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch, with_progress
-from ringpose.errors import NO_POSE, UsageError
+from ringpose.errors import UsageError
 from ringpose.files.atomic import make_folder, reject_inputs
 from ringpose.files.images.codecs import write_image
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
@@ -86,7 +86,6 @@ def report_missing(boards: BoardViews, batch: Batch) -> None:
     """Report images without a board; the command ends here if no input could be read, and its errors are reported."""
     for name, reason in boards.without_board:
         messages.echo(f"{name}: no board: {reason}")
-    batch.record_status(NO_POSE if boards.without_board else 0)
     if not boards.images and batch.status:
         batch.finish()
 

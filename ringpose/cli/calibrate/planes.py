@@ -168,7 +168,7 @@ def _calibrate(
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import reject_existing_outputs, report_verdict
-    from ringpose.errors import NO_POSE, DataError
+    from ringpose.errors import DataError
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.io import write_page
     from ringpose.files.rigs import read_mount, write_rig
@@ -180,8 +180,7 @@ def _calibrate(
     stripes = _stripe_shots(options, read_camera(camera))
     check_method(method, free_camera, stripes.boards.board, stripes.camera)
     paths = _read_shots(shots, stripes, options, batch, (output, report))
-    batch.record_status(NO_POSE if stripes.any_without_stripe else 0)
-    if not stripes.views and batch.status:
+    if not stripes.views and (batch.status or stripes.boards.without_board):
         batch.record_status(DataError.status)
         batch.finish()
     with batch.guarded():
@@ -277,9 +276,12 @@ def _judge_planes(recheck: "RigRecheck", output: Path | None, files: list[Path],
 
 def _read_views(inputs: list[str], recheck: "BoardRecheck", options: _Inputs, batch: "Batch") -> list[Path]:
     """Add the views of all board shots; the files read are returned."""
+    from ringpose.errors import NO_POSE
+
     rig = recheck.rig
     stripes = _stripe_shots(options._replace(names=",".join(rig.lasers.names)), rig.camera)
     paths = _read_shots(inputs, stripes, options, batch)
+    batch.record_status(NO_POSE if stripes.boards.without_board else 0)  # it is not known whether the rig holds there
     for view in stripes.views:
         recheck.add(view)
     return [given(options.board, "--board"), *paths]
