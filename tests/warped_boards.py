@@ -8,7 +8,7 @@ import numpy as np
 from known_views import projected_px, rotation
 from ring_scenes import make_camera
 
-from ringpose.types.board import Board
+from ringpose.types.board import Board, BoardMarker
 
 CAMERA = make_camera((480, 360), (520.0, 518.0), (243.0, 176.0), (-0.12, 0.06, 0.0008, -0.0005, 0.0))
 SUBPIXELS, BLUR_PX, NOISE_DN = 4, 0.7, 1.5
@@ -58,6 +58,42 @@ def april_grid(side_m: float, gap_m: float, columns: int, rows: int) -> Ink:
     return ink
 
 
+PLACED = [
+    (5, 0.03, 0.03, 0.04, 0.3),
+    (17, 0.1, 0.035, 0.05, -0.5),
+    (2, 0.17, 0.03, 0.035, 1.2),
+    (40, 0.04, 0.1, 0.05, 0.8),
+    (33, 0.115, 0.1, 0.035, 0.0),
+    (8, 0.175, 0.09, 0.045, -1.9),
+    (21, 0.04, 0.165, 0.04, 2.8),
+    (49, 0.15, 0.16, 0.05, 0.1),
+]
+"""Markers of DICT_4X4_50: number, x and y of the middle, side and turn, clockwise on the board."""
+
+
+def placed_markers() -> Ink:
+    """Single markers at these places."""
+    cells = pictures("DICT_4X4_50", 50, 1)
+
+    def ink(x, y):
+        dark = np.zeros(x.shape, dtype=bool)
+        for number, middle_x, middle_y, side_m, turn in PLACED:
+            right = ((x - middle_x) * np.cos(turn) + (y - middle_y) * np.sin(turn)) / side_m + 0.5
+            down = ((y - middle_y) * np.cos(turn) - (x - middle_x) * np.sin(turn)) / side_m + 0.5
+            inside = (right > 0) & (right < 1) & (down > 0) & (down < 1)
+            dark[inside] = cells[number][(down[inside] * 6).astype(int), (right[inside] * 6).astype(int)]
+        return dark
+
+    return ink
+
+
+def placed_corners(middle_x: float, middle_y: float, side_m: float, turn: float) -> tuple[tuple[float, float], ...]:
+    """Clockwise from the marker's own top left."""
+    cos, sin = side_m / 2 * np.cos(turn), side_m / 2 * np.sin(turn)
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    return tuple((float(middle_x + a * cos - b * sin), float(middle_y + a * sin + b * cos)) for a, b in signs)
+
+
 @functools.cache
 def rays() -> np.ndarray:
     """Undistorted directions through the points of all pixels, interpolated between those of the pixels' centres."""
@@ -104,10 +140,16 @@ def tilted_poses(rng: np.random.Generator, outline_m: Sequence[float], views: in
 SYMMETRIC = Board(kind="symmetric_circles", squares_x=9, squares_y=7, spacing_m=0.02)
 ASYMMETRIC = Board(kind="asymmetric_circles", squares_x=5, squares_y=9, spacing_in_row_m=0.036)
 APRIL = Board(kind="aprilgrid", squares_x=4, squares_y=3, marker_m=0.04, gap_m=0.012, dictionary="DICT_APRILTAG_36h11")
+MAP = Board(
+    kind="marker_map",
+    dictionary="DICT_4X4_50",
+    markers=tuple(BoardMarker(id=number, corners_m=placed_corners(*place)) for number, *place in PLACED),
+)
 KINDS: dict[str, tuple[Board, Ink, tuple[float, float], bool]] = {
     "symmetric circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), False),
     "asymmetric circles": (ASYMMETRIC, disks(0.018, 0.007, 5, 9, True), (0.2, 0.18), False),
     "light circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), True),
+    "marker map": (MAP, placed_markers(), (0.21, 0.2), False),
     "AprilGrid": (APRIL, april_grid(0.04, 0.012, 4, 3), (0.22, 0.168), False),
 }
 """A board file's contents, the ink by formulas of its own, width and height in m, whether the ink is light on dark."""

@@ -4,6 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.cameras.opencv import storage_values
@@ -13,7 +15,7 @@ from ringpose.files.schema import BOARD, Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.geometry.board import LAYOUTS, marker_dictionary
 from ringpose.types.board import MAX_SQUARES, Board
-from ringpose.types.plausible import MARKER_M
+from ringpose.types.plausible import BOARD_M, MARKER_M
 
 RECORD = RecordType(
     cls=Board,
@@ -94,6 +96,7 @@ def _check_fit(fields: Fields, board: Board) -> None:
     )
     for key in filter(fields.has, sorted(every - own)):
         raise fields.problem(key, f"does not belong to a board of the kind {board.kind}", "leave it out")
+    _check_markers(fields, board)
     marker_m = board.marker_m or 0.0
     if board.square_m is not None and marker_m >= board.square_m:
         raise fields.problem("marker_m", f"is {marker_m:g}, must be smaller than square_m")
@@ -101,6 +104,26 @@ def _check_fit(fields: Fields, board: Board) -> None:
         occupied = 2 * (marker_m + (board.margin_m or 0.0))
         if occupied > min(board.width_m, board.height_m):
             raise fields.problem("marker_m", "two markers and their margins are wider than the board")
+
+
+def _check_markers(fields: Fields, board: Board) -> None:
+    """Reject given markers that are no quadrangles on the board, clockwise and each with a number of its own."""
+    if not board.markers and fields.has("markers"):
+        raise fields.problem("markers", "is empty", "give the number and the corners of each marker")
+    for place, marker in enumerate(board.markers):
+        key = f"markers[{place}].corners_m"
+        if len(marker.corners_m) != 4:
+            raise fields.problem(key, f"has {len(marker.corners_m)} corners, must have 4")
+        corners_m = np.array(marker.corners_m)
+        if corners_m.min() < 0 or not BOARD_M.holds(float(corners_m.max())):
+            remedy = "give metres from the board's upper left corner, x to the right and y down"
+            raise fields.problem(key, f"has coordinates from {corners_m.min():g} to {corners_m.max():g}", remedy)
+        sides_m = np.roll(corners_m, -1, axis=0) - corners_m
+        turns = sides_m[:, 0] * np.roll(sides_m, -1, axis=0)[:, 1] - sides_m[:, 1] * np.roll(sides_m, -1, axis=0)[:, 0]
+        if not (turns > 0).all():
+            raise fields.problem(key, "are not the corners of a square in clockwise order", "x is right and y down")
+        if marker.id in [other.id for other in board.markers[:place]]:
+            raise fields.problem(f"markers[{place}].id", f"is {marker.id}, which another marker has", "give it once")
 
 
 OPENCV_PREFIX = "DICT_"

@@ -2,11 +2,12 @@
 
 The board frame has its origin in the top-left outer corner, x to the right and y down. Corners of a chessboard or
 ChArUco board are numbered as in OpenCV, row by row; a marker's corner has the number 4 * marker + corner, clockwise
-from the marker's top left, but on an AprilGrid that of Kalibr: row by row from the lower left, across all markers.
+from the marker's top left, the markers of a map in the order of its list. On an AprilGrid it has that of Kalibr: row by
+row from the lower left, across all markers.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -16,6 +17,9 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt8
 from ringpose.types.board import Board, BoardKind
+
+FLATTENED = 1e-6
+"""Deviation from an upright square, in sides, that is the rounding of numbers in a file, not a turn of the marker."""
 
 _FIRST = np.array([1.0, 1.0, 0.0])
 """Position of the first corner or circle, in squares or spacings."""
@@ -31,9 +35,11 @@ def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
     else:
         remedy = "give one of OpenCV's, for example DICT_4X4_50, or a dictionary file"
         raise DataError("board", f'no dictionary "{name}"', remedy)
-    available, needed = len(dictionary.bytesList), marker_count(board)
+    available, needed = len(dictionary.bytesList), max(marker_ids(board), default=-1) + 1
     if available < needed:
         finding = f'dictionary "{board.dictionary}" has {available} markers, the board has {needed}'
+        if board.markers:
+            finding = f'dictionary "{board.dictionary}" has markers 0 to {available - 1}, the board has {needed - 1}'
         raise DataError("board", finding, "give a larger dictionary, or correct the number of squares")
     return dictionary
 
@@ -53,6 +59,11 @@ def _custom_dictionary(marker_bits: tuple[str, ...]) -> cv2.aruco.Dictionary:
 def marker_count(board: Board) -> int:
     """Number of markers on the board; zero for boards without markers."""
     return len(marker_corners(board)) if board.dictionary else 0
+
+
+def marker_ids(board: Board) -> Sequence[int]:
+    """The numbers of the board's markers in its dictionary, in the order of `marker_corners`."""
+    return [marker.id for marker in board.markers] or range(marker_count(board))
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:
@@ -156,6 +167,11 @@ def _grid_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
 
 
+def _given_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
+    corners = np.array([marker.corners_m for marker in board.markers]).reshape(-1, 4, 2)
+    return np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=-1)
+
+
 def _april_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     """Row by row from the lower left, turned by half a turn against OpenCV's pictures of them: as Kalibr draws them."""
     gap, rows = board.gap_m or 0.0, (board.squares_y or 0)
@@ -201,6 +217,11 @@ def _grid_outline(board: Board) -> tuple[float, float]:
     marker, gap = board.marker_m or 0.0, board.gap_m or 0.0
     columns, rows = board.squares_x or 0, board.squares_y or 0
     return columns * marker + (columns - 1) * gap, rows * marker + (rows - 1) * gap
+
+
+def _map_outline(board: Board) -> tuple[float, float]:
+    width_m, height_m, _ = marker_corners(board).max(axis=(0, 1))
+    return float(width_m), float(height_m)
 
 
 def _april_outline(board: Board) -> tuple[float, float]:
@@ -272,6 +293,12 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         keys=(*_COUNTS, ("marker_m",), ("gap_m",), ("dictionary",)),
         markers=_grid_markers,
         outline_m=_grid_outline,
+    ),
+    "marker_map": Layout(
+        pattern="markers",
+        keys=(("markers",), ("dictionary",)),
+        markers=_given_markers,
+        outline_m=_map_outline,
     ),
     "aprilgrid": Layout(
         pattern="aprilgrid",
@@ -346,7 +373,10 @@ def _printed_markers(board: Board) -> Iterator[_Block]:
     aruco: Any = cv2.aruco
     dictionary, border = marker_dictionary(board), LAYOUTS[board.kind].border_cells
     size = dictionary.markerSize + 2 * border
-    for number, corners in enumerate(marker_corners(board)):
+    for number, corners in zip(marker_ids(board), marker_corners(board), strict=True):
+        from_rim = np.minimum(corners - corners.min(axis=0), corners.max(axis=0) - corners)
+        if np.abs(from_rim).max() > FLATTENED * np.ptp(corners[:, 0]):
+            raise DataError("board", f"marker {number} is turned, only upright ones are drawn", "draw it otherwise")
         picture = aruco.generateImageMarker(dictionary, number, size, borderBits=border)
         quarter_turns = int(np.argmin(corners[:, :2].sum(axis=1)))  # own number of the corner at the top left
         side_m = float(np.ptp(corners[:, 0]))

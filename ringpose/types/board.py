@@ -16,8 +16,29 @@ MAX_SQUARES = 200
 """Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
 
 BoardKind = Literal[
-    "charuco", "chessboard", "four_markers", "aruco_grid", "aprilgrid", "asymmetric_circles", "symmetric_circles"
+    "charuco",
+    "chessboard",
+    "four_markers",
+    "aruco_grid",
+    "marker_map",
+    "aprilgrid",
+    "asymmetric_circles",
+    "symmetric_circles",
 ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardMarker:
+    """A marker at a given place."""
+
+    id: Annotated[int, Key("Its number in the dictionary.", least=0)]
+    corners_m: Annotated[
+        tuple[tuple[float, float], ...],
+        Key(
+            "Its four corners, each `[x, y]`, clockwise from its own top left; x is to the right and y down from the "
+            "board's corner."
+        ),
+    ]
 
 
 def _length(description: str, length: Range) -> Key:
@@ -74,6 +95,7 @@ class Board:
     ] = None
     marker_bits: tuple[str, ...] = ()
     """Custom dictionary: the bits of each marker row by row, 1 for white, without the border."""
+    markers: Annotated[tuple[BoardMarker, ...], Key("Markers at given places.", presence=Presence.IF_KNOWN)] = ()
     order: Annotated[
         str | None,
         Key(

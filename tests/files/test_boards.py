@@ -5,7 +5,7 @@ import yaml
 from ringpose.errors import DataError
 from ringpose.files.boards import read_board, write_board
 from ringpose.geometry.board import corner_points
-from ringpose.types.board import Board
+from ringpose.types.board import Board, BoardMarker
 
 SIZES = {"squares_x": 11, "squares_y": 8, "square_m": 0.025, "marker_m": 0.018}
 CHARUCO = {"kind": "charuco", "dictionary": "DICT_4X4_50"} | SIZES
@@ -15,6 +15,11 @@ BOARDS = [
     Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025, square_y_m=0.026),
     Board(kind="four_markers", **FOUR_MARKERS, order="0 left"),
     Board(kind="aruco_grid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_4X4_50"),
+    Board(
+        kind="marker_map",
+        dictionary="DICT_4X4_50",
+        markers=(BoardMarker(id=7, corners_m=((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))),),
+    ),
     Board(kind="aprilgrid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_APRILTAG_36h11"),
     Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_in_row_m=0.02),
     Board(kind="symmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),
@@ -95,6 +100,40 @@ def test_a_target_of_kalibr_that_cannot_be_is_rejected(before, after, finding, t
 
     with pytest.raises(DataError) as caught:
         read_board(tmp_path / "aprilgrid.yaml")
+
+    assert finding in str(caught.value)
+
+
+SQUARE = [[0.01, 0.02], [0.05, 0.02], [0.05, 0.06], [0.01, 0.06]]
+
+
+@pytest.mark.parametrize(
+    ("markers", "finding"),
+    [
+        ([], "markers: is empty"),
+        ([{"id": 3, "corners_m": SQUARE[:3]}], "markers[0].corners_m: has 3 corners, must have 4"),
+        (
+            [{"id": 3, "corners_m": SQUARE[::-1]}],
+            "are not the corners of a square in clockwise order; x is right and y",
+        ),
+        (
+            [{"id": 3, "corners_m": [[-x, y] for x, y in SQUARE]}],
+            "from -0.05 to 0.06; give metres from the board's upper",
+        ),
+        ([{"id": 3, "corners_m": SQUARE}] * 2, "markers[1].id: is 3, which another marker has"),
+        (
+            [{"id": 50, "corners_m": SQUARE}],
+            'dictionary: dictionary "DICT_4X4_50" has markers 0 to 49, the board has 50',
+        ),
+        ([{"number": 3, "corners_m": SQUARE}], "markers[0]: has no key 'id'"),
+    ],
+)
+def test_a_map_of_markers_that_cannot_be_is_rejected(markers, finding, tmp_path):
+    board = {"kind": "marker_map", "dictionary": "DICT_4X4_50", "markers": markers}
+    (tmp_path / "board.yaml").write_text(yaml.safe_dump(board))
+
+    with pytest.raises(DataError) as caught:
+        read_board(tmp_path / "board.yaml")
 
     assert finding in str(caught.value)
 

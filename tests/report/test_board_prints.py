@@ -10,14 +10,23 @@ import pytest
 from needed import needed_program
 
 from ringpose.calibrate.boards.views import find_board
+from ringpose.errors import DataError
 from ringpose.report.board_print import A4_BOARDS, board_drawing, pdf
-from ringpose.types.board import Board, BoardView
+from ringpose.types.board import Board, BoardMarker, BoardView
 
 BOARDS = {
     **A4_BOARDS,
     "chessboard": Board(kind="chessboard", squares_x=8, squares_y=5, square_m=0.03),
     "aruco_grid": Board(
         kind="aruco_grid", squares_x=3, squares_y=2, marker_m=0.06, gap_m=0.02, dictionary="DICT_4X4_50"
+    ),
+    "marker_map": Board(
+        kind="marker_map",
+        dictionary="DICT_4X4_50",
+        markers=(
+            BoardMarker(id=30, corners_m=((0.0, 0.0), (0.06, 0.0), (0.06, 0.06), (0.0, 0.06))),
+            BoardMarker(id=4, corners_m=((0.2, 0.05), (0.2, 0.1), (0.15, 0.1), (0.15, 0.05))),  # turned clockwise
+        ),
     ),
     "aprilgrid": Board(
         kind="aprilgrid", squares_x=4, squares_y=3, marker_m=0.04, gap_m=0.012, dictionary="DICT_APRILTAG_36h11"
@@ -53,6 +62,14 @@ def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path):
     image = cv2.imread(str(tmp_path / "page.pgm"), cv2.IMREAD_GRAYSCALE)
     assert image.shape == (ceil(0.21 / INCH_M * dots_per_inch), ceil(0.297 / INCH_M * dots_per_inch))
     assert misplaced_m(image, BOARDS[kind], dots_per_inch) < 4e-5
+
+
+def test_a_marker_that_is_turned_is_not_drawn_upright():
+    marker = BoardMarker(id=30, corners_m=((0.03, 0.0), (0.06, 0.03), (0.03, 0.06), (0.0, 0.03)))
+    board = Board(kind="marker_map", dictionary="DICT_4X4_50", markers=(marker,))
+
+    with pytest.raises(DataError, match="marker 30 is turned"):
+        board_drawing(board)
 
 
 def test_the_pdf_requests_printing_without_scaling():

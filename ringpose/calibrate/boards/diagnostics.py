@@ -12,7 +12,7 @@ from ringpose.calibrate.boards.patterns.chessboard import Grid
 from ringpose.calibrate.boards.patterns.circles import blob_detector, brightened, circle_centers, negative
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage, reduced
 from ringpose.calibrate.boards.patterns.markers import Markers, find_markers
-from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary
+from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary, marker_ids
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
@@ -212,7 +212,7 @@ def _is_mirrored(grey: GreyImage, board: Board, number: int) -> bool:
     """
     border_cells = LAYOUTS[board.kind].border_cells
     mirrored = find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board), border_cells)
-    return int(np.sum(mirrored.ids < len(marker_corners(board)))) >= max(_MIN_MARKERS, 2 * number)
+    return int(np.isin(mirrored.ids, marker_ids(board)).sum()) >= max(_MIN_MARKERS, 2 * number)
 
 
 def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:

@@ -18,7 +18,7 @@ from ringpose.calibrate.boards.patterns.markers import (
     markers_of,
     other_layout,
 )
-from ringpose.geometry.board import LAYOUTS, corner_numbers, corner_points, marker_corners, marker_dictionary
+from ringpose.geometry.board import LAYOUTS, corner_numbers, corner_points, marker_dictionary, marker_ids
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 
@@ -89,8 +89,10 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
         markers = find_markers(grey, marker_dictionary(board), LAYOUTS[board.kind].border_cells)
     # Of a number that occurs twice, it is ambiguous which of the markers is the board's.
     _, index, count = np.unique(markers.ids, return_inverse=True, return_counts=True)
-    is_own = (markers.ids < len(marker_corners(board))) & (count[index] == 1)
-    own = Markers(ids=markers.ids[is_own], corners_px=markers.corners_px[is_own])
+    is_own = np.isin(markers.ids, marker_ids(board)) & (count[index] == 1)
+    places = {number: place for place, number in enumerate(marker_ids(board))}
+    own_places = np.array([places[number] for number in markers.ids[is_own].tolist()], dtype=np.int64)
+    own = Markers(ids=own_places, corners_px=markers.corners_px[is_own])
     correlation = 0.0
     if board.kind != "charuco":
         ids = corner_numbers(board)[own.ids].ravel()

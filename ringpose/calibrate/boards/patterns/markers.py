@@ -81,13 +81,14 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
         return None
     seen_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
     corners_m = cv2.perspectiveTransform(corners.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
-    side_m, side_px = board.marker_m or 1.0, np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
+    sides_m = np.linalg.norm(np.diff(marker_corners(board)[markers.ids], axis=1), axis=-1).mean(axis=1)
+    side_px = np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
     ratios = []
     for start, end in (([0, 3], [1, 2]), ([0, 1], [3, 2])):  # horizontal sides, vertical sides
-        ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / side_m))
+        ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / sides_m[:, None]))
         # For markers of this size, the bias of the corners can explain smaller deviations.
         ratios.append(ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0)
-    center_error = float(np.median(np.linalg.norm(seen_m - center_m, axis=-1))) / side_m
+    center_error = float(np.median(np.linalg.norm(seen_m - center_m, axis=-1) / sides_m))
     return MarkerLayout(center_error=center_error, size_ratio=(ratios[0], ratios[1]))
 
 
@@ -101,7 +102,7 @@ def other_layout(board: Board, markers: Markers) -> str | None:
         if layout_on_other is not None and layout_on_other.center_error < MAX_CENTER_ERROR:
             legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
             return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
-    return "nor with any other squares_x"
+    return "nor with any other squares_x" if board.squares_x else ""
 
 
 def _other_boards(board: Board, last: int) -> Iterator[Board]:
