@@ -88,7 +88,13 @@ class Ring:
 
     def break_points_m(self, lasers: LaserPlanes) -> np.ndarray:
         """Where each light plane meets each edge, on the side of the ring nearer to the camera's axis."""
-        points = np.full((len(lasers.normal), 2, 3), np.nan)
+        points = self.crossings_m(lasers)
+        nearer = np.abs(points[..., 0] / points[..., 2]).argmin(axis=-1)
+        return np.take_along_axis(points, nearer[..., None, None], axis=2)[:, :, 0]
+
+    def crossings_m(self, lasers: LaserPlanes) -> np.ndarray:
+        """Both places where each light plane meets each edge, (laser, edge, left or right, xyz)."""
+        points = np.full((len(lasers.normal), 2, 2, 3), np.nan)
         first = np.cross(self.normal, [0.3, 1.0, 0.2])
         first /= np.linalg.norm(first)
         axes = np.stack([first, np.cross(self.normal, first)])
@@ -99,7 +105,7 @@ class Ring:
                 u = (a * c + np.array([-1, 1]) * b * root) / (a * a + b * b)
                 v = (b * c - np.array([-1, 1]) * a * root) / (a * a + b * b)
                 both = self.center_m + np.stack([u, v], axis=-1) @ axes
-                points[laser, edge] = both[np.argmin(np.abs(both[:, 0] / both[:, 2]))]
+                points[laser, edge] = both[np.argsort(both[:, 0])]
         return points
 
 

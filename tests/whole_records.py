@@ -226,7 +226,7 @@ def full_detection(rng: np.random.Generator, centers: int = 50) -> Detection:
         shot="a",
         stamp_s=1.7e9,
         advice="shorter exposure",
-        break_points=replace(break_points(rng), repeated=repeated),
+        break_points=replace(break_points(rng), repeated=repeated, opposite=break_points(rng)),
         ring=JudgedRing(
             origin_m=rng.normal(size=3),
             axes=np.linalg.qr(rng.normal(size=(3, 3)))[0],

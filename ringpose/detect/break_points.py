@@ -94,7 +94,30 @@ def break_points(
     rig: Rig,
     saturation_dn: int,
 ) -> BreakPoints:
-    """Break points of the face's stripes, with left ends first named as on the inner edge; `segments`: all segments."""
+    """Break points of the face's stripes; `segments`: all segments.
+
+    Where one arc of the ring is seen, left ends are first named as on the inner edge. If both are seen, the edges are
+    known, and a stripe that passes beside the hole has one outer end on each arc, its line on the first one.
+    """
+    points = _on_arc(face, segments, images, rig, saturation_dn)
+    if face.opposite is None:
+        return points
+    beyond = _on_arc(face.opposite, segments, images, rig, saturation_dn)
+    lasers = range(len(rig.lasers.names))
+    joined = np.array([face.passes_beside_hole(laser) for laser in lasers])
+    inner = np.outer(joined, [edge == "inner" for edge in EDGES])
+    nothing = np.zeros_like(joined)
+    return replace(points.without(inner, nothing), opposite=beyond.without(inner, joined))
+
+
+def _on_arc(
+    face: Face,
+    segments: Float64[Array, "segment column=11"],
+    images: Sequence[LaserImage],
+    rig: Rig,
+    saturation_dn: int,
+) -> BreakPoints:
+    """The break points on one arc, of its stripes' two ends each."""
     ends = _measured(_with_common_bluntness(_ends(face, images, rig, saturation_dn)), rig.camera)
     beside = beside_occluder(ends, segments, rig)
     hidden, stamp_s = np.zeros_like(beside), np.full(len(rig.lasers.names), np.nan)
@@ -103,7 +126,7 @@ def break_points(
         stamp_s[shown] = image.stamp_s
         hidden |= beside_left_out(ends.position_px, image)
     flags = np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0) | np.where(hidden, int(BreakPointFlag.UNCLEAR), 0)
-    return BreakPoints(
+    points = BreakPoints(
         position_px=np.where(hidden[..., None], np.nan, ends.position_px),
         covariance_px2=np.where(hidden[..., None, None], np.nan, ends.covariance_px2),
         flags=ends.flags | flags,
@@ -115,6 +138,7 @@ def break_points(
         ),
         stamp_s=stamp_s,
     )
+    return points.with_edges_exchanged() if face.outer_end == 0 else points
 
 
 class BreakPointsOnRing(NamedTuple):
@@ -138,25 +162,32 @@ def without_outliers(
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         measured = measurements_of(points, rig, camera=camera)
-        best = decision(measured, prior, labelled=points.labelled, edges_named=False)
+        best = decision(measured, prior, labelled=points.labelled, edges_named=points.opposite is not None)
     if best is not None and straight(*best.estimate.curvature_alone):
         return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:
         points = points.with_edges_exchanged()
-    flags = points.flags.copy()
     if best is None or not best.side_known:
-        flags[points.seen.any(axis=1)] |= int(BreakPointFlag.EDGE_UNKNOWN)
-    left_out = np.zeros(points.flags.shape, dtype=bool)
+        unknown = np.where(points.seen.any(axis=1, keepdims=True), int(BreakPointFlag.EDGE_UNKNOWN), 0)
+        points = replace(points, flags=points.flags | unknown)
     clear = best is not None and not best.competing and Finding.UNEXPLAINED not in best.findings
     rejected = tuple(each for each in best.rejected if each.what in ("point", "stripe")) if best and clear else ()
+    kept = _without(points, [each for each in rejected if not each.opposite], rig)
+    if points.opposite is not None:
+        beyond = [each for each in rejected if each.opposite or each.what == "stripe"]
+        kept = replace(kept, opposite=_without(points.opposite, beyond, rig))
+    return BreakPointsOnRing(kept, rejected, _judged_ring(best, measured) if best and clear else None)
+
+
+def _without(points: BreakPoints, rejected: Sequence[Rejection], rig: Rig) -> BreakPoints:
+    """The break points without rejected ones, which are flagged as occluded, and without the lines of such stripes."""
+    left_out = np.zeros(points.flags.shape, dtype=bool)
     for each in rejected:
         laser = rig.lasers.names.index(each.laser or "")
         left_out[laser, slice(None) if each.edge is None else EDGES.index(each.edge)] = True
-    flags[left_out] |= int(BreakPointFlag.OCCLUDED)
-    stripes = [each.laser or "" for each in rejected if each.what == "stripe"]
-    without_line = np.isin(rig.lasers.names, stripes)
-    kept = replace(points, flags=flags).without(left_out, without_line)
-    return BreakPointsOnRing(kept, rejected, _judged_ring(best, measured) if best and clear else None)
+    without_line = np.isin(rig.lasers.names, [each.laser or "" for each in rejected if each.what == "stripe"])
+    flags = points.flags | np.where(left_out, int(BreakPointFlag.OCCLUDED), 0)
+    return replace(points, flags=flags).without(left_out, without_line)
 
 
 def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None:
@@ -207,7 +238,22 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
     ]
     ends = stripe_ends(lit, lens(rig.camera), EndParams(saturation_dn=saturation_dn))
     lasers = [face.lasers[number] for number in order]
+    if face.crossing_sine is not None:
+        ends = _not_grazing(ends, face.crossing_sine[order])
     return flagged_ends(face.segments[order], ends, lasers, rig)
+
+
+def _not_grazing(
+    ends: Float64[Array, "segment end=2 column=10"], crossing_sine: Float64[Array, "segment end=2"]
+) -> Float64[Array, "segment end=2 column=10"]:
+    """The ends, NaN where a stripe grazes its edge, so that the fall along it is longer than the columns of the fit.
+
+    An edge that a stripe with the section sigma s crosses at the angle a is met over 4 s / tan(a) columns.
+    """
+    section = ends[..., END_COLUMNS.index("section_sigma")]
+    cosine = np.sqrt(np.maximum(1.0 - crossing_sine**2, 0.0))
+    grazing = 4.0 * section * cosine > (INSIDE_COLUMNS + OUTSIDE_COLUMNS) * crossing_sine
+    return np.where(grazing[..., None] & (np.arange(len(END_COLUMNS)) < 2), np.nan, ends)
 
 
 # Positions of the ends, by the compiled loops of kernels/ends

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -234,9 +235,10 @@ def ring_near_prediction(view: View, prior: Prior) -> RingSearch | None:
         return None
     search = _ring_search(*searched, [] if predicted.labelled else view.unlabelled_lasers())
     points = search.break_points
-    if isinstance(points, NoBreakPoints) or (predicted.seen & np.isnan(points.position_px[..., 0])).any():
+    if isinstance(points, NoBreakPoints):
         return None
-    return search
+    whole = any(bool((arc.seen >= predicted.seen).all()) for arc in (points, points.arcs_exchanged()))
+    return search if whole else None
 
 
 def ring_in_whole_frames(view: View, prior: Prior, source: StripeSource) -> RingSearch:
@@ -358,15 +360,15 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
     """
     x, y = stripes.position_px.T
     near = np.zeros((len(stripes.laser), len(rig.lasers.names)))
-    for laser in image.lasers:
-        ends = np.stack([predicted.face_start_undistorted_px[laser], predicted.face_end_undistorted_px[laser]])
+    for laser, arc in product(image.lasers, predicted.arcs):
+        ends = np.stack([arc.face_start_undistorted_px[laser], arc.face_end_undistorted_px[laser]])
         if not np.isfinite(ends).all():
             continue
         (left, first), (right, last) = sorted(project(undistorted_rays(ends, rig.camera), rig.camera).tolist())
-        tolerance_px = ON_PREDICTED_SIGMAS * float(predicted.face_sigma_px[laser].max()) + ON_PREDICTED_PX
+        tolerance_px = ON_PREDICTED_SIGMAS * float(arc.face_sigma_px[laser].max()) + ON_PREDICTED_PX
         on = np.abs(y - np.interp(x, [left, right], [first, last])) < tolerance_px
         on &= (x > left - tolerance_px) & (x < right + tolerance_px)
-        near[:, laser] = np.bincount(stripes.piece[on], minlength=len(stripes.laser))
+        near[:, laser] += np.bincount(stripes.piece[on], minlength=len(stripes.laser))
     return replace(stripes, laser=np.where(near.any(axis=1), near.argmax(axis=1), UNLABELLED))
 
 
@@ -500,7 +502,7 @@ def select_face(segments: Float64[Array, "segment column=11"], unlabelled: Seque
     face = ring_face(segments, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, segments, rig):
         raise Stop(NoBreakPoints.CONTRADICTED_MASKS)
-    if (face is None or len(face.lasers) < CONFIRMED) and stripes_behind_camera(segments, rig):
+    if (face is None or not face.is_confirmed) and stripes_behind_camera(segments, rig):
         raise Stop(NoBreakPoints.CONTRADICTED_RIG)
     if face is None:
         raise Stop(NoBreakPoints.NO_RING)
@@ -558,7 +560,7 @@ def _dark_frame_lit(image: LaserImage) -> bool:
 
 def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment column=11"], rig: Rig) -> bool:
     """Whether the stripes fit a ring of three lasers only under an assignment that contradicts the laser masks."""
-    if face is not None and len(face.lasers) > 2:
+    if face is not None and face.is_confirmed:
         return False
     unlabelled = segments.copy()
     unlabelled[:, LASER] = UNLABELLED
@@ -625,8 +627,10 @@ def predicted_bands(
 
     Each window has a left and a right column, a top and a bottom row; right and bottom are exclusive.
     """
-    starts, stops = predicted.face_start_undistorted_px.tolist(), predicted.face_end_undistorted_px.tolist()
-    pairs = [[starts[laser], stops[laser]] for laser in lasers]
+    pairs = [
+        [arc.face_start_undistorted_px[laser].tolist(), arc.face_end_undistorted_px[laser].tolist()]
+        for arc, laser in product(predicted.arcs, lasers)
+    ]
     ends = [pair for pair in pairs if math.isfinite(sum(map(sum, pair)))]
     if not ends:
         return None

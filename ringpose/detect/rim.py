@@ -34,7 +34,7 @@ from ringpose.kernels.lines import (
     RingParams,
     UnionParams,
 )
-from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Camera, Rig
 
@@ -102,6 +102,24 @@ class Face:
     """Another segment is on a flat surface in front of these, which may be the face."""
     displaced: tuple[int, ...] = ()
     """Lasers whose segment on the ring is not in its plane (`_beside_band`, `displaced_lasers`)."""
+    outer_end: int | None = None
+    """Which ends are on the outer edge, 0 left or 1 right; None if one arc was seen, whose ends do not show it."""
+    crossing_sine: Float64[Array, "segment end=2"] | None = None
+    """Sines of the angles at which the ends cross their edges, if both arcs were seen."""
+    opposite: "Face | None" = None
+    """The segments on the opposite arc. One that passes beside the hole, from outer edge to outer edge, is on both."""
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether its segments are more than a coincidence: three of them, or stripes across both arcs."""
+        return len(self.lasers) >= CONFIRMED or self.opposite is not None
+
+    def passes_beside_hole(self, laser: int) -> bool:
+        """Whether the segment of a laser reaches from this arc to the opposite one."""
+        if self.opposite is None or laser not in self.lasers or laser not in self.opposite.lasers:
+            return False
+        own, other = (face.segments[face.lasers.index(laser)] for face in (self, self.opposite))
+        return bool(np.array_equal(own, other))
 
 
 class Group(NamedTuple):
@@ -116,6 +134,38 @@ class Group(NamedTuple):
     """Best score of the same segments with another assignment to lasers."""
 
 
+class Chord(NamedTuple):
+    """A stripe across the face of a ring of which both arcs are in view, or across one of them."""
+
+    laser: int
+    segment: int
+    """Index of the segment, or of the left one of two ..."""
+    second: int
+    """... and of the right one, on the opposite arc; -1 if there is none."""
+    left_edge: int
+    """Edge on which the first segment begins, 0 inner, 1 outer ..."""
+    right_edge: int
+    """... and on which it ends."""
+    crossing_sine: tuple[float, float, float, float]
+    """Sines of the angles at which the ends of both segments cross their edges; 0 for those of a missing one."""
+
+
+class Chords(NamedTuple):
+    """The best group of chords."""
+
+    score: float
+    rival: float
+    """Best score of the same segments with another assignment to lasers."""
+    chords: tuple[Chord, ...]
+    """One for each of two or three lasers; none if no stripe is seen on both arcs."""
+
+    @property
+    def are_convincing(self) -> bool:
+        """Whether foil hardly ever reaches the score, and no other assignment explains the segments about as well."""
+        number = len(self.chords)
+        return bool(number) and self.score > max(CONVINCING_SCORE[number], self.rival + CLEAR_MARGIN[number])
+
+
 class Faces(NamedTuple):
     """Hypotheses for the rim of the ring."""
 
@@ -123,6 +173,7 @@ class Faces(NamedTuple):
     """The given segments, followed by the merged ones."""
     groups: tuple[Group, Group, Group]
     """The best groups of one, two and three segments."""
+    chords: Chords
 
 
 def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
@@ -132,9 +183,11 @@ def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[in
     may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    every, found = ring_faces(
+    every, found, chords = ring_faces(
         segments, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
     )
+    if chords.are_convincing:
+        return face_of_both_arcs(chords, every, rig)
     groups: list[Group | None] = list(found)
     best = best_hypothesis(groups)
     while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
@@ -236,9 +289,41 @@ def ring_faces(
     and a tilt prior of sigma 0.5 rad.
     """
     segments, planes = np.ascontiguousarray(segments), np.ascontiguousarray(planes)
-    every, (one, two, three) = _kernels.faces(segments, unlabelled, planes, unions, candidates, ring)
+    every, (one, two, three), of_chords = _kernels.faces(segments, unlabelled, planes, unions, candidates, ring)
     groups = Group(*one), Group(*two), Group(*three)
-    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(SEGMENT_COLUMNS)), groups)
+    score, rival, chords = of_chords
+    both_arcs = Chords(score, rival, tuple(Chord(*chord) for chord in chords))
+    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(SEGMENT_COLUMNS)), groups, both_arcs)
+
+
+def face_of_both_arcs(chords: Chords, segments: Float64[Array, "segment column=11"], rig: Rig) -> Face:
+    """The face by a group of chords, from the arc nearer to the middle of the image, with the opposite arc."""
+    arcs = []
+    for side in range(2):  # on the left arc the left ends are on the outer edge
+        of_arc = {}
+        for chord in chords.chords:
+            if chord.second >= 0:
+                of_arc[chord.laser] = (chord.segment, chord.second)[side], chord.crossing_sine[2 * side : 2 * side + 2]
+            elif (chord.left_edge, chord.right_edge)[side] == EDGES.index("outer"):
+                of_arc[chord.laser] = chord.segment, chord.crossing_sine[:2]
+        numbers, sines = zip(*of_arc.values(), strict=True)
+        arcs.append(
+            Face(
+                lasers=tuple(of_arc),
+                segments=segments[list(numbers)],
+                score=chords.score,
+                ambiguous=False,
+                outer_end=side,
+                crossing_sine=np.array(sines),
+            )
+        )
+    optics = lens(rig.camera)
+    off_px = [
+        math.hypot(float(arc.segments[:, end].mean()) - optics.cx, float(arc.segments[:, MIDDLE_Y].mean()) - optics.cy)
+        for arc, end in zip(arcs, (X_START, X_END), strict=True)
+    ]
+    near, far = arcs if off_px[0] <= off_px[1] else reversed(arcs)
+    return replace(near, opposite=far)
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:

@@ -83,10 +83,13 @@ class Quantities(NamedTuple):
 def quantities(estimate: Estimate) -> Quantities:
     """Centre, radii and grasp point: the point on the middle of the face nearest to the mean of the break points.
 
+    These are the break points of one arc: the mean of those on both would be near the centre.
+
     The grasp point does not use the centre, so that it stays known where the centre is not.
     """
     arcs, residuals = estimate.arcs, estimate.residuals
-    rays = residuals.stripes.rays[residuals.ends :]
+    shown = residuals.ends + np.flatnonzero(residuals.described)
+    rays = residuals.stripes.rays[shown]
     mean_ray, normal = rays.mean(axis=0), arcs.axes[2]
     depth_m = float(arcs.origin @ normal) / float(mean_ray @ normal)
     mean_m = depth_m * mean_ray
@@ -100,7 +103,7 @@ def quantities(estimate: Estimate) -> Quantities:
     depth_wrt_step = np.zeros(PARAMETERS)
     depth_wrt_step[[TILT_INWARD, TILT_ALONG, LIFT]] = -offset[0], -offset[1], 1.0
     mean_wrt_ray = depth_m * (np.eye(3) - np.outer(mean_ray, normal) / float(mean_ray @ normal))
-    y_wrt_step = residuals.stripes.y_wrt_step[residuals.ends :, :PARAMETERS].mean(axis=0)
+    y_wrt_step = residuals.stripes.y_wrt_step[shown, :PARAMETERS].mean(axis=0)
     mean_wrt_step = np.outer(mean_ray, depth_wrt_step / float(mean_ray @ normal)) + np.outer(
         mean_wrt_ray[:, 1], y_wrt_step
     )
@@ -119,10 +122,12 @@ def quantities(estimate: Estimate) -> Quantities:
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
     jacobian[BAND_OUT, HALF_BAND] = 2.0
     along_wrt_ray = face_direction @ mean_wrt_ray[:, :2]
-    along_wrt_x = along_wrt_ray @ np.array([np.ones(len(rays)), residuals.stripes.slope[residuals.ends :]]) / len(rays)
+    along_wrt_x = np.zeros(len(residuals.described))
+    slope = residuals.stripes.slope[shown]
+    along_wrt_x[residuals.described] = along_wrt_ray @ np.array([np.ones(len(rays)), slope]) / len(rays)
     count = len(residuals.rate_sds)  # of the mean of the predicted break points, for a fixed ring: by rates, then rig
     mean_ray_wrt_rates = np.zeros((2, count))
-    y_wrt_rates = residuals.stripes.y_wrt_step[residuals.ends :, PARAMETERS : PARAMETERS + count]
+    y_wrt_rates = residuals.stripes.y_wrt_step[shown, PARAMETERS : PARAMETERS + count]
     mean_ray_wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
     return Quantities(
         normal=normal,

@@ -465,7 +465,9 @@ def _single_stripes(solved: Solved) -> list[Solved]:
     edges_contradict = Finding.WRONG_EDGES in solved.hypothesis.findings
     if len(measured.edges.edge) or len(measured.stripes) != STRIPES_OF_A_PLANE:
         return []
-    measured = measured.once()
+    if len(set(measured.points.laser[measured.points.opposite].tolist())) == STRIPES_OF_A_PLANE:
+        return []  # four more ends on the same circles
+    measured = measured.once().of_one_arc()
     found = []
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, assumptions):

@@ -125,25 +125,33 @@ def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:
 
 def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
     points = measured.points
-    for laser in sorted(set(points.laser.tolist())):
-        of_laser, name = np.flatnonzero(points.laser == laser), measured.rig.lasers.names[laser]
+    for laser, opposite in sorted(set(zip(points.laser.tolist(), points.opposite.tolist(), strict=True))):
+        is_of_piece = (points.laser == laser) & (points.opposite == opposite)
+        of_piece, name = np.flatnonzero(is_of_piece), measured.rig.lasers.names[laser]
         rejected = tuple(
-            Rejection(what="point", laser=name, edge="outer" if points.edge[number] else "inner")
-            for number in of_laser.tolist()
+            Rejection(what="point", laser=name, edge="outer" if points.edge[number] else "inner", opposite=opposite)
+            for number in of_piece.tolist()
         )
-        for number, rejection in zip(of_laser.tolist(), rejected, strict=True):
+        for number, rejection in zip(of_piece.tolist(), rejected, strict=True):
             rest = measured.with_points(np.arange(len(points.laser)) != number)
             occluded = bool(points.beside_occluder[number])
             penalty = PARAMETER_PENALTY + (OCCLUDED_PENALTY if occluded else OUTLIER_PENALTY)
-            alone = occluded and int(points.beside_occluder[of_laser].sum()) == 1
+            alone = occluded and int(points.beside_occluder[of_piece].sum()) == 1
             yield Hypothesis(rest, prior, Finding.WRONG_POINT, penalty, (rejection,), laser, cause_seen=alone)
-        if len(of_laser) > 1:
-            rest = measured.with_points(points.laser != laser)
+        if len(of_piece) > 1:
+            rest = measured.with_points(~is_of_piece)
             penalty = BOTH_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
             yield Hypothesis(rest, prior, Finding.WRONG_ENDS, penalty, tuple(dict.fromkeys(rejected)), laser)
 
 
 def _wrong_stripes(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
+    one_arc = measured.of_one_arc()
+    if one_arc is not measured:
+        names, points = measured.rig.lasers.names, measured.points
+        beyond = sorted(set(points.laser[points.opposite].tolist()))
+        rejected = tuple(Rejection(what="stripe", laser=names[laser], opposite=True) for laser in beyond)
+        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - one_arc.stripe_numbers)
+        yield Hypothesis(one_arc, prior, Finding.WRONG_STRIPE, penalty, rejected)
     seen = measured.lasers
     for laser in seen if len(seen) > 1 else []:
         rest, name = measured.without_laser(laser), measured.rig.lasers.names[laser]
@@ -247,6 +255,7 @@ def edge_evidence(estimate: Estimate, measured: Measurements) -> float:
     anywhere: ln N(0; 0, range^2 / 2 pi) = -ln(range). The edges count as those of the face, not as the feet of walls,
     whose depth would leave the prediction open.
     """
+    measured = measured.of_one_arc()
     if len(measured.points.x) + 2 * len(measured.lines.laser) > measured.stripe_numbers:
         measured = measured.once()  # it must not predict itself
     measured = replace(measured, edges=replace(measured.edges, walls=False))

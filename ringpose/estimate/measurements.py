@@ -75,6 +75,8 @@ class Lines(NamedTuple):
     """Derivatives of x and y for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
     stamp_s: Float64[Array, "line"]
     """Mid exposure of the stripe's frame; NaN if unknown."""
+    opposite: Bool[Array, "line"]
+    """Whether the piece lies on the opposite arc."""
 
 
 class Points(NamedTuple):
@@ -96,6 +98,19 @@ class Points(NamedTuple):
     """Whether the image shows a surface in front of the ring beside the point."""
     wrt_camera: Float64[Array, "point xy=2 parameter"]
     """Derivatives of x and y for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
+    opposite: Bool[Array, "point"]
+    """Whether the point lies on the arc opposite to that at which the ring is described."""
+
+    @property
+    def described(self) -> Bool[Array, "point"]:
+        """Whether the point is on the arc at which the ring is described: the opposite one if nothing else is seen."""
+        return np.ones(len(self.laser), dtype=bool) if self.opposite.all() else ~self.opposite
+
+    @property
+    def ends(self) -> Int64[Array, "point"]:
+        """A number for each end of a stripe, the same where it was measured again."""
+        numbers: Int64[Array, "point"] = 4 * self.laser + 2 * self.opposite + self.edge
+        return numbers
 
 
 class Observations(NamedTuple):
@@ -205,9 +220,15 @@ class Measurements:
     @cached_property
     def stripe_numbers(self) -> int:
         """Number of measured values of stripes and break points; a value that was measured twice counts once."""
-        ends = 2 * self.points.laser + self.points.edge
+        ends = self.points.ends
         distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
-        return 2 * len(self.stripes) + distinct
+        return 2 * len(set(self.pieces.tolist())) + distinct
+
+    @property
+    def pieces(self) -> Int64[Array, "line"]:
+        """A number for each piece of a stripe on an arc, the same where it was measured again."""
+        numbers: Int64[Array, "line"] = 2 * self.lines.laser + self.lines.opposite
+        return numbers
 
     @cached_property
     def stripes(self) -> list[int]:
@@ -216,8 +237,14 @@ class Measurements:
 
     def once(self) -> "Measurements":
         """The measurements with each stripe and break point once; repeated measurements in later frames are dropped."""
-        first = np.unique(2 * self.points.laser + self.points.edge, return_index=True)[1]
-        return self._selected(np.unique(self.lines.laser, return_index=True)[1], first)
+        first = np.unique(self.points.ends, return_index=True)[1]
+        return self._selected(np.unique(self.pieces, return_index=True)[1], first)
+
+    def of_one_arc(self) -> "Measurements":
+        """The measurements without those on the opposite arc."""
+        if not (self.points.opposite.any() or self.lines.opposite.any()):
+            return self
+        return self._selected(~self.lines.opposite, ~self.points.opposite)
 
     def _selected(self, lines: Array, points: Array) -> "Measurements":
         """The measurements with these lines and break points only, given by indices or by which to keep."""
@@ -271,6 +298,12 @@ def measurements_of(
         points_again, have_covariances = _points(break_points.repeated, lines_again, rig.camera)
         lines, points = _repeated_lines(lines, lines_again), _repeated_points(points, points_again)
         has_covariances = has_covariances and have_covariances
+    if break_points.opposite is not None:
+        lines_beyond = _lines(break_points.opposite, rig.camera, opposite=True)
+        every_line = Lines(*map(np.concatenate, zip(lines, lines_beyond, strict=True)))
+        points_beyond, have_covariances = _points(break_points.opposite, every_line, rig.camera, opposite=True)
+        lines, points = every_line, Points(*map(np.concatenate, zip(points, points_beyond, strict=True)))
+        has_covariances = has_covariances and have_covariances
     stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), _edges(ring_edges, rig.camera)
     reference_s = float(stamps.mean()) if len(stamps) else math.nan
     every = np.concatenate([stamps, edges.stamp_s])
@@ -286,7 +319,7 @@ def measurements_of(
     )
 
 
-def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
+def _lines(break_points: BreakPoints, camera: Camera, *, opposite: bool = False) -> Lines:
     """The lines of the stripes on the face that are known."""
     stamp_s = _stamps(break_points)
     line_px = np.stack([break_points.face_start_undistorted_px, break_points.face_end_undistorted_px], axis=1)
@@ -304,10 +337,11 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
         whitening=whitening,
         wrt_camera=wrt_camera.reshape(*line_xy.shape, wrt_camera.shape[-1]),
         stamp_s=stamp_s[has_line],
+        opposite=np.full(len(line_xy), opposite),
     )
 
 
-def _points(break_points: BreakPoints, lines: Lines, camera: Camera) -> tuple[Points, bool]:
+def _points(break_points: BreakPoints, lines: Lines, camera: Camera, *, opposite: bool = False) -> tuple[Points, bool]:
     """The break points that were seen, and whether all of these have a covariance."""
     laser, edge = np.nonzero(~np.isnan(break_points.position_px[..., 0]))
     xy = undistort(break_points.position_px[laser, edge], camera)
@@ -329,6 +363,7 @@ def _points(break_points: BreakPoints, lines: Lines, camera: Camera) -> tuple[Po
         stamp_s=_stamps(break_points)[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
         wrt_camera=wrt_camera,
+        opposite=np.full(len(laser), opposite),
     )
     return points, bool(has_covariance.all())
 
@@ -351,7 +386,7 @@ def _repeated_lines(first: Lines, again: Lines) -> Lines:
 
 def _repeated_points(first: Points, again: Points) -> Points:
     joined = Points(*map(np.concatenate, zip(first, again, strict=True)))
-    of_first, of_again, of_joined = (2 * each.laser + each.edge for each in (first, again, joined))
+    of_first, of_again, of_joined = (each.ends for each in (first, again, joined))
     variances = np.where(np.isin(of_joined, of_first) & np.isin(of_joined, of_again), REPEATED, 1.0)
     return joined._replace(
         covariance=joined.covariance * variances[:, None, None], sigma_x=joined.sigma_x * np.sqrt(variances)

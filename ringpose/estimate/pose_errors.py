@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.geometry.rays import intersect, rays
+from ringpose.geometry.rays import intersect, project, rays
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Camera
@@ -133,20 +133,51 @@ def misses_band(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera | Non
 
 
 def outside_arc(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera) -> bool:
-    """Whether a grasp point lies outside the arc between the outermost true break points.
+    """Whether a grasp point lies outside the arc between the outermost true break points, and the one opposite to it.
 
-    The arc is extended by half the width of the rim at each end, because the arc of a single stripe is very short.
+    An arc is extended by half the width of the rim at each end, because the arc of a single stripe is very short.
     """
     if truth.center_m is None or truth.normal is None or truth.break_points_px is None:
         return False
     points = _points_on_ring(truth.break_points_px, truth.center_m, truth.normal, camera)
     if not len(points):
         return False
+    opposite = _in_image(_opposite_points(truth.break_points_px, truth.center_m, truth.normal, camera), camera)
+    return _beside_arc(grasp_m, points, truth) and (not len(opposite) or _beside_arc(grasp_m, opposite, truth))
+
+
+def _beside_arc(grasp_m: Float64[Array, "3"], points: Float64[Array, "point xyz=3"], truth: Truth) -> bool:
+    """Whether a grasp point lies beside the arc between the outermost of some points on the ring."""
+    if truth.center_m is None or truth.normal is None:
+        return False
     middle = (points - truth.center_m).mean(axis=0)
     angles = _angles_rad(points - truth.center_m, middle, truth.normal)
     grasp = _angles_rad((grasp_m - truth.center_m)[None], middle, truth.normal)[0]
     margin_rad = _half_rim_width_rad(truth)
     return not angles.min() - margin_rad <= grasp <= angles.max() + margin_rad
+
+
+def _opposite_points(
+    break_points_px: Float64[Array, "laser edge=2 xy=2"],
+    center_m: Float64[Array, "3"],
+    normal: Float64[Array, "3"],
+    camera: Camera,
+) -> Float64[Array, "point xyz=3"]:
+    """Where the lines of the stripes with two break points leave the ring on its opposite arc."""
+    both = ~np.isnan(break_points_px[..., 0]).any(axis=1)
+    ends = intersect(rays(break_points_px[both], camera).reshape(-1, 3), normal, np.asarray(normal @ center_m))
+    inner, outer = ends.reshape(-1, 2, 3).swapaxes(0, 1)
+    along = (outer - inner) / np.linalg.norm(outer - inner, axis=1, keepdims=True)
+    from_foot_m = ((ends.reshape(-1, 2, 3) - center_m) * along[:, None]).sum(axis=-1)  # along the stripe
+    opposite = ends.reshape(-1, 2, 3) - 2.0 * from_foot_m[..., None] * along[:, None]
+    return opposite.reshape(-1, 3)
+
+
+def _in_image(points_m: Float64[Array, "n xyz=3"], camera: Camera) -> Float64[Array, "shown xyz=3"]:
+    """The points that project into the image."""
+    size_px = np.array([camera.image_width, camera.image_height]) - 1.0
+    position_px = project(points_m, camera)
+    return points_m[((position_px >= 0.0) & (position_px <= size_px)).all(axis=1)]
 
 
 def _points_on_ring(

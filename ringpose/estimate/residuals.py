@@ -22,7 +22,7 @@ from ringpose.geometry.ring import (
     RingArcs,
     StripePrediction,
 )
-from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.assumptions import Assumptions
 from ringpose.types.pose import KnownRadii
 
@@ -112,6 +112,8 @@ class Residuals(NamedTuple):
     distance_scale: Float64[Array, "point"]
     """1 / standard deviation of that distance."""
     ordinates: OrdinateScale
+    described: Bool[Array, "point"]
+    """Whether a break point lies on the arc at which the ring is described."""
 
 
 class FixedColumns(NamedTuple):

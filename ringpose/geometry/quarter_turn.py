@@ -151,6 +151,7 @@ class QuarterTurn:
             face_start_undistorted_px=self.points(points.face_start_undistorted_px),
             face_end_undistorted_px=self.points(points.face_end_undistorted_px),
             repeated=None if points.repeated is None else self.break_points(points.repeated),
+            opposite=None if points.opposite is None else self.break_points(points.opposite),
         )
 
     def edges(self, edges: RingEdgePoints) -> RingEdgePoints:

@@ -112,6 +112,15 @@ class RingArcs:
             half_band_m=self.half_band_m,
         )
 
+    def at_opposite_arc(self) -> "RingArcs":
+        """The same ring, described about the point of its face's middle that is opposite to the origin."""
+        return RingArcs(
+            origin=self.origin + 2.0 * self.mean_radius_m * self.axes[0],
+            axes=np.array([-self.axes[0], -self.axes[1], self.axes[2]]),
+            curvature=self.curvature,
+            half_band_m=self.half_band_m,
+        )
+
     def predict(
         self,
         time_s: float | Float64[Array, "*instant"],

@@ -18,6 +18,7 @@ MAX_POINTS: int
 MAX_LASERS: int
 
 _Group = tuple[tuple[int, ...], tuple[int, ...], float, float]
+_Chord = tuple[int, int, int, int, int, tuple[float, float, float, float]]
 
 def gradient(image: Array, bits: int, upper: int, magnitude: Array, /) -> tuple[bytes, bytes]: ...
 def chains(
@@ -39,7 +40,7 @@ def stripe_segments(
 def arcs(points: Array, arc: Array, arcs: Array, /) -> None: ...
 def faces(
     segments: Array, unlabelled: int, planes: Array, unions: _Record, candidates: _Record, ring: _Record, /
-) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
+) -> tuple[bytes, tuple[_Group, _Group, _Group], tuple[float, float, tuple[_Chord, ...]]]: ...
 def ends(images: tuple[tuple[Array, Array | None, Array], ...], lens: _Record, params: _Record, /) -> bytes: ...
 def edge_places(
     point: Array,

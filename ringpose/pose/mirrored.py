@@ -37,7 +37,7 @@ def fits_if_mirrored(
 
 
 def mirrored(break_points: BreakPoints, camera: Camera) -> BreakPoints:
-    """The break points as they would be in the mirror image; those of repeated frames are left out."""
+    """The break points on one arc as they would be in the mirror image; those of repeated frames are left out."""
     return replace(
         break_points,
         position_px=_mirrored_px(break_points.position_px, camera),
@@ -46,6 +46,7 @@ def mirrored(break_points: BreakPoints, camera: Camera) -> BreakPoints:
         face_end_undistorted_px=_mirrored_undistorted_px(break_points.face_start_undistorted_px, camera),
         face_sigma_px=break_points.face_sigma_px[:, ::-1],
         repeated=None,
+        opposite=None,
     )
 
 

@@ -170,6 +170,8 @@ def _draw_ring_edges(picture: UInt8[Array, "row column 3"], edges: RingEdgePoint
 
 
 def _draw_break_points(picture: UInt8[Array, "row column 3"], points: BreakPoints, rejected: Rejected) -> None:
+    if points.opposite is not None:
+        _draw_break_points(picture, points.opposite, rejected)
     for laser in np.flatnonzero(points.seen.all(axis=1)).tolist():
         inner, outer = _fixed(points.position_px[laser])
         color = REJECTED_COLOR if (laser, None) in rejected else color_of(laser)

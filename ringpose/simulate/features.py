@@ -189,11 +189,20 @@ def draw_detection(
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
-            points = _drawn_points(stripes, appearance, noise, outliers, seen)
+            points = _drawn_points(stripes, appearance, noise, outliers.shift_px, seen)
             stamp = np.where(seen, stamp_s + shown_s, np.nan)
             break_points = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
             edges = _drawn_edges(scene, appearance, common, shot_motion, middle_s, stamp_s, unit, moving=moving)
+            beyond = shot_motion._replace(arcs=shot_motion.arcs.at_opposite_arc())
+            stripes = stripe_ends(scene.ring, appearance, common, beyond, when_s, outliers.behind_m)
+            seen &= np.isfinite(stripes.start_px[:, 0])
+            if seen.any():
+                noise = rng.standard_normal((lasers, 4)) * deviations.noise
+                points = _drawn_points(stripes, appearance, noise, np.zeros((lasers, 2)), seen)
+                stamp = np.where(seen, stamp_s + shown_s, np.nan)
+                opposite = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
+                break_points = replace(break_points, opposite=opposite)
     detection = Detection(
         shot=view.name,
         stamp_s=stamp_s + first_s,
@@ -239,10 +248,13 @@ def _drawn_points(
     stripes: StripeEnds,
     appearance: Appearance,
     unit: Float64[Array, "laser 4"],
-    outliers: _Outliers,
+    shift_px: Float64[Array, "laser edge=2"],
     seen: Bool[Array, "laser"],
 ) -> BreakPoints:
-    """Break points and lines with errors made from standard normal numbers `unit`; the lines in distorted pixels."""
+    """Break points and lines with errors made from standard normal numbers `unit`; the lines in distorted pixels.
+
+    `shift_px`: further errors along the stripes.
+    """
     lasers, left = np.arange(len(seen)), stripes.edge_at_start
     chord_px = stripes.end_px - stripes.start_px
     columns = chord_px[:, 0]
@@ -262,7 +274,7 @@ def _drawn_points(
     across_px = np.empty((len(seen), 2))
     across_px[lasers, left], across_px[lasers, 1 - left] = middle_px - tilt_px, middle_px + tilt_px
 
-    along_px = appearance.end_sigma_px * unit[:, 2:] + outliers.shift_px
+    along_px = appearance.end_sigma_px * unit[:, 2:] + shift_px
     direction = np.stack([np.ones(len(seen)), chord_px[:, 1] / chord_px[:, 0]], axis=1)
     position_px = stripes.true_px + along_px[..., None] * direction[:, None]
     position_px[..., 1] += across_px

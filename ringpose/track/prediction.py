@@ -1,5 +1,7 @@
 """What the next frames should show of a tracked ring: the stripes on its face, and how well they are predicted."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringpose.detect.edge_search import PredictedRing
@@ -64,11 +66,20 @@ def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | Non
         turned = [PredictedRing(arcs=turn.arcs(ring.arcs), covariance=ring.covariance) for ring in rings]
         predicted = predicted_stripes(turned, rig_along_rows(rig))
         return None if predicted is None else to_columns(rig.camera).break_points(predicted)
+    points = _stripes_on_arc(rings, rig, [ring.arcs for ring in rings])
+    if points is None:
+        return None
+    beyond = _stripes_on_arc(rings, rig, [ring.arcs.at_opposite_arc() for ring in rings])
+    return replace(points, opposite=beyond)
+
+
+def _stripes_on_arc(rings: list[PredictedRing], rig: Rig, arcs: list[RingArcs]) -> BreakPoints | None:
+    """The stripes on the arc of each laser's ring at which it is described by `arcs`; None as `predicted_stripes`."""
     camera, count = rig.camera, len(rings)
     points_m, sigma_px = np.full((count, 2, 3), np.nan), np.full((count, 2, 2), np.nan)
     with np.errstate(all="ignore"):  # a plane that misses the ring has NaN
         for laser, ring in enumerate(rings):
-            of_all_m = predicted_break_points(ring.arcs, rig.lasers.normal, rig.lasers.distance_m)
+            of_all_m = predicted_break_points(arcs[laser], rig.lasers.normal, rig.lasers.distance_m)
             points_m[laser] = of_all_m[laser]
             sigma_px[laser] = break_point_sigmas_px(ring.arcs, ring.covariance, of_all_m, rig)[laser]
         points_m[(points_m[..., 2] <= 0.0).any(axis=1)] = np.nan  # behind the camera

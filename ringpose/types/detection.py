@@ -123,6 +123,20 @@ class BreakPoints:
     ] = None
     repeated: "BreakPoints | None" = None
     """The break points in a frame with several lasers on, at another time; NaN where one was not measured again."""
+    opposite: "BreakPoints | None" = None
+    """The break points on the opposite arc of the ring, in the same frames; None if one arc was seen. A stripe that
+    passes beside the hole has its line here or there, not twice."""
+
+    @property
+    def arcs(self) -> tuple["BreakPoints", ...]:
+        """The break points on each arc that was seen."""
+        return (self,) if self.opposite is None else (self, self.opposite)
+
+    def arcs_exchanged(self) -> "BreakPoints":
+        """The break points described from the opposite arc, without those measured again, which are on this arc."""
+        if self.opposite is None:
+            return self
+        return replace(self.opposite, opposite=replace(self, opposite=None, repeated=None))
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
@@ -155,6 +169,7 @@ class BreakPoints:
             covariance_px2=self.covariance_px2[:, ::-1],
             flags=self.flags[:, ::-1],
             repeated=None if self.repeated is None else self.repeated.with_edges_exchanged(),
+            opposite=None if self.opposite is None else self.opposite.with_edges_exchanged(),
         )
 
 
@@ -266,6 +281,9 @@ class Rejection:
     what: Annotated[Literal["point", "stripe", "edge", "assignment", "radius"], Key("What was rejected.", grows=True)]
     laser: Annotated[str | None, Key("Null where it does not apply.")] = None
     edge: Annotated[Literal["inner", "outer"] | None, Key("Null where it does not apply.")] = None
+    opposite: Annotated[
+        bool, Key("Whether it is on the arc of the ring that is opposite to the grasp point.", added=True)
+    ] = False
     chi2: Annotated[float, Key("By how much it reduces chi-squared; null if that was not computed.", null=math.nan)] = (
         math.nan
     )
@@ -346,10 +364,15 @@ class Detection:
 
     @classmethod
     def from_record(
-        cls, reason: str | None, measured: BreakPoints | None, repeated: BreakPoints | None, **keys: Any
+        cls,
+        reason: str | None,
+        measured: BreakPoints | None,
+        repeated: BreakPoints | None,
+        opposite: BreakPoints | None = None,
+        **keys: Any,
     ) -> "Detection":
         """The detection of a record, which has either a known reason or break points."""
-        points = NoBreakPoints(reason) if measured is None else replace(measured, repeated=repeated)
+        points = NoBreakPoints(reason) if measured is None else replace(measured, repeated=repeated, opposite=opposite)
         return cls(break_points=points, **keys)
 
     @property
@@ -389,10 +412,30 @@ class Detection:
         return None if self.measured is None else self.measured.repeated
 
     @property
+    def opposite(
+        self,
+    ) -> Annotated[
+        BreakPoints | None,
+        Key(
+            "The same as `break_points` for the ends on the opposite arc of the ring, if the shot shows both; null "
+            "otherwise. A stripe that passes beside the hole has one outer end here and one there.",
+            after="repeated",
+            is_read=True,
+            added=True,
+        ),
+    ]:
+        """See `BreakPoints`."""
+        return None if self.measured is None else self.measured.opposite
+
+    @property
     def contradiction(self) -> tuple[str, str] | None:
         """The key and the finding of values that contradict each other; None if they do not."""
         lasers = None if self.measured is None else len(self.measured.position_px)
-        counts = {"lasers_on": self.lasers_on, "repeated": None if self.repeated is None else self.repeated.flags}
+        counts = {
+            "lasers_on": self.lasers_on,
+            "repeated": None if self.repeated is None else self.repeated.flags,
+            "opposite": None if self.opposite is None else self.opposite.flags,
+        }
         for key, of_lasers in counts.items():
             if lasers is not None and of_lasers is not None and len(of_lasers) != lasers:
                 return key, f"has {len(of_lasers)} lasers, break_points has {lasers}"

@@ -215,7 +215,7 @@ WRITTEN: Mapping[str, Values] = {name: record_of(RECORDS[name].write(known)) for
 
 def earlier_detection(values: Values) -> Values:
     """As version 1 had it."""
-    added = ("lasers_on", "rejected", "rig", "ring", "repeated", "software")
+    added = ("lasers_on", "rejected", "rig", "ring", "repeated", "opposite", "software")
     parts = ("break_points", "stripes", "segments", "ring_edges")
     older = {part: {key: value for key, value in values[part].items() if key != "stamp_s"} for part in parts}
     kept = {key: value for key, value in (values | older).items() if key not in added}

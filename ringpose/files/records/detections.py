@@ -122,6 +122,7 @@ def _check_positions(detection: Detection, camera: Camera, location: str) -> Non
     for part, points, names in (
         ("break_points", detection.measured, tuple(MAX_OFFSET)),
         ("repeated", detection.repeated, tuple(MAX_OFFSET)),
+        ("opposite", detection.opposite, tuple(MAX_OFFSET)),
         ("ring_edges", detection.ring_edges, ("position_px",)),
     ):
         for name in () if points is None else names:

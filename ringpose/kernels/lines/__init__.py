@@ -145,6 +145,11 @@ class RingParams:
     """Penalty of each laser whose stripe is missing where the plane predicts it: occluded, or this is not the rim."""
     max_tilt_rad: float = math.radians(75)
     """Maximum tilt: beyond, a face is too oblique to show a stripe of usable length."""
+    min_chord_ends: int = 7
+    """Fewest own ends of stripes that cross both arcs of a ring: two circles about one centre have four unknowns, and a
+    group on one arc has two ends more. With one less, a bracket beside an arc may be taken for the other arc."""
+    agreement: float = 3.0
+    """Gain of such a group by each end on its circles: the log of the range of an end by chance over its sigma."""
     left_x: float = -math.inf
     """Ends to the left of this normalised x, ..."""
     right_x: float = math.inf

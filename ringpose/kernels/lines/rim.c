@@ -1,6 +1,9 @@
 /* Which segments lie on the rim of one planar ring. Collinear segments are merged (pieces of a stripe that speckle, a glint
-   or a bracket interrupts), candidates are ranked for each laser, and every group of one segment for each of up to three
-   lasers is scored: merits less the costs of a common plane, two concentric circles, missing stripes and tilt. */
+   or a bracket interrupts), candidates are ranked for each laser, and every group of one candidate for each of up to three
+   lasers is scored: merits less the costs of a common plane, two concentric circles, missing stripes and tilt.
+
+   Where both arcs of a ring are in view, a stripe crosses the face in two pieces, or in one with two outer ends where it
+   passes beside the hole (method(7), section 14): chords, which are searched in the same way. */
 #include "arguments.h"
 
 #include <math.h>
@@ -56,6 +59,8 @@ RECORD(CandidateParams, CANDIDATE_PARAMS);
     REAL(dropped_end_penalty, FINITE)                                                                               \
     REAL(unseen_penalty, FINITE)                                                                                    \
     REAL(max_tilt_rad, FINITE)                                                                                      \
+    COUNT(min_chord_ends, 5, 12)                                                                                    \
+    REAL(agreement, NOT_NEGATIVE)                                                                                   \
     REAL(left_x, -INFINITY, INFINITY)                                                                               \
     REAL(right_x, -INFINITY, INFINITY)                                                                              \
     REAL(top_y, -INFINITY, INFINITY)                                                                                \
@@ -63,12 +68,16 @@ RECORD(CandidateParams, CANDIDATE_PARAMS);
 RECORD_STRUCT(RingParams, RING_PARAMS);
 RECORD(RingParams, RING_PARAMS);
 
-/* A segment with a hypothetical laser. */
+enum { INNER, OUTER };
+
+/* A segment, or two on one line, with a hypothetical laser. */
 typedef struct {
-    int32_t segment, laser;
-    double x[2], y[2];       /* normalised image coordinates of its start and end */
-    double inverse_depth[2]; /* 1/z there, 1/m */
-    int own[2];              /* whether the stripe itself ends there: neither at the border nor at something that hides it */
+    int32_t segment[2], laser; /* the second one is -1 if there is none */
+    int ends;                  /* two for each segment */
+    int edge[4];               /* the edge on which each end of a chord lies; of a piece 0 for its start, 1 for its end */
+    double x[4], y[4];         /* normalised image coordinates of start and end */
+    double inverse_depth[4];   /* 1/z there, 1/m */
+    int own[4];                /* whether the stripe itself ends there: neither at the border nor at something that hides it */
     double merit;
     double coincidence_bonus; /* what a group of three adds to the merit */
     double normal_matrix[6], right_side[3], square; /* of the weighted plane equations: upper triangle, sums */
@@ -88,18 +97,24 @@ enum { MAX_MEMBERS = 3 };
 typedef struct {
     int32_t index[MAX_MEMBERS];
     double score, runner_up; /* runner_up: best score of the same segments with other lasers; minus infinity if none */
+    double gained;           /* of chords: the score, and what is gained by the ends that agree */
 } Best;
 
 /* True if the second segment, to the right, may lie on the line of the first. */
-static int may_continue(const Segment *first, const Segment *second, const UnionParams *params) {
+static int on_one_line(const Segment *first, const Segment *second, const UnionParams *params) {
     double gap = second->x_start - first->x_end;
-    double lengths = first->x_end - first->x_start + second->x_end - second->x_start;
-    if (first->laser != second->laser || !(gap > 0 && gap <= params->max_gap * lengths)) return 0;
+    if (first->laser != second->laser || !(gap > 0)) return 0;
     double middle = first->x_end + gap / 2, separation = fabs(line_y(first, middle) - line_y(second, middle));
     if (!(separation < params->max_separation_px)) return 0;
     double sigma = hypot(line_sigma(first, middle, middle_sigma(first, params->fit_dof, params->min_columns)),
                          line_sigma(second, middle, middle_sigma(second, params->fit_dof, params->min_columns)));
     return separation < params->separation_px + params->separation_sigmas * sigma;
+}
+
+/* True if, in addition, the gap between them is short. */
+static int may_continue(const Segment *first, const Segment *second, const UnionParams *params) {
+    double lengths = first->x_end - first->x_start + second->x_end - second->x_start;
+    return second->x_start - first->x_end <= params->max_gap * lengths && on_one_line(first, second, params);
 }
 
 /* The merged segment: line and scatter of all centres together, from the moments of both. */
@@ -163,11 +178,12 @@ static int unite_collinear(const Segment *segment, size_t count, const UnionPara
 }
 
 /* The ends in normalised image coordinates. */
-static void place(const Segment *segment, const RingParams *ring, Candidate *candidate) {
-    double end[2] = {segment->x_start, segment->x_end};
-    for (int side = 0; side < 2; side++) {
-        candidate->x[side] = (end[side] - ring->principal_x) / ring->focal_x;
-        candidate->y[side] = (line_y(segment, end[side]) - ring->principal_y) / ring->focal_y;
+static void place(const Segment *all, const RingParams *ring, Candidate *candidate) {
+    for (int e = 0; e < candidate->ends; e++) {
+        const Segment *segment = &all[candidate->segment[e / 2]];
+        double end = e % 2 ? segment->x_end : segment->x_start;
+        candidate->x[e] = (end - ring->principal_x) / ring->focal_x;
+        candidate->y[e] = (line_y(segment, end) - ring->principal_y) / ring->focal_y;
     }
 }
 
@@ -176,12 +192,12 @@ static int in_view(double x, double y, const RingParams *ring) {
     return !(x < ring->left_x || x > ring->right_x || y < ring->top_y || y > ring->bottom_y);
 }
 
-/* True if the segment, on that light plane, is within the depth range; fills in the inverse depths, 1/z = light . (x, y, 1). */
+/* True if all ends, on that light plane, are within the depth range; fills in the inverse depths, 1/z = light . (x, y, 1). */
 static int possible(const double light[3], const CandidateParams *params, Candidate *candidate) {
-    for (int side = 0; side < 2; side++) {
-        double w = light[0] * candidate->x[side] + light[1] * candidate->y[side] + light[2];
+    for (int e = 0; e < candidate->ends; e++) {
+        double w = light[0] * candidate->x[e] + light[1] * candidate->y[e] + light[2];
         if (!(w > 1 / params->max_depth_m && w < 1 / params->min_depth_m)) return 0;
-        candidate->inverse_depth[side] = w;
+        candidate->inverse_depth[e] = w;
     }
     return 1;
 }
@@ -217,8 +233,8 @@ static void rate(const Segment *segment, int is_union, const Scene *scene, Candi
    of the inverse depth, propagated from a pixel error across the segment. */
 static void complete(const double light[3], const RingParams *ring, Candidate *candidate) {
     double sigma = fmax(ring->across_sigma_px * fabs(light[1]) / ring->focal_y, 1e-12), weight = 1 / (sigma * sigma);
-    for (int side = 0; side < 2; side++) {
-        double x = candidate->x[side], y = candidate->y[side], w = candidate->inverse_depth[side];
+    for (int e = 0; e < candidate->ends; e++) {
+        double x = candidate->x[e], y = candidate->y[e], w = candidate->inverse_depth[e];
         double product[6] = {x * x, x * y, x, y * y, y, 1};
         for (int k = 0; k < 6; k++) candidate->normal_matrix[k] += weight * product[k];
         candidate->right_side[0] += weight * x * w;
@@ -257,16 +273,16 @@ static int hidden_beyond(const Segment *segment, int side, const Segment *other,
 
 /* Which ends are the stripe's own; returns the penalty of the others, infinite if the image's border cuts both off. */
 static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, Candidate *candidate) {
-    const Segment *segment = &all[candidate->segment];
     const CandidateParams *params = scene->candidates;
     double penalty = 0;
-    for (int side = 0; side < 2; side++) {
-        candidate->own[side] = in_view(candidate->x[side], candidate->y[side], scene->ring);
-        if (candidate->x[side] < scene->ring->left_x || candidate->x[side] > scene->ring->right_x)
+    for (int e = 0; e < candidate->ends; e++) {
+        const Segment *segment = &all[candidate->segment[e / 2]];
+        candidate->own[e] = in_view(candidate->x[e], candidate->y[e], scene->ring);
+        if (candidate->x[e] < scene->ring->left_x || candidate->x[e] > scene->ring->right_x)
             penalty += params->cut_penalty; /* not above or below, where the stripe leaves the image along its whole length */
-        for (size_t i = 0; candidate->own[side] && segment->laser >= 0 && i < pieces; i++)
-            if (all[i].laser == segment->laser && hidden_beyond(segment, side, &all[i], scene, scene->plane[candidate->laser])) {
-                candidate->own[side] = 0;
+        for (size_t i = 0; candidate->own[e] && segment->laser >= 0 && i < pieces; i++)
+            if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], scene, scene->plane[candidate->laser])) {
+                candidate->own[e] = 0;
                 penalty += params->covered_penalty;
             }
     }
@@ -280,9 +296,9 @@ static int find_candidates(const Segment *segment, size_t count, size_t unions, 
         int own = 0;
         for (size_t i = 0; i < count; i++) {
             int allowed = segment[i].laser < 0 ? scene->unlabelled >> laser & 1 : segment[i].laser == laser;
-            Candidate candidate = {.segment = (int32_t)i, .laser = laser};
+            Candidate candidate = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2, .edge = {0, 1}};
             if (!allowed) continue;
-            place(&segment[i], scene->ring, &candidate);
+            place(segment, scene->ring, &candidate);
             if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
             rate(&segment[i], i >= count - unions, scene, &candidate);
             candidate.merit -= judge_ends(segment, count - unions, scene, &candidate);
@@ -331,7 +347,7 @@ static int count_unseen_lasers(const Candidate *const member[], int size, const 
     const RingParams *params = scene->ring;
     double x = 0;
     int unseen_penalty = 0;
-    for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[1]) / (2 * size);
+    for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[member[i]->ends - 1]) / (2 * size);
     for (int laser = 0; laser < scene->lasers; laser++) {
         int in_group = 0;
         for (int i = 0; i < size; i++) in_group |= member[i]->laser == laser;
@@ -361,21 +377,27 @@ static double arcs_cost(const ArcPoint *end, int ends, double sigma) {
     return cost;
 }
 
+enum { MAX_ENDS = 4 * MAX_MEMBERS };
+
 /* Coordinates of a group's ends in their plane, x along the stripes; those that are not the stripe's own are marked as unused.
    Returns the mean depth. */
 static double flat_ends(const Candidate *const member[], int size, const double plane[3], ArcPoint *end) {
-    double point[2 * MAX_MEMBERS][3], middle[3] = {0}, along[3] = {0};
+    double point[MAX_ENDS][3], middle[3] = {0}, along[3] = {0};
+    int count = 0;
     for (int i = 0; i < size; i++)
-        for (int side = 0; side < 2; side++) {
-            double depth = 1 / member[i]->inverse_depth[side], *p = point[2 * i + side];
-            p[0] = member[i]->x[side] * depth;
-            p[1] = member[i]->y[side] * depth;
+        for (int e = 0; e < member[i]->ends; e++, count++) {
+            double depth = 1 / member[i]->inverse_depth[e], *p = point[count];
+            p[0] = member[i]->x[e] * depth;
+            p[1] = member[i]->y[e] * depth;
             p[2] = depth;
+            end[count].arc = member[i]->edge[e];
+            end[count].used = member[i]->own[e];
             for (int k = 0; k < 3; k++) {
-                middle[k] += p[k] / (2 * size);
-                along[k] += side ? p[k] : -p[k];
+                middle[k] += p[k];
+                along[k] += e % 2 ? p[k] : -p[k];
             }
         }
+    for (int k = 0; k < 3; k++) middle[k] /= count;
     double length = sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2]);
     double n[3] = {plane[0] / length, plane[1] / length, plane[2] / length};
     double off = along[0] * n[0] + along[1] * n[1] + along[2] * n[2];
@@ -384,17 +406,16 @@ static double flat_ends(const Candidate *const member[], int size, const double 
     for (int k = 0; k < 3; k++) along[k] /= length;
     double across[3] = {n[1] * along[2] - n[2] * along[1], n[2] * along[0] - n[0] * along[2],
                         n[0] * along[1] - n[1] * along[0]};
-    for (int e = 0; e < 2 * size; e++) {
+    for (int e = 0; e < count; e++) {
         double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
-        end[e] = (ArcPoint){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
-                       d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
-                       member[e / 2]->own[e % 2]};
+        end[e].x = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
+        end[e].y = d[0] * across[0] + d[1] * across[1] + d[2] * across[2];
     }
     return middle[2];
 }
 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
-    ArcPoint end[2 * MAX_MEMBERS] = {{0}};
+    ArcPoint end[MAX_ENDS] = {{0}};
     const RingParams *params = scene->ring;
     double sigma = params->along_sigma_px * flat_ends(member, size, plane, end) / params->focal_x;
     double best = arcs_cost(end, 2 * size, sigma);
@@ -429,9 +450,136 @@ static double group_score(const Candidate *const member[], int size, const Scene
     return merit - cost - oblique;
 }
 
+/* Chords: stripes across both arcs of a ring */
+
+/* Half the chi-square of two concentric circles |P|^2 + b x + c y + d = 0 through the used ends; infinite if these are not on
+   two edges, or if a piece between two ends is not on the face between the circles. The equation is linear and, around the
+   whole circle, unbiased. `sine` receives those of the angles at which the stripes cross their edges. */
+static double circles_cost(const ArcPoint *end, int ends, double sigma, double *sine) {
+    double count[2] = {0}, x[2] = {0}, y[2] = {0}, q[2] = {0}, xx = 0, xy = 0, yy = 0, xq = 0, yq = 0, cost = 0;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int edge = end[k].arc;
+            count[edge] += 1;
+            x[edge] += end[k].x;
+            y[edge] += end[k].y;
+            q[edge] += end[k].x * end[k].x + end[k].y * end[k].y;
+        }
+    if (count[INNER] == 0 || count[OUTER] == 0) return INFINITY;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int edge = end[k].arc;
+            double dx = end[k].x - x[edge] / count[edge], dy = end[k].y - y[edge] / count[edge];
+            double dq = end[k].x * end[k].x + end[k].y * end[k].y - q[edge] / count[edge];
+            xx += dx * dx;
+            xy += dx * dy;
+            yy += dy * dy;
+            xq += dx * dq;
+            yq += dy * dq;
+        }
+    double determinant = xx * yy - xy * xy, radius[2];
+    if (!(determinant > 1e-6 * xx * yy)) return INFINITY;
+    double center_x = 0.5 * (yy * xq - xy * yq) / determinant, center_y = 0.5 * (xx * yq - xy * xq) / determinant;
+    for (int edge = 0; edge < 2; edge++) {
+        double square = q[edge] - 2 * center_x * x[edge] - 2 * center_y * y[edge];
+        radius[edge] = sqrt(square / count[edge] + center_x * center_x + center_y * center_y);
+    }
+    if (!(radius[OUTER] > radius[INNER])) return INFINITY;
+    for (int k = 0; k < ends; k++) {
+        double from_center = hypot(end[k].x - center_x, end[k].y - center_y), off = (from_center - radius[end[k].arc]) / sigma;
+        if (end[k].used) cost += 0.5 * off * off;
+        sine[k] = fabs(end[k].x - center_x) / fmax(from_center, 1e-12);
+        if (k % 2 == 0) continue;
+        double middle = hypot((end[k].x + end[k - 1].x) / 2 - center_x, (end[k].y + end[k - 1].y) / 2 - center_y);
+        if (!(middle > radius[INNER] - 3 * sigma && middle < radius[OUTER] + 3 * sigma)) return INFINITY;
+    }
+    return cost;
+}
+
+static int count_own(const Candidate *candidate) {
+    int own = 0;
+    for (int e = 0; e < candidate->ends; e++) own += candidate->own[e];
+    return own;
+}
+
+/* The number of own ends of a group of chords; 0 if none of its stripes is seen on both arcs. */
+static int count_chord_ends(const Candidate *const member[], int size) {
+    int own = 0, pairs = 0;
+    for (int i = 0; i < size; i++) {
+        own += count_own(member[i]);
+        pairs += member[i]->ends == 4;
+    }
+    return pairs ? own : 0;
+}
+
+/* Score of a group of chords, without what is gained by the number of ends that agree; minus infinity if it is impossible.
+   `sine` is that of `circles_cost`. */
+static double chord_score(const Candidate *const member[], int size, const Scene *scene, double *sine) {
+    const RingParams *params = scene->ring;
+    double plane[3] = {0}, merit = 0;
+    ArcPoint end[MAX_ENDS] = {{0}};
+    int own = count_chord_ends(member, size), ends = 0;
+    if (own < params->min_chord_ends) return -INFINITY;
+    for (int i = 0; i < size; i++) {
+        merit += member[i]->merit;
+        ends += member[i]->ends;
+    }
+    double cost = plane_cost(member, size, plane), tilt = atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
+    if (!(cost < params->plane_limit * ends / 2) || tilt > params->max_tilt_rad) return -INFINITY;
+    double sigma = params->along_sigma_px * flat_ends(member, size, plane, end) / params->focal_x;
+    double circles = circles_cost(end, ends, sigma, sine);
+    if (!(circles < params->circle_limit * ends / 2)) return -INFINITY;
+    cost += circles + params->unseen_penalty * count_unseen_lasers(member, size, plane, scene);
+    return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
+}
+
+/* Appends a chord to those of its laser if its ends are seen: three of four, or both of one piece with two outer ends. */
+static int add_chord(const Segment *all, size_t pieces, const Segment *united, int unions, const Scene *scene, Candidate *chord,
+                     Candidate *own, int count) {
+    place(all, scene->ring, chord);
+    if (!possible(scene->plane[chord->laser], scene->candidates, chord)) return count;
+    double penalty = judge_ends(all, pieces, scene, chord);
+    int seen = count_own(chord), wanted = chord->ends == 4 ? 3 : chord->edge[0] == chord->edge[1] ? 2 : 1;
+    if (seen < wanted) return count;
+    rate(united, unions, scene, chord);
+    chord->merit -= penalty;
+    chord->coincidence_bonus = 0;
+    return rank(chord, own, count, 2 * scene->candidates->max_candidates);
+}
+
+/* The chords of all lasers, sorted by laser. Returns how many, 0 if no stripe is seen on both arcs. */
+static int find_chords(const Segment *all, size_t count, size_t unions, const Scene *scene, Candidate *chord) {
+    static const int edges[3][2] = {{OUTER, OUTER}, {OUTER, INNER}, {INNER, OUTER}};
+    size_t pieces = count - unions;
+    int found = 0, pairs = 0;
+    for (int laser = 0; laser < scene->lasers; laser++) {
+        Candidate *of_laser = chord + found;
+        int own = 0;
+        for (size_t i = 0; i < count; i++) {
+            if (!(all[i].laser < 0 ? scene->unlabelled >> laser & 1 : all[i].laser == laser)) continue;
+            for (int k = 0; k < 3; k++) {
+                Candidate piece = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2, .edge = {edges[k][0], edges[k][1]}};
+                own = add_chord(all, pieces, &all[i], i >= pieces, scene, &piece, of_laser, own);
+            }
+            for (size_t j = 0; j < count; j++) {
+                Candidate pair = {.segment = {(int32_t)i, (int32_t)j}, .laser = laser, .ends = 4,
+                                  .edge = {OUTER, INNER, INNER, OUTER}};
+                if (!on_one_line(&all[i], &all[j], scene->unions)) continue;
+                Segment both = united(&all[i], &all[j]);
+                int before = own;
+                own = add_chord(all, pieces, &both, i >= pieces || j >= pieces, scene, &pair, of_laser, own);
+                pairs += own > before;
+            }
+        }
+        for (int i = 0; i < own; i++) complete(scene->plane[laser], scene->ring, &of_laser[i]);
+        found += own;
+    }
+    return pairs ? found : 0;
+}
+
 static int is_among(int32_t segment, const Best *winner, const Candidate *all, int size) {
     int found = 0;
-    for (int i = 0; i < size; i++) found |= segment == all[winner->index[i]].segment;
+    for (int i = 0; i < size; i++) found |= segment == all[winner->index[i]].segment[0];
     return found;
 }
 
@@ -442,24 +590,36 @@ typedef struct {
     const Best *winner; /* in the search for the runner-up: the same segments, other lasers */
     Best *best;
     double *runner_up;
+    int chords;
 } Search;
 
+/* True if the segments are assigned to the same lasers as those of the winner. */
+static int as_winner(const Search *search, const Candidate *const member[]) {
+    int same = 1;
+    for (int i = 0; i < search->size; i++) {
+        const Candidate *winner = &search->all[search->winner->index[i]];
+        same &= member[i]->laser == winner->laser && member[i]->segment[0] == winner->segment[0];
+    }
+    return same;
+}
+
 static void visit(Search *search, const Candidate *const member[], const int32_t *index) {
-    double minimum = search->winner ? *search->runner_up : search->best->score;
-    double score = group_score(member, search->size, search->scene, minimum);
+    double minimum = search->winner ? *search->runner_up : search->best->score, sine[MAX_ENDS];
+    double score = search->chords ? chord_score(member, search->size, search->scene, sine)
+                                  : group_score(member, search->size, search->scene, minimum);
+    double gained = search->chords ? score + search->scene->ring->agreement * count_chord_ends(member, search->size) : score;
     if (search->winner) {
-        int itself = 1;
-        for (int i = 0; i < search->size; i++) itself &= index[i] == search->winner->index[i];
-        if (!itself) *search->runner_up = fmax(*search->runner_up, score);
-    } else if (score > search->best->score) {
+        if (!as_winner(search, member)) *search->runner_up = fmax(*search->runner_up, score);
+    } else if (gained > search->best->gained) {
         search->best->score = score;
+        search->best->gained = gained;
         for (int i = 0; i < search->size; i++) search->best->index[i] = index[i];
     }
 }
 
 /* True if the first segments of a group may lie on one plane; further segments never lower the cost. */
 static int on_one_plane(const Candidate *const member[], int count, const Search *search) {
-    double plane[3], limit = search->scene->ring->plane_limit * search->size;
+    double plane[3], limit = search->scene->ring->plane_limit * search->size * (search->chords ? 2 : 1);
     return count < 2 || plane_cost(member, count, plane) < limit;
 }
 
@@ -472,8 +632,8 @@ static void descend(Search *search, int depth, const Candidate **member, int32_t
     for (int c = depth ? index[depth - 1] + 1 : 0; c < search->count; c++) {
         const Candidate *next = &search->all[c];
         int fits = depth == 0 || next->laser > member[depth - 1]->laser;
-        for (int i = 0; i < depth; i++) fits &= next->segment != member[i]->segment;
-        if (!fits || (search->winner && !is_among(next->segment, search->winner, search->all, search->size))) continue;
+        for (int i = 0; i < depth; i++) fits &= next->segment[0] != member[i]->segment[0];
+        if (!fits || (search->winner && !is_among(next->segment[0], search->winner, search->all, search->size))) continue;
         member[depth] = next;
         index[depth] = c;
         if (depth + 1 == search->size || on_one_plane(member, depth + 1, search))
@@ -483,16 +643,38 @@ static void descend(Search *search, int depth, const Candidate **member, int32_t
 
 /* Candidates must be sorted by laser. */
 static Best best_group(const Candidate *all, int count, int size, const Scene *scene) {
-    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY};
+    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY};
     const Candidate *member[MAX_MEMBERS] = {NULL};
     int32_t index[MAX_MEMBERS] = {0};
-    Search search = {all, count, size, scene, NULL, &best, NULL};
+    Search search = {all, count, size, scene, NULL, &best, NULL, 0};
     descend(&search, 0, member, index);
     if (best.score > -INFINITY) {
         Best winner = best;
         search.winner = &winner;
         search.runner_up = &best.runner_up;
         descend(&search, 0, member, index);
+    }
+    return best;
+}
+
+/* The best group of chords of two or three lasers, by score and what is gained by the ends that agree. */
+static Best best_chords(const Candidate *all, int count, const Scene *scene, int *size) {
+    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY};
+    const Candidate *member[MAX_MEMBERS] = {NULL};
+    int32_t index[MAX_MEMBERS] = {0};
+    *size = 0;
+    for (int lasers = 2; count && lasers <= MAX_MEMBERS; lasers++) {
+        Best of_size = best;
+        Search search = {all, count, lasers, scene, NULL, &of_size, NULL, 1};
+        descend(&search, 0, member, index);
+        if (!(of_size.gained > best.gained)) continue;
+        best = of_size;
+        *size = lasers;
+        search.winner = &best;
+        search.runner_up = &of_size.runner_up;
+        of_size.runner_up = -INFINITY;
+        descend(&search, 0, member, index);
+        best.runner_up = of_size.runner_up;
     }
     return best;
 }
@@ -511,8 +693,9 @@ static int check_lasers(const Segment *segment, Py_ssize_t segments, Py_ssize_t 
 /* The segments, then unions of them; and the best groups of all. */
 typedef struct {
     List segments;
-    Candidate *candidate;
-    Best best[MAX_MEMBERS];
+    Candidate *candidate, *chord;
+    Best best[MAX_MEMBERS], best_chords;
+    int chords; /* lasers of the best group of chords */
 } Found;
 
 /* Returns 0 if there is no memory. */
@@ -520,13 +703,16 @@ static int find(const Segment *segment, size_t count, const Scene *scene, Found 
     List *all = &found->segments;
     size_t room = (size_t)scene->lasers * (size_t)scene->candidates->max_candidates;
     found->candidate = malloc((room ? room : 1) * sizeof *found->candidate);
-    if (found->candidate == NULL || !reserve(all, count + 1)) return 0;
+    found->chord = malloc((room ? 2 * room : 1) * sizeof *found->chord);
+    if (found->candidate == NULL || found->chord == NULL || !reserve(all, count + 1)) return 0;
     if (count) memcpy(all->data, segment, count * sizeof *segment);
     all->used = count;
     if (!unite_collinear(segment, count, scene->unions, all)) return 0;
     int candidates = find_candidates(all->data, all->used, all->used - count, scene, found->candidate);
     for (int size = 1; size <= MAX_MEMBERS; size++)
         found->best[size - 1] = best_group(found->candidate, candidates, size, scene);
+    int chords = find_chords(all->data, all->used, all->used - count, scene, found->chord);
+    found->best_chords = best_chords(found->chord, chords, scene, &found->chords);
     return 1;
 }
 
@@ -537,9 +723,27 @@ static PyObject *group(const Found *found, int size) {
     for (int i = 0; lasers && segments && i < size; i++) {
         const Candidate *candidate = best->index[0] < 0 ? NULL : &found->candidate[best->index[i]];
         PyTuple_SetItem(lasers, i, PyLong_FromLong(candidate ? candidate->laser : -1));
-        PyTuple_SetItem(segments, i, PyLong_FromLong(candidate ? candidate->segment : -1));
+        PyTuple_SetItem(segments, i, PyLong_FromLong(candidate ? candidate->segment[0] : -1));
     }
     return Py_BuildValue("(NNdd)", lasers, segments, best->score, best->runner_up);
+}
+
+/* The score of the best group of chords and that of the runner-up, and for each chord its laser, its segments (the second is -1 if there is none), the
+   edges of the first segment's ends, and the sines of the angles at which all ends cross their edges. */
+static PyObject *chord_group(const Found *found, const Scene *scene) {
+    PyObject *chords = PyTuple_New(found->chords);
+    const Candidate *member[MAX_MEMBERS] = {NULL};
+    double sine[MAX_ENDS] = {0}, *of_chord = sine;
+    for (int i = 0; i < found->chords; i++) member[i] = &found->chord[found->best_chords.index[i]];
+    if (found->chords) chord_score(member, found->chords, scene, sine);
+    for (int i = 0; chords && i < found->chords; of_chord += member[i++]->ends) {
+        const Candidate *chord = member[i];
+        int pair = chord->ends == 4;
+        PyTuple_SetItem(chords, i, Py_BuildValue("(iiiii(dddd))", chord->laser, chord->segment[0], chord->segment[1],
+                                                 chord->edge[0], chord->edge[1], of_chord[0], of_chord[1],
+                                                 pair ? of_chord[2] : 0.0, pair ? of_chord[3] : 0.0));
+    }
+    return Py_BuildValue("(ddN)", found->best_chords.score, found->best_chords.runner_up, chords);
 }
 
 PyObject *call_faces(PyObject *module, PyObject *tuple) {
@@ -569,7 +773,8 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
     Py_END_ALLOW_THREADS
     PyObject *bytes = list_bytes(done, &found.segments);
     PyObject *result =
-        bytes ? Py_BuildValue("(N(NNN))", bytes, group(&found, 1), group(&found, 2), group(&found, 3)) : NULL;
+        bytes ? Py_BuildValue("(N(NNN)N)", bytes, group(&found, 1), group(&found, 2), group(&found, 3), chord_group(&found, &scene)) : NULL;
     free(found.candidate);
+    free(found.chord);
     return close_arguments(&a, result);
 }

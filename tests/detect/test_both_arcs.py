@@ -1,0 +1,93 @@
+"""Rings of which both arcs are in view, in rendered images: where the ends are is computed apart from the renderer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ring_scenes import PROJECTED, Ring, make_camera, pixels_of
+
+from ringpose.detect.pipeline import detect
+from ringpose.measure.stream import Setup
+from ringpose.simulate.pipeline import simulate
+from ringpose.types.rig import Rig
+from ringpose.types.scene import Light, RingView, Scene, Sensor
+from ringpose.types.target import Body, RingShape
+
+RIG = Rig(camera=make_camera((800, 600), (889.0, 889.0), (400.0, 300.0)), lasers=PROJECTED)
+"""The paper's physical light planes and lens, with pixels of 9 um."""
+
+SWITCHED, TOGETHER = [0, 1, 2, 3], [0, 4]
+
+RADIUS_M = np.array([0.13, 0.15])
+
+
+def shot_of(y_m: float, frames: list[int]):
+    """Frames of a flange before a flat body, its centre at that height in the image; and the ring."""
+    normal = np.array([0.1, 0.05, -0.99])
+    ring = Ring(center_m=np.array([0.02, y_m, 0.5]), normal=normal / np.linalg.norm(normal), radius_m=RADIUS_M)
+    scene = Scene(
+        rig=RIG,
+        ring=RingShape(profile_m=np.array([[0.13, 0.0], [0.13, 0.06], [0.15, 0.06], [0.15, 0.0]])),
+        body=Body(size_m=np.array([1.0, 1.0, 0.5])),
+        lights={"dim": Light(name="dim")},
+        sensor=Sensor(pixel_m=9e-6),
+        exposure_s=0.001,
+        stripe_dn=170.0,
+        sequence=(0, 1, 2, 4, 7),
+        views=(RingView(name="view", center_m=ring.center_m, normal=ring.normal),),
+    )
+    shot, _ = next(iter(simulate(scene)))
+    parts = {name: getattr(shot, name)[frames] for name in ("images", "lasers", "stamp_s", "exposure_s")}
+    return replace(shot, **parts, device_stamp_s=None, gain_db=None, frame_id=None), ring
+
+
+@pytest.fixture(scope="module")
+def shots():
+    """A ring that all stripes cross twice, and one of which the left laser's stripe passes beside the hole."""
+    return {y_m: shot_of(y_m, SWITCHED) for y_m in (-0.05, -0.09)}
+
+
+@pytest.mark.parametrize("frames", [SWITCHED, TOGETHER], ids=["switched", "together"])
+def test_ends_on_both_arcs_are_where_the_light_planes_cross_the_ring(frames):
+    shot, ring = shot_of(-0.05, frames)
+    true_px = pixels_of(ring.crossings_m(RIG.lasers), RIG.camera)  # laser, edge, left or right
+
+    points = detect(shot, RIG).break_points
+
+    sides = [0, 1] if points.position_px[0, 1, 0] < points.opposite.position_px[0, 1, 0] else [1, 0]
+    for arc, side in zip(points.arcs, sides, strict=True):
+        assert arc.seen.all()
+        assert np.abs(arc.position_px - true_px[:, :, side]).max() < 1.0
+    assert points.labelled == (frames is SWITCHED)
+
+
+def test_the_first_arc_is_the_one_nearer_to_the_middle_of_the_image(shots):
+    points = detect(shots[-0.05][0], RIG).break_points
+
+    first, opposite = (np.abs(arc.position_px[..., 0] - 400.0).mean() for arc in points.arcs)
+
+    assert first < opposite
+
+
+def test_a_stripe_beside_the_hole_has_an_outer_end_on_each_arc_and_one_line(shots):
+    points = detect(shots[-0.09][0], RIG).break_points
+
+    (beside,) = [laser for laser in range(3) if not (points.seen[laser, 0] or points.opposite.seen[laser, 0])]
+    assert points.seen[beside, 1]
+    assert points.opposite.seen[beside, 1]
+    lines = [np.isfinite(arc.face_start_undistorted_px[beside]).all() for arc in points.arcs]
+    assert sorted(lines) == [False, True]
+
+
+@pytest.mark.parametrize("y_m", [-0.05, -0.09])
+def test_the_pose_by_both_arcs_is_within_its_errors_and_more_certain_than_by_one(shots, y_m):
+    (shot, ring), setup = shots[y_m], Setup(rig=RIG)
+    detection = setup.detection(shot)
+    of_one = replace(detection, break_points=replace(detection.break_points, opposite=None), ring=None)
+
+    both, one = (setup.line(each).pose for each in (detection, of_one))
+
+    error_m, covariance = both.center_m - ring.center_m, both.covariance_center_m2
+    assert error_m @ np.linalg.solve(covariance, error_m) < 16.3  # one in a thousand
+    assert np.linalg.norm(error_m) < 0.3e-3
+    assert np.trace(covariance) < np.trace(one.covariance_center_m2)
