@@ -83,13 +83,22 @@ def test_opencv_reads_the_written_storage(tmp_path, name):
     assert storage.getNode("image_width").real() == 640
 
 
-def test_ros_files_have_the_matrices_of_a_stereo_pair(tmp_path):
+def test_ros_files_have_no_keys_of_ringpose(tmp_path):
     values = yaml.safe_load(written(tmp_path, "ros", "c.yaml").read_text())
+
+    assert values.keys().isdisjoint({"ringpose", "covariance", "provenance"})
+
+
+@pytest.mark.parametrize("form", ["ros", "ringpose"])
+def test_camera_files_have_the_matrices_that_ros_requires(tmp_path, form):
+    source = written(tmp_path, "opencv", "source.yml")
+    write_camera_as(tmp_path / "c.yaml", camera(PLUMB_BOB), CameraFormat(form), source)
+    values = yaml.safe_load((tmp_path / "c.yaml").read_text())
 
     projection = np.reshape(values["projection_matrix"]["data"], (3, 4))
     np.testing.assert_array_equal(projection[:, :3], MATRIX)
+    np.testing.assert_array_equal(projection[:, 3], np.zeros(3))
     assert values["rectification_matrix"]["data"] == np.eye(3).ravel().tolist()
-    assert values.keys().isdisjoint({"ringpose", "covariance", "provenance"})
 
 
 @pytest.mark.parametrize("coefficients", [PLUMB_BOB, PLUMB_BOB[:4], PLUMB_BOB[:0]])
@@ -135,6 +144,19 @@ def test_a_pixel_of_a_binned_window_is_the_middle_of_those_it_covers(tmp_path):
     full, binned = MATRIX @ point, after.camera_matrix @ point
     np.testing.assert_allclose(full[:2], [40 + 4 * binned[0] + 1.5, 30 + 2 * binned[1] + 0.5], rtol=1e-12)
     assert (after.image_width, after.image_height) == (100, 150)
+
+
+@pytest.mark.filterwarnings("ignore::ringpose.errors.ImplausibleValueWarning")
+def test_binning_and_window_of_a_file_are_applied_as_those_of_a_message(tmp_path):
+    readout = {"binning_x": 2, "binning_y": 4, "roi": {"x_offset": 40, "y_offset": 30, "width": 400, "height": 300}}
+    of_message = read_message(tmp_path, **readout)
+    path = written(tmp_path, "ros", "c.yaml")
+    path.write_text(path.read_text() + yaml.safe_dump(readout))
+
+    of_file = read_camera(path)
+
+    np.testing.assert_array_equal(of_file.camera_matrix, of_message.camera_matrix)
+    assert (of_file.image_width, of_file.image_height) == (of_message.image_width, of_message.image_height) == (200, 75)
 
 
 @pytest.mark.parametrize("changes", [{"binning_x": 0, "binning_y": 0}, {"roi": {"width": 0, "height": 0}}, {"roi": {}}])

@@ -18,24 +18,42 @@ INI_SECTION = re.compile(rb"^\[image\][ \t\r]*$", re.MULTILINE)
 """First section of the INI file (`oST version 5.0`), which the calibrator also prints."""
 
 
-def message_values(values: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """The keys of a camera_info file for a message; the camera is that of the images published with it.
+_READOUT = ("binning_x", "binning_y", "roi")
+"""Keys of the region of interest and the binning with which images are read out."""
 
-    Its matrix is that of the full image, from which the window `roi` is read out and binned.
-    """
+
+def message_values(values: Mapping[str, Any], file: str) -> dict[str, Any]:
+    """The keys of a camera_info file for a message."""
     message = Fields(file, {str(key).lower(): value for key, value in values.items()})
-    matrix, coefficients = message.array("k", (9,)).reshape(3, 3), message.array("d", (None,))
-    width, height = (message.integer(key, least=1) for key in ("width", "height"))
-    left, top, width, height = _window(message, width, height)
-    binning_x, binning_y = (_binning(message, key) for key in ("binning_x", "binning_y"))
-    offset_px, binning = np.array([left, top], dtype=np.float64), np.array([binning_x, binning_y], dtype=np.float64)
-    matrix = _published_matrix(matrix, offset_px, binning)
+    matrix, coefficients = message.array("k", (9,)), message.array("d", (None,))
     return {
+        "image_width": message.integer("width", least=1),
+        "image_height": message.integer("height", least=1),
+        "distortion_model": message.values.get("distortion_model"),
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix.tolist()},
+        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients.tolist()},
+        **{key: message.values[key] for key in _READOUT if key in message.values},
+    }
+
+
+def published_values(values: Mapping[str, Any], file: str) -> dict[str, Any]:
+    """The keys of a camera_info file for the camera of the images as they are read out and published.
+
+    The file's matrix is that of the full image, from which the window `roi` is read out and binned.
+    """
+    fields, published = Fields(file, values), {key: value for key, value in values.items() if key not in _READOUT}
+    if len(published) == len(values):
+        return published
+    width, height = (fields.integer(key, least=1) for key in ("image_width", "image_height"))
+    left, top, width, height = _window(fields, width, height)
+    binning_x, binning_y = (_binning(fields, key) for key in ("binning_x", "binning_y"))
+    offset_px, binning = np.array([left, top], dtype=np.float64), np.array([binning_x, binning_y], dtype=np.float64)
+    matrix = fields.fields("camera_matrix").array("data", (9,)).reshape(3, 3)
+    matrix = _published_matrix(matrix, offset_px, binning)
+    return published | {
         "image_width": width // binning_x,
         "image_height": height // binning_y,
-        "distortion_model": message.values.get("distortion_model"),
         "camera_matrix": {"rows": 3, "cols": 3, "data": matrix.ravel().tolist()},
-        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients.tolist()},
     }
 
 

@@ -12,7 +12,7 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras import matlab, ros
 from ringpose.files.cameras import opencv as opencv_storage
-from ringpose.files.cameras.camera_info import INI_SECTION, ini_values, message_values
+from ringpose.files.cameras.camera_info import INI_SECTION, ini_values, message_values, published_values
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
@@ -52,7 +52,8 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
     elif form is CameraFormat.MATLAB:
         content = matlab.mat(camera)
     else:
-        content = _kalibr_values(camera) if form is CameraFormat.KALIBR else _ros_values(camera)
+        own = ros.stereo_values(replace(camera, covariance=None))
+        content = _kalibr_values(camera) if form is CameraFormat.KALIBR else own
     with atomic.replacing(path, force) as stream:
         if isinstance(content, bytes):
             stream.write(content)
@@ -143,8 +144,7 @@ def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
 
 def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera in a camera_info file, or in a message printed by `rostopic echo` or `ros2 topic echo`."""
-    if "camera_matrix" not in values:
-        values = message_values(values, file)
+    values = published_values(values if "camera_matrix" in values else message_values(values, file), file)
     no_model = {"distortion_model"} if _is_without_distortion(values) else set()
     given = {key: value for key, value in values.items() if key not in no_model}
     fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **given})
@@ -180,15 +180,6 @@ _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
     CameraFormat.MATLAB: matlab.camera_of,
 }
 """Converters from the values in a file, its name (for messages), and a default name of the camera."""
-
-
-def _ros_values(camera: Camera) -> dict[str, Any]:
-    """The mapping that `_ros_camera` reads, with ROS's stereo matrices: for one camera the identity and [K | 0]."""
-    matrix = camera.camera_matrix
-    return ros.camera_values(replace(camera, covariance=None)) | {
-        "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
-        "projection_matrix": {"rows": 3, "cols": 4, "data": np.column_stack([matrix, np.zeros(3)]).ravel()},
-    }
 
 
 def _kalibr_values(camera: Camera) -> dict[str, Any]:

@@ -48,10 +48,10 @@ class CameraInfo:
         Matrix, Key("In the order of OpenCV: k1, k2, p1, p2, k3; for `rational_polynomial` also k4, k5, k6.")
     ]
     rectification_matrix: Annotated[
-        Mapping[str, Any] | None, Key("Of ROS, for stereo; not read.", presence=Presence.IF_KNOWN)
+        Mapping[str, Any] | None, Key("Of ROS, for stereo: the identity; not read.", presence=Presence.IF_KNOWN)
     ] = None
     projection_matrix: Annotated[
-        Mapping[str, Any] | None, Key("Of ROS, for stereo; not read.", presence=Presence.IF_KNOWN)
+        Mapping[str, Any] | None, Key("Of ROS, for stereo: [K | 0]; not read.", presence=Presence.IF_KNOWN)
     ] = None
     covariance: Annotated[
         ParameterCovariance | None, Key("Covariance of the camera's parameters alone.", presence=Presence.IF_KNOWN)
@@ -102,7 +102,7 @@ def write_camera(
     with without_hints():
         camera_of(Fields(str(path), plain(values), CAMERA_KEYS))
     with atomic.replacing(path, force) as stream:
-        write_yaml(stream, head | values | dict(extra))
+        write_yaml(stream, head | stereo_values(camera) | dict(extra))
 
 
 @contextmanager
@@ -156,6 +156,21 @@ def camera_info(camera: Camera) -> CameraInfo:
 def camera_values(camera: Camera) -> dict[str, Any]:
     """The mapping that `camera_of` reads, in the order of ROS camera_info."""
     return definition_of(CameraInfo).write(camera_info(camera))
+
+
+def stereo_values(camera: Camera) -> dict[str, Any]:
+    """The mapping with ROS's stereo matrices too, which its camera_info_manager requires: the identity and [K | 0]."""
+    projection = np.column_stack([camera.camera_matrix, np.zeros(3)])
+    values = camera_values(camera)
+    covariance = {key: values.pop(key) for key in ("covariance",) if key in values}
+    return (
+        values
+        | {
+            "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
+            "projection_matrix": {"rows": 3, "cols": 4, "data": projection.ravel()},
+        }
+        | covariance
+    )
 
 
 def _numbers(fields: Fields, key: str, matrix: Matrix) -> Float64[Array, "n"]:
