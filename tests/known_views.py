@@ -17,6 +17,9 @@ NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.18, 0.0, -0.17)])
 DISTANCES_M = np.array([-0.039, -0.070, -0.040])
 """Of the light planes."""
 
+PROJECTOR_M = np.array([0.02, 0.0, 0.0])
+"""From which the angles of bent sheets count."""
+
 CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
 
 
@@ -51,12 +54,23 @@ def true_poses(rng: np.random.Generator, number: int) -> list[tuple[np.ndarray, 
     return made
 
 
-def stripe_px(turn: np.ndarray, place: np.ndarray, laser: int, camera: Camera = TRUE_CAMERA) -> np.ndarray:
-    """Pixels of the line in which a light plane cuts the board, over the board's width."""
+def stripe_px(
+    turn: np.ndarray, place: np.ndarray, laser: int, camera: Camera = TRUE_CAMERA, bow_per_rad: float = 0.0
+) -> np.ndarray:
+    """Pixels of the line in which a light plane cuts the board, over the board's width.
+
+    With a bow, rays of the sheet rise over the plane by so much, times the square of their angle about a projector.
+    """
     along_x = NORMALS[laser] @ turn[:, 0]
     along_y = NORMALS[laser] @ turn[:, 1]
     x = np.linspace(0.02, 0.28, 200)
     y = (DISTANCES_M[laser] - NORMALS[laser] @ place - along_x * x) / along_y
+    axis = np.array([0.0, 0.0, 1.0]) - NORMALS[laser, 2] * NORMALS[laser]
+    for _ in range(4 if bow_per_rad else 0):
+        point = place + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1]
+        along, aside = ((point - PROJECTOR_M) @ each for each in (axis, np.cross(NORMALS[laser], axis)))
+        height = bow_per_rad * np.hypot(along, aside) * np.arctan2(aside, along) ** 2 / np.linalg.norm(axis)
+        y += (DISTANCES_M[laser] + height - point @ NORMALS[laser]) / along_y
     return projected_px(place + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1], camera)
 
 
@@ -78,6 +92,7 @@ def stripe_views(
     corner_px: float = 0.0,
     center_px: float = 0.0,
     camera: Camera = TRUE_CAMERA,
+    bow_per_rad: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> list[StripeView]:
     """Views of the four-marker board with three stripes, with noise of corners and stripes in pixels."""
     made = []
@@ -85,7 +100,7 @@ def stripe_views(
         board = board_view(corner_points(FOUR), pose, f"v{index}", corner_px * rng.standard_normal((16, 2)), camera)
         stripes = []
         for laser in range(3):
-            stripe = stripe_px(*pose, laser, camera)
+            stripe = stripe_px(*pose, laser, camera, bow_per_rad[laser])
             stripes.append(stripe + center_px * rng.standard_normal((len(stripe), 1)) * [[0.0, 1.0]])
         made.append(StripeView(board=board, stripes_px=tuple(stripes)))
     return made

@@ -30,6 +30,7 @@ from ringpose.types.plausible import (
 )
 from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import (
+    LaserBow,
     LaserGhost,
     LaserPlanes,
     Mount,
@@ -68,6 +69,7 @@ class LaserEntry:
         Key("Position of the projector.", plausible=PLANE_DISTANCE_M, presence=Presence.IF_KNOWN),
     ] = None
     ghost: Annotated[LaserGhost | None, Key("Ghost of its stripes.", presence=Presence.IF_KNOWN)] = None
+    bow: Annotated[LaserBow | None, Key("How its light plane is bent.", presence=Presence.IF_KNOWN)] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,6 +184,7 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         mount=None if entry.mount is None else _mount(fields.fields("mount"), entry.mount),
         stability=entry.stability,
         ghosts={laser.name: laser.ghost for laser in entry.lasers if laser.ghost is not None},
+        bows={laser.name: laser.bow for laser in entry.lasers if laser.bow is not None},
         provenance=entry.provenance or {},
         sha256=sha256,
     )
@@ -290,6 +293,7 @@ def rig_values(rig: Rig) -> dict[str, Any]:
             distance_m=distance_m,
             projector_m=projector_m if np.isfinite(projector_m).all() else None,
             ghost=rig.ghosts.get(name),
+            bow=rig.bows.get(name),
         )
         for name, normal, distance_m, projector_m in zip(
             lasers.names, lasers.normal, lasers.distance_m.tolist(), lasers.projector_m, strict=True

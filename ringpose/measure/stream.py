@@ -316,15 +316,15 @@ def pose_line(
     )
     if located is not None and frame is not PoseFrame.CAMERA:
         result = _in_frame(result, located, frame)
-    pose, rejected = result.pose, result.rejected or source.rejected
+    pose, rejected, of_rig = result.pose, result.rejected or source.rejected, status.findings_of_rig(rig)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
         stamp_s=source.stamp_s,
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
-        flags=result.flags | status.flags_of(status.findings_of(source, rejected)),
-        reason=status.reason_of(result, source),
+        flags=result.flags | status.flags_of(status.findings_of(source, rejected) | of_rig),
+        reason=status.reason_of(result, source, of_rig),
         frame=frame,
         velocity=result.velocity,
         measurement=result.measurement,

@@ -10,7 +10,7 @@ import numpy as np
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.detection import SubtractedGhost
-from ringpose.types.rig import Camera, LaserGhost, LaserPlanes, ParameterCovariance
+from ringpose.types.rig import Camera, LaserBow, LaserGhost, LaserPlanes, ParameterCovariance
 
 
 class Grade(StrEnum):
@@ -190,6 +190,8 @@ class PlanesCalibration:
     """Factor by which the variances of corners and stripes were inflated to explain the differences of the views."""
     ghosts: Mapping[str, LaserGhost] = field(default_factory=dict)
     """By the laser's name, ghosts of its stripes that several views show."""
+    bows: Mapping[str, LaserBow] = field(default_factory=dict)
+    """By the laser's name, bends of its light plane that the views show."""
     sheet_height_m: tuple[float, float] | None = None
     """How far behind the print the stripes beside it lie, and the standard deviation; NaN by a method that does not
     estimate it, None without such stripes."""

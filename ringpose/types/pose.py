@@ -80,6 +80,8 @@ class PoseFlag(IntFlag):
     """The ring's edges are rounded or chamfered: the stripes fade over more columns than the optical blur explains."""
     GHOST_REMOVED = 1 << 22
     """Fainter copies of the stripes, by reflection inside the camera, were subtracted."""
+    RIG_BENT = 1 << 23
+    """A light plane of the rig is bent, and the pose is estimated as if it were flat."""
 
 
 HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED | PoseFlag.GHOST_REMOVED

@@ -190,6 +190,21 @@ class LaserGhost:
     ratio_sd: Annotated[float, Key("Standard deviation of the ratio from frame to frame.", least=0.0)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserBow:
+    """How a sheet of light is bent: `normal @ point - distance_m = per_rad * range * angle**2` in the camera frame.
+
+    Range and angle of a point are those in the plane, the angle from the direction nearest to the optical axis. The
+    constant and the linear part of the bend are in the plane, which is the one that fits best.
+    """
+
+    per_rad: Annotated[
+        float,
+        Key("Elevation over its plane, in radians, by the square of the angle in it.", plausible=plausible.BOW_PER_RAD),
+    ]
+    sd_per_rad: Annotated[float, Key("Its standard deviation.", least=0.0)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneCorrection:
     """Correction of a light plane that a stream of shots has shown to have moved."""
@@ -220,6 +235,8 @@ class Rig:
     """Corrections by the laser's name; the light planes are the corrected ones."""
     ghosts: Mapping[str, LaserGhost] = field(default_factory=dict)
     """By the laser's name, what calibrate-planes has seen; other lasers may have a ghost that it has not seen."""
+    bows: Mapping[str, LaserBow] = field(default_factory=dict)
+    """By the laser's name, how its light plane is bent; poses are estimated as if it were flat."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""

@@ -6,7 +6,7 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_mount, write_rig
-from ringpose.types.rig import LaserGhost, Mount, ParameterCovariance
+from ringpose.types.rig import LaserBow, LaserGhost, Mount, ParameterCovariance
 
 MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
 """Turns the z axis over alone: what comes of a left-handed frame."""
@@ -39,7 +39,9 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     before = read_rig(rig_file())
     joint = ParameterCovariance(parameters=names, data=root @ root.T)
     ghost = LaserGhost(offset_px=-15.0, offset_sd_px=0.02, ratio=0.1, ratio_sd=0.001)
-    before = replace(before, covariance=joint, ghosts={"right": ghost})
+    before = replace(
+        before, covariance=joint, ghosts={"right": ghost}, bows={"left": LaserBow(per_rad=-0.01, sd_per_rad=0.001)}
+    )
 
     write_rig(tmp_path / "again.yaml", before, inputs=[tmp_path / "rig.yaml"])
     after = read_rig(tmp_path / "again.yaml")
@@ -52,7 +54,7 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     assert after.mount.delay_s == before.mount.delay_s
     assert after.mount.robot_translation_sd_m == before.mount.robot_translation_sd_m == 1e-4
     assert after.covariance.parameters == names
-    assert after.ghosts == before.ghosts
+    assert (after.ghosts, after.bows) == (before.ghosts, before.bows)
     np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}
 

@@ -30,7 +30,7 @@ from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView, Verdict
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import Camera, LaserGhost, LaserPlanes, ParameterCovariance
+from ringpose.types.rig import Camera, LaserBow, LaserGhost, LaserPlanes, ParameterCovariance
 
 _SIGMA_ROUNDS = 5
 """Maximum number of re-estimations of the corners' standard deviations."""
@@ -192,6 +192,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         contradicting=tuple(contradicting),
         excess=solution.excess,
         ghosts=_ghosts(views, model.names),
+        bows=_bows(evidence, solution, camera),
         sheet_height_m=solution.sheet_height_m,
     )
 
@@ -203,6 +204,21 @@ def _ghosts(views: Sequence[StripeView], names: Sequence[str]) -> dict[str, Lase
         for laser, name in enumerate(names)
     }
     return {name: ghost for name, ghost in seen.items() if ghost is not None}
+
+
+def _bows(evidence: StripeEvidence, solution: PlaneSolution, camera: Camera) -> dict[str, LaserBow]:
+    """By the laser's name, the bends of light planes that the views show; `camera`: the given one, with covariance."""
+    known = replace(solution.camera, covariance=camera.covariance)
+    bows: dict[str, LaserBow] = {}
+    for laser, name in enumerate(evidence.names):
+        stripes = [
+            (view.stripes_px[laser], pose)
+            for view, pose in zip(evidence.views, solution.poses, strict=True)
+            if len(view.stripes_px[laser])
+        ]
+        bow = plane_fit.fitted_bow(stripes, solution.planes[laser], known)
+        bows |= {} if bow is None else {name: bow}
+    return bows
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:

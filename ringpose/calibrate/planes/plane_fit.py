@@ -6,11 +6,20 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.acceptance import PLANES_LIMITS
+from ringpose.calibrate.planes.stripes.errors import (
+    center_sigma_px,
+    line_modes,
+    shared_length,
+    stripe_rays,
+    stripe_residuals,
+)
 from ringpose.errors import DataError
 from ringpose.geometry.least_squares import robust_std
-from ringpose.geometry.rays import nearest_plane
+from ringpose.geometry.rays import intersect, nearest_plane
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardPose
 from ringpose.types.options import PlanesMethod
+from ringpose.types.rig import Camera, LaserBow, camera_parameters
 
 MAX_CONDITION = PLANES_LIMITS["condition"].redo
 """Points with a larger condition number are collinear: views 100 mm long must differ by 2 mm across their stripe."""
@@ -152,3 +161,58 @@ def outlying_views(points: Sequence[Points]) -> dict[int, float]:
 def rms(distances_m: Float64[Array, "n"]) -> float:
     """Root mean square of distances."""
     return float(np.sqrt(np.mean(distances_m**2)))
+
+
+BOW_SIGMAS = 5.0
+"""Standard deviations from which a light plane is bent. With half of them one flat plane in 80 would be; with twice as
+many, bends are missed that the views show clearly."""
+
+MIN_BOW_VIEWS = 3
+"""Views that show the scatter of a bend; two show hardly any, and twice as many are most of a usual calibration."""
+
+
+def fitted_bow(
+    stripes: Sequence[tuple[Float64[Array, "_ xy=2"], BoardPose]], plane: FittedPlane, camera: Camera
+) -> LaserBow | None:
+    """The bend of a light sheet by the curvature of its stripes on flat boards; None where it is not significant.
+
+    Shift and rotation of each stripe in the image are left open, so that errors of the boards' poses do not count.
+    The standard deviation is that by the stripes' centres, or by the scatter between the views if that is larger, and
+    by the camera's covariance: a wrong lens distortion bends stripes, too. `stripes`: their pixels, by view.
+    """
+    length = shared_length([points_px for points_px, _ in stripes])
+    bow, variance, by_camera = [], [], []
+    for points_px, pose in stripes:
+        residuals = stripe_residuals(stripe_rays(points_px, camera), pose, plane.normal, plane.distance_m)
+        bend_px = _bend_m(points_px, pose, plane, camera) / residuals.metres_per_pixel
+        basis = np.linalg.qr(line_modes(points_px).T)[0]
+        curved, seen, wrt_camera = (
+            each - basis @ (basis.T @ each) for each in (bend_px, residuals.residual_px, residuals.wrt_camera)
+        )
+        square = float(curved @ curved)
+        bow.append(float(curved @ seen) / square)
+        variance.append(center_sigma_px(points_px, length) ** 2 / square)
+        by_camera.append(curved @ wrt_camera / square)
+    if len(bow) < MIN_BOW_VIEWS:
+        return None
+    weight = 1.0 / np.maximum(variance, np.finfo(np.float64).tiny)
+    mean = float(weight @ bow / weight.sum())
+    excess = float(weight @ (np.array(bow) - mean) ** 2) / (len(bow) - 1)
+    of_camera, covariance = weight @ np.array(by_camera) / weight.sum(), np.zeros(2 * [len(by_camera[0])])
+    if camera.covariance is not None:
+        covariance = camera.covariance.of(camera_parameters(len(camera.distortion_coefficients)))
+    sd = float(np.sqrt(max(excess, 1.0) / weight.sum() + of_camera @ covariance @ of_camera))
+    return LaserBow(per_rad=mean, sd_per_rad=sd) if abs(mean) > BOW_SIGMAS * sd else None
+
+
+def _bend_m(
+    points_px: Float64[Array, "n xy=2"], pose: BoardPose, plane: FittedPlane, camera: Camera
+) -> Float64[Array, "n"]:
+    """Distance from the plane of a sheet of bow 1, where rays of pixels meet a board."""
+    board = pose.rotation[:, 2]
+    point = intersect(stripe_rays(points_px, camera).ray, board, np.array(float(board @ pose.translation_m)))
+    axis = np.array([0.0, 0.0, 1.0]) - plane.normal[2] * plane.normal
+    axis /= np.linalg.norm(axis)
+    along, aside = point @ axis, point @ np.cross(plane.normal, axis)
+    bend: Float64[Array, "n"] = np.hypot(along, aside) * np.arctan2(aside, along) ** 2
+    return bend

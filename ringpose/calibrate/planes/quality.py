@@ -44,7 +44,13 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
     """The rig of camera and light planes; a joint covariance replaces the camera's own."""
     joint = calibration.covariance is not None
     own = replace(calibration.camera, covariance=None) if joint else calibration.camera
-    return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance, ghosts=calibration.ghosts)
+    return Rig(
+        camera=own,
+        lasers=calibration.planes,
+        covariance=calibration.covariance,
+        ghosts=calibration.ghosts,
+        bows=calibration.bows,
+    )
 
 
 def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
@@ -135,6 +141,11 @@ def planes_summary(assessment: PlanesAssessment) -> list[str]:
         lines.append(
             f"{name}: a ghost at {ghost.offset_px:+.2f} ± {ghost.offset_sd_px:.2f} px, "
             f"{100 * ghost.ratio:.1f} ± {100 * ghost.ratio_sd:.1f} % as bright; detection will subtract it"
+        )
+    for name, bow in assessment.calibration.bows.items():
+        lines.append(
+            f"{name}: its light plane is bent, by {bow.per_rad:.5f} ± {bow.sd_per_rad:.5f} rad one radian beside its "
+            "middle: exchange the laser, or keep to the middle of its line"
         )
     for angle in plane_angles(assessment.calibration):
         sd = f" ± {np.degrees(angle['sd_rad']):.4f}" if np.isfinite(angle["sd_rad"]) else ""

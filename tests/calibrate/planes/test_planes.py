@@ -12,7 +12,7 @@ from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.plane_fit import paper_plane, robust_plane
 from ringpose.errors import DataError
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import ParameterCovariance
+from ringpose.types.rig import ParameterCovariance, camera_parameters
 
 NAMES = ("left", "middle", "right")
 MODEL = PlanesModel(names=NAMES)
@@ -28,6 +28,28 @@ def test_exact_views_give_the_exact_planes(model, number, rng):
 
     assert np.abs(plane_errors(found)).max() < 1e-5
     assert max(laser.rms_m for laser in found.lasers) < 1e-7
+
+
+def test_bent_light_planes_are_measured_within_their_errors_and_flat_ones_are_not_bent(rng):
+    true = np.array([0.0114, 0.0, -0.004])
+    views = stripe_views(true_poses(rng, 8), rng, corner_px=0.02, center_px=0.15, bow_per_rad=true)
+
+    bows = calibrate_planes(views, TRUE_CAMERA, MODEL).bows
+
+    assert set(bows) == {"left", "right"}
+    errors = np.array([(bows[name].per_rad - true[NAMES.index(name)]) / bows[name].sd_per_rad for name in bows])
+    assert np.abs(errors).max() < 4.0
+    assert max(bow.sd_per_rad for bow in bows.values()) < 0.001
+    assert not calibrate_planes(views[:2], TRUE_CAMERA, MODEL).bows
+
+
+def test_a_lens_that_may_bend_the_stripes_as_much_leaves_a_bend_open(rng):
+    views = stripe_views(true_poses(rng, 8), rng, center_px=0.15, bow_per_rad=[0.002, 0.002, 0.002])
+    names = camera_parameters(5)
+    loose = ParameterCovariance(parameters=names, data=np.diag([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.01, 0.01, 0.1]) ** 2)
+
+    assert len(calibrate_planes(views, TRUE_CAMERA, SEPARATE).bows) == 3
+    assert not calibrate_planes(views, replace(TRUE_CAMERA, covariance=loose), SEPARATE).bows
 
 
 def test_two_parallel_boards_at_two_depths_suffice(rng):
