@@ -86,7 +86,7 @@ def report_missing(boards: BoardViews, batch: Batch) -> None:
     """Report images without a board; the command ends here if no input could be read, and its errors are reported."""
     for name, reason in boards.without_board:
         messages.echo(f"{name}: no board: {reason}")
-    if not boards.images and batch.status:
+    if not (boards.views or boards.without_board) and batch.status:
         batch.finish()
 
 
