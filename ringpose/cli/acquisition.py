@@ -25,7 +25,7 @@ from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.inputs import Input, Problem, inputs, path_of_input
-from ringpose.types.image import Shot
+from ringpose.types.image import Shot, name_order
 from ringpose.types.options import STDIN
 from ringpose.types.session import Step, steps_of
 
@@ -77,7 +77,8 @@ def _matches(pattern: str) -> list[Path]:
     path = Path(pattern)
     if path.exists():
         return [path]
-    return sorted(Path(path.anchor or ".").glob(str(path.relative_to(path.anchor))))
+    matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
+    return sorted(matches, key=lambda match: name_order(str(match)))
 
 
 def _recorded_shots(items: Iterable[Input], request: CaptureRequest, batch: Batch, on_read: OnRead) -> Iterator[Shot]:

@@ -18,6 +18,7 @@ from ringpose.files.schema import MAX_QUATERNION_ERROR, NOT_KNOWN, ROBOT_POSE, R
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.robot_conventions import PoseConvention, convention_named
 from ringpose.geometry.rotations import rotation_of
+from ringpose.types.image import name_order
 from ringpose.types.options import STDIN
 from ringpose.types.plausible import REACH_M, STAMP_S
 from ringpose.types.rig import RobotPoses
@@ -86,7 +87,8 @@ def motion_of(reported: ReportedPoses, location: str) -> RobotPoses:
 
 
 def _files(folder: Path) -> list[Path]:
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _FOLDER_SUFFIXES)
+    listed = (file for file in folder.iterdir() if file.suffix.lower() in _FOLDER_SUFFIXES)
+    return sorted(listed, key=lambda file: name_order(file.name))
 
 
 def _poses_in_file(

@@ -1,5 +1,6 @@
 """Camera images: a single frame, and a shot, which is a short sequence of frames with different lasers on."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -182,3 +183,8 @@ def full_scale_dn(images: UInt[Array, "*shape"]) -> int:
     used = int(np.bitwise_or.reduce(images, axis=None, initial=0))
     unused = (used & -used) - 1
     return next((2**bits - 1 for bits in USUAL_BITS if used < 2**bits), full_dn - unused)
+
+
+def name_order(name: str) -> list[tuple[int, str]]:
+    """Sorts names by the numbers in them, the order in which the images were taken: view 2 before view 10."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]

@@ -18,6 +18,14 @@ def test_a_folder_yields_its_files_by_name(tmp_path):
     assert [path.name for path in found] == ["a.png", "b.npz", "e.NPZ"]
 
 
+def test_a_folder_yields_its_files_by_the_numbers_in_their_names(tmp_path):
+    names = ["2.png", "10.png", "view_2.png", "view_9_b.png", "view_10_a.png", "view_010_b.png"]
+    for name in reversed(names):
+        (tmp_path / name).touch()
+
+    assert [path.name for path in inputs([tmp_path], (".png",))] == names
+
+
 def test_missing_inputs_are_yielded_as_problems(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", None)

@@ -1,6 +1,5 @@
 """From views of a board and robot poses to an assessed mount (ringpose-method(7), section 13)."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -34,6 +33,7 @@ from ringpose.geometry.robot_conventions import PoseConvention
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.image import name_order
 from ringpose.types.options import PoseFrame
 from ringpose.types.rig import Camera, Mount
 from ringpose.types.robot import ReportedPose
@@ -110,7 +110,7 @@ def calibrate_mount(
 
     `convention`: the one in which the robot's poses were given, for the likely cause of a contradiction.
     """
-    stations = sorted(stations, key=lambda station: _in_order(station.name))
+    stations = sorted(stations, key=lambda station: name_order(station.name))
     stations = [replace(one, view=without_distortion_bias(one.view, camera)) for one in stations]
     boards = [board_pose(station.view, camera) for station in stations]
     _check_motions(stations, boards, eye_to_hand, convention)
@@ -155,11 +155,6 @@ def calibrate_mount(
         eye_to_hand=eye_to_hand,
         board_moved=board_moved,
     )
-
-
-def _in_order(name: str) -> list[tuple[int, str]]:
-    """Sorts names by the numbers in them, the order in which the images were taken: view 2 before view 10."""
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _transform(pose: BoardPose) -> closed_form.Transform:
