@@ -502,14 +502,24 @@ static int count_own(const Candidate *candidate) {
     return own;
 }
 
-/* The number of own ends of a group of chords; 0 if none of its stripes is seen on both arcs. */
+/* The number of own ends of a group of chords; 0 if none of its stripes is seen in two pieces, or if an arc has less than three
+   ends of two stripes: the curvature passes through any one of them, and a single piece of foil fits every other time. */
 static int count_chord_ends(const Candidate *const member[], int size) {
-    int own = 0, pairs = 0;
+    int own[2] = {0}, stripes[2] = {0}, pairs = 0;
     for (int i = 0; i < size; i++) {
-        own += count_own(member[i]);
-        pairs += member[i]->ends == 4;
+        int of_arc[2] = {0}, last = member[i]->ends - 1;
+        for (int e = 0; e <= last; e++) {
+            int right = last == 3 ? e > 1 : member[i]->edge[0] == member[i]->edge[1] ? e : member[i]->edge[1] == OUTER;
+            of_arc[right] += member[i]->own[e];
+        }
+        for (int arc = 0; arc < 2; arc++) {
+            own[arc] += of_arc[arc];
+            stripes[arc] += of_arc[arc] > 0;
+        }
+        pairs += last == 3;
     }
-    return pairs ? own : 0;
+    int seen = pairs && stripes[0] > 1 && stripes[1] > 1 && own[0] > 2 && own[1] > 2;
+    return seen ? own[0] + own[1] : 0;
 }
 
 /* Score of a group of chords, without what is gained by the number of ends that agree; minus infinity if it is impossible.
