@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
-from ringpose.calibrate.boards.patterns.image_patch import grey_8_bit
+from ringpose.calibrate.boards.patterns.image_patch import grey_8_bit, reduced
 from ringpose.types.arrays import Array, UInt, UInt8
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView
@@ -18,6 +18,15 @@ _LETTER_PX = 19.0
 """Upper bound of a letter's width at scale 1."""
 _UNLABELLED = (255, 80, 255)
 _CORNER, _FIRST, _TEXT = (60, 60, 255), (60, 255, 60), (60, 255, 255)
+
+
+THUMBNAIL_PX = 480
+"""Approximate width of the images in a report, which shows three in a row."""
+
+
+def thumbnail(image: UInt[Array, "row column"]) -> UInt8[Array, "small_row small_column"]:
+    """The image in 8 bits, reduced for a report."""
+    return grey_8_bit(reduced(image, max(round(image.shape[1] / THUMBNAIL_PX), 1)))
 
 
 def board_overlay(image: UInt[Array, "row column"], view: BoardView | NoBoard) -> UInt8[Array, "row column color=3"]:

@@ -1,25 +1,34 @@
 """The page that `ringpose calibrate-camera --report` writes: tables, and plots of residuals and uncertainty."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from ringpose.calibrate.camera.outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.calibrate.camera.parameters import parameters_of
 from ringpose.calibrate.camera.quality import projection_sigma_m
-from ringpose.report.figures import canvas, drawn, png_of
+from ringpose.report.figures import canvas, png_of
 from ringpose.report.page import Picture, Section, page, verdict_section
-from ringpose.types.arrays import Array, Float64
+from ringpose.report.views import ARROW_SHARE, DrawnView, space_picture, views_picture
+from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, ModelComparison, Verdict
 from ringpose.types.rig import CAMERA_PARAMETERS, Camera
 from ringpose.types.table import Table
 
 
-def camera_report(assessment: CameraAssessment, verdict: Verdict, without_board: Sequence[tuple[str, str]] = ()) -> str:
-    """A self-contained HTML page; `without_board` are the names of images that show no board, and the reasons."""
+def camera_report(
+    assessment: CameraAssessment,
+    verdict: Verdict,
+    without_board: Sequence[tuple[str, str]] = (),
+    thumbnails: Mapping[str, UInt8[Array, "row column"] | None] = MappingProxyType({}),
+) -> str:
+    """A self-contained HTML page; `without_board` are the names of images that show no board, and the reasons.
+
+    `thumbnails` are small images of the views, by name.
+    """
     calibration, comparison = assessment.calibration, assessment.comparison
     camera = calibration.camera
     deviations = zip(calibration.standard_deviations.items(), parameters_of(camera).tolist(), strict=True)
@@ -28,20 +37,29 @@ def camera_report(assessment: CameraAssessment, verdict: Verdict, without_board:
         for (name, sd), value in deviations
     ]
     sigmas_m = zip(assessment.distances_m, projection_sigma_m(assessment), strict=True)
-    held_out = {view.name: f"{view.rms_px:.3f}" for view in assessment.left_out}
+    held_out = {view.name: (f"{view.rms_px:.3f}", f"{view.shift_px:.3f}") for view in assessment.left_out}
     views = [
         [
             view.name,
             str(len(view.left_out)),
             str(int(np.sum(view.left_out))),
             f"{view.pose.residual_rms_px:.3f}",
-            held_out.get(view.name, ""),
+            *held_out.get(view.name, ("", "")),
             view.rejected,
         ]
         for view in calibration.views
     ]
-    views += [[name, "", "", "", "", reason] for name, reason in without_board]
-    headings = ("view", "corners", "left out", "rms (px)", "rms of the view held out (px)", "why it was not used")
+    views += [[name, "", "", "", "", "", reason] for name, reason in without_board]
+    headings = (
+        "view", "corners", "left out", "rms (px)", "rms held out (px)", "displacement without it (px)", "why not used"
+    )  # fmt: skip
+    boards = [
+        DrawnView(
+            board=view.board, pose=view.pose, residual_px=view.residual_px, left_out=view.left_out, remark=view.rejected
+        )
+        for view in calibration.views
+    ]
+    pictures = [space_picture(boards, camera), views_picture(boards, camera, thumbnails)]
     sections = [
         verdict_section(verdict),
         Section(
@@ -62,7 +80,7 @@ def camera_report(assessment: CameraAssessment, verdict: Verdict, without_board:
         ),
         Section(title="Coverage", pictures=[coverage_picture(assessment)]),
         Section(title="Residuals", pictures=[residual_field(calibration)]),
-        Section(title="Views", table=Table(headings=headings, rows=views), pictures=[view_picture(assessment)]),
+        Section(title="Views", table=Table(headings=headings, rows=views), pictures=pictures),
     ]
     if comparison is not None:
         models = [
@@ -85,9 +103,6 @@ WORST_PX = 1.0
 
 MIN_SIZE_PX = 1e-3
 """Lower limit of the values in maps: corners are less accurate."""
-
-ARROW_SHARE = 0.03
-"""Length of the arrow of an rms residual, in image widths."""
 
 
 def residual_field(calibration: CameraCalibration) -> Picture:
@@ -166,33 +181,6 @@ def uncertainty_map(assessment: CameraAssessment) -> Picture:
         "Where the map is white, no corner determines the lens. "
         "The right picture may be twice the left one: each half has half of the views.",
     )
-
-
-def view_picture(assessment: CameraAssessment) -> Picture:
-    """Rms of each view, in the calibration and held out, and the displacement of the projection without it."""
-    calibration = assessment.calibration
-    figure = canvas(10, 3.6)
-    rms, shift = figure.subplots(1, 2)
-    views = calibration.views
-    place = np.arange(len(views))
-    colors = ["#d62728" if view.rejected else "#1f77b4" for view in views]
-    rms.bar(place, [view.pose.residual_rms_px for view in views], color=colors, label="in the calibration")
-    number = {view.name: index for index, view in enumerate(views)}
-    held = assessment.left_out
-    rms.plot([number[view.name] for view in held], [view.rms_px for view in held], "k_", label="left out")
-    usual_px = float(np.median([view.pose.residual_rms_px for view in calibration.used]))
-    limit_px = max(VIEW_FACTOR * usual_px, FLOOR_PX)
-    rms.axhline(limit_px, color="#d62728", linestyle="--", linewidth=1, label="rejected above")
-    rms.set_ylabel("rms (px)")
-    rms.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
-    shift.bar([number[view.name] for view in held], [view.shift_px for view in held])
-    if max((view.shift_px for view in held), default=0.0) > 0.3 * WORST_PX:
-        shift.axhline(WORST_PX, color="#d62728", linestyle="--", linewidth=1, label="good below")
-        shift.legend()
-    shift.set_ylabel("displacement without the view (px)")
-    for axes in (rms, shift):
-        axes.set_xticks(place, [drawn(view.name) for view in views], rotation=90, fontsize=7)
-    return _picture(figure, "Red views were rejected. A view that displaces the result much needs others like it.")
 
 
 def comparison_picture(calibration: CameraCalibration, comparison: ModelComparison) -> Picture:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
+from math import isfinite, isnan
 from string import Template
 
 from ringpose.errors import UsageError
@@ -108,7 +109,7 @@ def verdict_section(verdict: Verdict) -> Section:
     rows = []
     for finding in verdict.findings:
         numbers = (finding.value, finding.pass_limit, finding.fail_limit)
-        cells = (f"{number:.4g}" if abs(number) < float("inf") else "none" for number in numbers)
+        cells = ("unknown" if isnan(number) else f"{number:.4g}" if isfinite(number) else "none" for number in numbers)
         rows.append([f"{finding.place} {finding.name}".strip(), *cells, str(finding.grade)])
     headings = ("quantity", "value", "good limit", "redo limit", "grade")
     table = Table(headings=headings, rows=rows)

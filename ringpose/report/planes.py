@@ -1,14 +1,20 @@
 """The page that `ringpose calibrate-planes --report` writes."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 
 from ringpose.calibrate.acceptance import PLANES_LIMITS
 from ringpose.calibrate.planes.covariance import worst_depth_sd_m
-from ringpose.calibrate.planes.quality import PlanesAssessment, calibrated_rig, planes_summary
+from ringpose.calibrate.planes.quality import PlanesAssessment, calibrated_rig, plane_angles
+from ringpose.geometry.rays import project
+from ringpose.geometry.rotations import angle_between
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, page, verdict_section
-from ringpose.types.calibration import LaserCalibration, PlanesCalibration
+from ringpose.report.views import DrawnView, space_picture, views_picture
+from ringpose.types.arrays import Array, UInt8
+from ringpose.types.calibration import LaserCalibration, PlanesCalibration, StripeView
 from ringpose.types.table import Table
 
 _BIN_SHARE = 0.04
@@ -21,22 +27,98 @@ _DEPTHS = 25
 """Number of distances at which the uncertainty is plotted."""
 
 
-def planes_report(assessment: PlanesAssessment) -> str:
-    """HTML page: verdict, summary, plots of residuals and of depth uncertainty."""
+def planes_report(
+    assessment: PlanesAssessment,
+    views: Sequence[StripeView],
+    thumbnails: Mapping[str, UInt8[Array, "row column"] | None],
+) -> str:
+    """HTML page: verdict, planes, the views with their small images by name, plots of residuals and uncertainty."""
     calibration = assessment.calibration
+    boards = _drawn_views(calibration, views)
     pictures = [_by_distance(calibration), _along_stripes(calibration)]
     if calibration.covariance is not None:
         pictures.append(_depths(calibration))
     left_out = [list(entry) for entry in (*assessment.without_board, *calibration.contradicting, *calibration.remarks)]
     sections = [
         verdict_section(assessment.verdict),
-        Section(title="Summary", text=planes_summary(assessment)),
-        Section(title="Views", table=_views(calibration)),
+        Section(
+            title="Light planes: normal . point = distance, camera frame",
+            table=_planes(calibration, assessment.paper),
+            pictures=[space_picture(boards, calibration.camera, calibration.lasers)],
+        ),
+        Section(
+            title="Views",
+            table=_views(calibration),
+            pictures=[views_picture(boards, calibration.camera, thumbnails)],
+        ),
         Section(title="Residuals and uncertainty", pictures=pictures),
     ]
+    if angles := plane_angles(calibration):
+        rows = [
+            [" to ".join(one["lasers"]), *(_degrees(one[key]) for key in ("angle_rad", "sd_rad"))] for one in angles
+        ]
+        table = Table(headings=("angle between", "degrees", "standard deviation"), rows=rows)
+        sections.insert(2, Section(title="Angles", table=table))
     if left_out:
         sections.append(Section(title="Left out or missing", table=Table(headings=("view", "why"), rows=left_out)))
     return page("Calibration of the light planes", sections)
+
+
+def _drawn_views(calibration: PlanesCalibration, views: Sequence[StripeView]) -> list[DrawnView]:
+    """The views whose boards have a pose, with the residuals of their corners and the stripes used, by laser."""
+    poses = {pose.name: pose for pose in calibration.poses}
+    boards = []
+    for view in views:
+        if (pose := poses.get(view.board.name)) is not None:
+            points = view.board.points_board_m @ pose.rotation.T + pose.translation_m
+            residual_px = view.board.points_px - project(points, calibration.camera)
+            nothing_left_out = np.zeros(len(residual_px), dtype=np.bool_)
+            stripes = [
+                [own.points for own in laser.views if own.name == view.board.name] for laser in calibration.lasers
+            ]
+            boards.append(
+                DrawnView(
+                    board=view.board,
+                    pose=pose,
+                    residual_px=residual_px,
+                    left_out=nothing_left_out,
+                    stripes_px=[
+                        project(np.concatenate([*own, np.empty((0, 3))]), calibration.camera) for own in stripes
+                    ],
+                )
+            )
+    return boards
+
+
+def _planes(calibration: PlanesCalibration, paper: PlanesCalibration | None) -> Table:
+    """Each plane with its uncertainty, its residuals, and its difference to the paper's method."""
+    deviations = {} if calibration.covariance is None else calibration.covariance.standard_deviations
+    rows = []
+    for index, laser in enumerate(calibration.lasers):
+        tilt_rad, distance_sd_m = (
+            max((deviations.get(f"{laser.name}.{name}", np.nan) for name in names), default=np.nan)
+            for names in (("tilt_1", "tilt_2"), ("distance",))
+        )
+        rows.append(
+            [
+                laser.name,
+                " ".join(f"{part:.5f}" for part in laser.normal),
+                f"{1e3 * laser.distance_m:.3f}",
+                _degrees(float(tilt_rad)),
+                _micrometres(float(distance_sd_m)),
+                _micrometres(laser.rms_m),
+                _micrometres(laser.held_out_rms_m),
+            ]
+        )
+        if paper is not None:
+            rows[-1].append(_degrees(float(angle_between(laser.normal, paper.lasers[index].normal))))
+    headings = ["laser", "normal", "distance mm", "tilt sd deg", "distance sd um", "rms um", "held out um"]
+    headings += [] if paper is None else ["to the paper's method deg"]
+    return Table(headings=headings, rows=rows)
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{np.degrees(angle_rad):.4f}" if np.isfinite(angle_rad) else "unknown"
 
 
 def _views(calibration: PlanesCalibration) -> Table:

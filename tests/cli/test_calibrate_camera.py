@@ -96,7 +96,7 @@ def test_the_report_has_a_verdict_and_pictures(folder):
 
     html = (folder / "camera.html").read_text()
     assert "Verdict: " in html
-    assert html.count("<img ") == 5
+    assert html.count("<img ") == 6
 
 
 def test_unusable_images_are_named_and_the_others_are_used(folder, capsys):

@@ -98,7 +98,7 @@ def test_the_report_shows_residuals_and_uncertainty(plane_folder):
     calibrate("planes", *ORDER, "--overlay", "drawn", "--report", "out.html")
 
     html = (plane_folder / "out.html").read_text()
-    assert html.count("data:image/png;base64,") == 3
+    assert html.count("data:image/png;base64,") == 5
     assert "Verdict: can be improved" in html
 
 

@@ -14,7 +14,8 @@ from ringpose.files.images.codecs import write_image
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.inputs import Input, path_of_input
 from ringpose.files.inputs import inputs as named
-from ringpose.report.boards import board_overlay
+from ringpose.report.boards import board_overlay, thumbnail
+from ringpose.types.arrays import Array, UInt8
 from ringpose.types.board import BoardView, BoardViews
 from ringpose.types.image import Shot, board_image
 
@@ -31,6 +32,7 @@ class BoardReader:
         luminance_too: bool = False,
         outputs: Sequence[Path | None],
         force: bool,
+        thumbnails_too: bool = False,
     ) -> None:
         """`outputs` of the command must not be inputs.
 
@@ -38,6 +40,9 @@ class BoardReader:
         """
         self.paths: list[Path] = []
         """The files read."""
+        self.thumbnails: dict[str, UInt8[Array, "row column"] | None] = {}
+        """By name, small images for a report, if wanted; None for a name of several images."""
+        self._thumbnails_too = thumbnails_too
         self._boards, self._force = boards, force
         self._overlay = None if overlay is None else make_folder(overlay)
         self._channel, self._luminance_too = channel, luminance_too
@@ -76,6 +81,9 @@ class BoardReader:
         view = self._boards.add(shot, (lambda: read_shot(path)) if self._channel and self._luminance_too else None)
         if isinstance(item, Path):
             self.paths.append(item)
+        if self._thumbnails_too:
+            known = shot.name in self.thumbnails
+            self.thumbnails[shot.name] = None if known else thumbnail(shot.images.max(axis=0))
         if self._overlay is not None:
             drawn = board_overlay(board_image(shot), view)
             write_image(self._overlay / f"{shot.name}.png", drawn, force=self._force)

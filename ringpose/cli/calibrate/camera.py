@@ -88,7 +88,7 @@ def calibrate_camera(
     )
     distances_m = numbers(distances, "--distances", "give metres, as 0.2,0.5,1", DISTANCE_M)
     inputs, batch = given(inputs, "INPUT"), Batch()
-    read = [] if board is None else [board]
+    read, thumbnails = [] if board is None else [board], {}
     if any(map(is_corner_list, inputs)):
         without = {"--overlay": overlay, "--channel": channel}
         boards = listed_views(inputs, board, image_size, batch, without)
@@ -97,9 +97,12 @@ def calibrate_camera(
         if image_size is not None:
             raise UsageError("--image-size", "is that of lists of corners, and images are given", "leave it out")
         boards = BoardShots(read_board(given(board, "--board")), names_differ=overlay is not None)
-        reader = BoardReader(boards, overlay=overlay, channel=channel, outputs=(output, report), force=force)
+        reader = BoardReader(
+            boards, overlay=overlay, channel=channel, outputs=(output, report), force=force,
+            thumbnails_too=report is not None,
+        )  # fmt: skip
         reader.read_each(inputs, batch, quiet=quiet, verbose=verbose)
-        read += reader.paths
+        read, thumbnails = [*read, *reader.paths], reader.thumbnails
     with batch.guarded():
         assessment = assessed_camera(boards, model, camera_name, distances_m, compare)
         verdict = camera_verdict(assessment, boards.images)
@@ -108,6 +111,7 @@ def calibrate_camera(
         if report is not None:
             from ringpose.report.camera import camera_report
 
-            write_page(report, camera_report(assessment, verdict, boards.without_board), force=force)
+            html = camera_report(assessment, verdict, boards.without_board, thumbnails)
+            write_page(report, html, force=force)
         batch.record_status(report_verdict(verdict, camera_summary(assessment, verdict), quiet=quiet))
     batch.finish()

@@ -1,6 +1,5 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
-from collections.abc import Sequence
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from ringpose.calibrate.planes.pipeline import StripeShots
     from ringpose.calibrate.planes.recheck.update import BoardRecheck, RigRecheck, StreamRecheck
     from ringpose.cli.batch import Batch
+    from ringpose.cli.calibrate.board_views import BoardReader
     from ringpose.types.board import BoardView
     from ringpose.types.image import Shot
     from ringpose.types.rig import Camera, Rig
@@ -179,7 +179,7 @@ def _calibrate(
     batch = Batch()
     stripes = _stripe_shots(options, read_camera(camera))
     check_method(method, free_camera, stripes.boards.board, stripes.camera)
-    paths = _read_shots(shots, stripes, options, batch, (output, report))
+    reader = _read_shots(shots, stripes, options, batch, (output, report))
     if not stripes.views and (batch.status or stripes.boards.without_board):
         batch.record_status(DataError.status)
         batch.finish()
@@ -196,11 +196,11 @@ def _calibrate(
                 raise DataError(shot, finding)  # reported like any other unusable shot
         rig = replace(calibrated_rig(assessment.calibration), mount=mounting)
         quality = planes_quality(assessment)
-        write_rig(output, rig, extra=quality, force=options.force, inputs=[*files, *paths])
+        write_rig(output, rig, extra=quality, force=options.force, inputs=[*files, *reader.paths])
         if report is not None:
             from ringpose.report.planes import planes_report
 
-            write_page(report, planes_report(assessment), force=options.force)
+            write_page(report, planes_report(assessment, stripes.views, reader.thumbnails), force=options.force)
         _report_lasers(stripes, rig, quiet=options.quiet)
         batch.record_status(report_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
@@ -280,7 +280,7 @@ def _read_views(inputs: list[str], recheck: "BoardRecheck", options: _Inputs, ba
 
     rig = recheck.rig
     stripes = _stripe_shots(options._replace(names=",".join(rig.lasers.names)), rig.camera)
-    paths = _read_shots(inputs, stripes, options, batch)
+    paths = _read_shots(inputs, stripes, options, batch).paths
     batch.record_status(NO_POSE if stripes.boards.without_board else 0)  # it is not known whether the rig holds there
     for view in stripes.views:
         recheck.add(view)
@@ -331,9 +331,13 @@ def _stripe_shots(options: _Inputs, camera: "Camera") -> "StripeShots":
 
 
 def _read_shots(
-    inputs: list[str], stripes: "StripeShots", options: _Inputs, batch: "Batch", outputs: Sequence[Path | None] = ()
-) -> list[Path]:
-    """Add the views of all shots, report shots without board, draw the overlays, and return the files read."""
+    inputs: list[str],
+    stripes: "StripeShots",
+    options: _Inputs,
+    batch: "Batch",
+    outputs: tuple[Path | None, Path | None] = (None, None),
+) -> "BoardReader":
+    """Add the views of all shots, report shots without board, and draw the overlays; `outputs` are rig and report."""
     from ringpose.cli.calibrate.board_views import BoardReader
     from ringpose.files.images.codecs import write_image
     from ringpose.report.boards import stripe_overlay
@@ -348,7 +352,7 @@ def _read_shots(
 
     reader = BoardReader(
         stripes.boards, overlay=options.overlay, channel=options.channel, luminance_too=True, outputs=outputs,
-        force=options.force,
+        force=options.force, thumbnails_too=outputs[1] is not None,
     )  # fmt: skip
     reader.read_each(inputs, batch, add, quiet=options.quiet, verbose=options.verbose)
-    return reader.paths
+    return reader

@@ -147,9 +147,12 @@ def sheet_check(calibration):
 
 
 @pytest.mark.parametrize("print_m", [0.0, 0.1])
-@pytest.mark.parametrize(("height_m", "grade"), [(0.0, Grade.GOOD), (4e-3, Grade.REDO), (-4e-3, Grade.REDO)])
+@pytest.mark.parametrize(
+    ("height_m", "grade"),
+    [(0.0, Grade.GOOD), (4e-3, Grade.REDO), pytest.param(-4e-3, Grade.REDO, marks=pytest.mark.slow)],
+)
 def test_the_height_of_a_surface_behind_the_print_is_estimated_and_graded(height_m, grade, print_m, rng):
-    calibration = calibrated(true_poses(rng, 8), height_m, print_m, rng)
+    calibration = calibrated(true_poses(rng, 5), height_m, print_m, rng)
 
     found_m, sd_m = calibration.sheet_height_m
     found = sheet_check(calibration)
