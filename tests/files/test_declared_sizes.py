@@ -59,6 +59,22 @@ def tiff(image, order: str = "<", big: bool = False, changes=()) -> bytes:
     return mark + head + image.tobytes() + count + entries + bytes(8 if big else 4)
 
 
+def webp(width: int, height: int) -> bytes:
+    """A lossless WebP image with another size in its header, which has 14 bits less 1 for each."""
+    encoded = bytearray(cv2.imencode(".webp", np.zeros((8, 8), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes())
+    at = encoded.index(b"VP8L") + 9
+    encoded[at : at + 4] = struct.pack("<I", (width - 1) | (height - 1) << 14)
+    return bytes(encoded)
+
+
+def jp2(width: int, height: int) -> bytes:
+    """A JPEG 2000 image of 64 x 64 pixels, with another size in its codestream."""
+    encoded = bytearray(cv2.imencode(".jp2", np.zeros((64, 64), np.uint8))[1].tobytes())
+    at = encoded.index(b"\xff\x4f\xff\x51") + 8
+    encoded[at : at + 8] = struct.pack(">II", width, height)
+    return bytes(encoded)
+
+
 def npz(shape: tuple[int, ...], stored: int = 100, key: str = "images", descr: str = "|u1") -> bytes:
     """An archive with one array, whose header declares another size than is stored."""
     file = io.BytesIO()
@@ -77,6 +93,8 @@ TOO_LARGE = {
     "a.tif": tiff(SMALL, changes={256: SIDE, 257: SIDE, 278: SIDE}.items()),
     "big.tif": tiff(SMALL, big=True, changes={256: SIDE, 257: SIDE, 278: SIDE}.items()),
     "tiled.tif": tiff(SMALL, changes={322: SIDE, 323: SIDE}.items()),
+    "a.webp": webp(16_384, 16_384),
+    "a.jp2": jp2(SIDE, SIDE),
     "a.pgm": f"P5 {SIDE} {SIDE} 255\n".encode(),
 }
 
@@ -110,7 +128,7 @@ def test_images_that_declare_too_many_pixels_are_rejected_within_128_mib(tmp_pat
     assert ended.stderr == ""
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".pgm"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".pgm", ".webp"])
 @pytest.mark.parametrize("shape", [(1, 7), (48, 64), (5, 300, 3)])
 def test_header_declares_the_size_that_is_decoded(suffix, shape):
     if suffix == ".pgm":

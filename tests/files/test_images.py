@@ -8,9 +8,14 @@ import pytest
 from ringpose.errors import DataError, NoInputError
 from ringpose.files.images.codecs import read_image
 
+LOSSLESS = {
+    ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101],
+    ".jp2": [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000],
+}
+
 
 def encoded(suffix: str, image) -> bytes:
-    return cv2.imencode(suffix, image)[1].tobytes()
+    return cv2.imencode(suffix, image, LOSSLESS.get(suffix, []))[1].tobytes()
 
 
 def grey(rng, dtype=np.uint8):
@@ -27,6 +32,9 @@ def grey(rng, dtype=np.uint8):
         (".bmp", np.uint8),
         (".pgm", np.uint8),
         (".pgm", np.uint16),
+        (".webp", np.uint8),
+        (".jp2", np.uint8),
+        (".jp2", np.uint16),
     ],
 )
 def test_grey_values_are_read_as_they_are(tmp_path, rng, suffix, dtype):
@@ -38,6 +46,18 @@ def test_grey_values_are_read_as_they_are(tmp_path, rng, suffix, dtype):
     np.testing.assert_array_equal(read, image)
     assert read.dtype == dtype
     np.testing.assert_array_equal(read_image(tmp_path / f"a{suffix}", "r"), image)
+
+
+def test_a_codestream_of_jpeg_2000_and_one_with_boxes_after_it_are_read(tmp_path, rng):
+    whole = encoded(".jp2", grey(rng))
+    at = whole.index(b"jp2c") - 4
+    (tmp_path / "a.j2k").write_bytes(whole[at + 8 :])
+    closed = (len(whole) - at).to_bytes(4, "big") + whole[at + 4 :]
+    (tmp_path / "a.jp2").write_bytes(whole[:at] + closed + b"\0\0\0\x0cxml <a/>")
+
+    codestream, boxed = read_image(tmp_path / "a.j2k"), read_image(tmp_path / "a.jp2")
+
+    np.testing.assert_array_equal(codestream, boxed)
 
 
 def test_jpeg_is_read(tmp_path):
@@ -61,7 +81,7 @@ def test_pgm_is_read_as_netpbm_describes_it(tmp_path, header, pixels, values):
     assert read_image(tmp_path / "a.pgm").tolist() == values
 
 
-@pytest.mark.parametrize("suffix", [".webp", ".jp2", ".hdr", ".ppm"])
+@pytest.mark.parametrize("suffix", [".hdr", ".ppm"])
 def test_other_formats_are_rejected(tmp_path, suffix):
     (tmp_path / "a.png").write_bytes(
         encoded(suffix, np.zeros((64, 64, 3), np.float32 if suffix == ".hdr" else np.uint8))
@@ -81,7 +101,7 @@ def test_colour_becomes_luminance_or_the_requested_channel(tmp_path, channel, va
     assert read_image(tmp_path / "a.png", channel) == pytest.approx(value, abs=0.5)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".pgm"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".pgm", ".webp", ".jp2"])
 @pytest.mark.parametrize("kept", [0.0, 0.02, 0.5, 0.98])
 def test_a_truncated_image_gives_one_error_and_nothing_on_stderr(tmp_path, rng, capfd, suffix, kept):
     whole = encoded(suffix, grey(rng))

@@ -1,4 +1,4 @@
-"""Reading of PNG, TIFF, BMP, JPEG and PGM images as grey values, and writing of PNG."""
+"""Reading of PNG, TIFF, BMP, JPEG, WebP, JPEG 2000 and PGM images as grey values, and writing of PNG."""
 
 import os
 import re
@@ -23,7 +23,7 @@ from ringpose.types.arrays import Array, UInt
 from ringpose.types.image import MAX_SHOT_PIXELS, check_shot_size
 from ringpose.types.rig import Camera
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".webp", ".jp2", ".j2k", ".pgm")
 
 CHANNELS = {"b": 0, "g": 1, "r": 2}
 """Index of each channel in OpenCV's BGR order."""
@@ -31,7 +31,7 @@ CHANNELS = {"b": 0, "g": 1, "r": 2}
 MAX_DECODED_BYTES = 2 * MAX_SHOT_PIXELS
 """Maximum size of a decoded image, with all its channels: that of the largest shot in 16 bits."""
 
-_REMEDY = "give an intact PNG, TIFF, BMP, JPEG or binary PGM image"
+_REMEDY = "give an intact PNG, TIFF, BMP, JPEG, WebP, JPEG 2000 or binary PGM image"
 
 _STDERR = 2
 
@@ -48,7 +48,7 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
     header = _checked_header(encoded, path, camera)
     if header.format == "PGM":
         return _pgm_pixels(encoded, header, path)
-    if finding := _undetected_damage(encoded, header.format):
+    if finding := _undetected_damage(encoded, header):
         raise DataError(str(path), finding, _REMEDY)
     decoded = _decoded(encoded, path)
     if decoded.shape[:2] != (header.height, header.width):
@@ -165,12 +165,20 @@ def _codec_reports() -> Iterator[list[bytes]]:
                     os.write(_STDERR, others)
 
 
-def _undetected_damage(encoded: bytes, image_format: str) -> str:
+def _undetected_damage(encoded: bytes, header: ImageHeader) -> str:
     """The finding if an image has damage that its decoder does not report; else empty."""
-    if image_format == "JPEG" and encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda")) < 0:
-        return "is a JPEG image that is cut short"
-    if image_format != "PNG":
-        return ""
+    end = len(encoded) if header.data_end is None else header.data_end
+    is_cut = {
+        "JPEG": encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda")) < 0,
+        "JPEG 2000": encoded[end - 2 : end] != b"\xff\xd9",
+        "WebP": len(encoded) < 8 + int.from_bytes(encoded[4:8], "little"),
+    }
+    if is_cut.get(header.format, False):
+        return f"is a {header.format} image that is cut short"
+    return _png_damage(encoded) if header.format == "PNG" else ""
+
+
+def _png_damage(encoded: bytes) -> str:
     start = len(b"\x89PNG\r\n\x1a\n")
     while start + 12 <= len(encoded):
         end = start + 12 + int.from_bytes(encoded[start : start + 4], "big")

@@ -21,13 +21,16 @@ class ImageHeader(NamedTuple):
     """PGM only: the largest grey value."""
     pixel_bytes: int = 1
     """Bytes of a decoded pixel, with all its channels."""
+    data_end: int | None = None
+    """JPEG 2000 only: offset of the end of the codestream; None for the end of the file."""
 
 
 def image_header(encoded: bytes) -> ImageHeader | None:
-    """The header of a PNG, JPEG, BMP, TIFF or binary PGM image; None for any other format.
+    """The header of a PNG, JPEG, BMP, TIFF, WebP, JPEG 2000 or binary PGM image; None for any other format.
 
     A truncated header raises struct.error or ValueError. Sources: RFC 2083 (PNG), ITU-T T.81 B.2 (JPEG),
-    TIFF 6.0 and its 64-bit variant BigTIFF, the BITMAPINFOHEADER of Windows, pgm(5) of Netpbm.
+    TIFF 6.0 and its 64-bit variant BigTIFF, the BITMAPINFOHEADER of Windows, RFC 9649 and RFC 6386 (WebP),
+    ITU-T T.800 A.5.1 and I.4 (JPEG 2000), pgm(5) of Netpbm.
     """
     for signature, read in _READERS.items():
         if encoded.startswith(signature):
@@ -118,6 +121,56 @@ _INTEGERS = {3: "H", 4: "I", 16: "Q"}
 """Integer types of TIFF: SHORT, LONG, and LONG8 of BigTIFF."""
 
 
+def _webp(encoded: bytes) -> ImageHeader | None:
+    """Size in the first chunk; that of the canvas if it has extended features."""
+    if encoded[8:12] != b"WEBP":
+        return None
+    kind = encoded[12:16]
+    if kind == b"VP8X":
+        if encoded[20] & _ANIMATED:
+            raise ValueError("an animation")
+        width, height = (1 + int.from_bytes(encoded[at : at + 3], "little") for at in (24, 27))
+    elif kind == b"VP8L":
+        (packed,) = struct.unpack_from("<I", encoded, 21)
+        width, height = 1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)
+    elif kind == b"VP8 ":
+        width, height = (size & 0x3FFF for size in struct.unpack_from("<HH", encoded, 26))
+    else:
+        raise ValueError("no image")
+    return ImageHeader("WebP", width, height, pixel_bytes=4)
+
+
+_ANIMATED = 0x02
+
+
+def _jp2(encoded: bytes) -> ImageHeader:
+    """Size in the codestream, which is what is decoded, in the box `jp2c`."""
+    at = 0
+    while at + 8 <= len(encoded):
+        length, name = struct.unpack_from(">I4s", encoded, at)
+        start = 8
+        if length == 1:
+            (length,) = struct.unpack_from(">Q", encoded, at + 8)
+            start = 16
+        if name == b"jp2c":  # a length of 0 stands for the rest of the file
+            end = at + length if length else None
+            return _codestream(encoded[at + start : at + start + 64])._replace(data_end=end)
+        if length < start:
+            break
+        at += length
+    raise ValueError("no codestream")
+
+
+def _codestream(encoded: bytes) -> ImageHeader:
+    """Size in the segment SIZ, with which each codestream begins: the reference grid without its offset."""
+    if not encoded.startswith(b"\xff\x4f\xff\x51"):
+        raise ValueError("no SIZ")
+    right, bottom, left, top = struct.unpack_from(">IIII", encoded, 8)
+    components, depth = struct.unpack_from(">HB", encoded, 40)
+    pixel_bytes = min(components, 4) * (1 if depth & 0x7F < 8 else 2)
+    return ImageHeader("JPEG 2000", right - left, bottom - top, pixel_bytes=pixel_bytes)
+
+
 def _pgm(encoded: bytes) -> ImageHeader:
     match = _PGM.match(encoded)
     if match is None:
@@ -129,7 +182,7 @@ def _pgm(encoded: bytes) -> ImageHeader:
 _PGM = re.compile(rb"P5" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,10})" + rb"\s")
 """Width, height and maximum, separated by white space or comments; one white-space character ends the header."""
 
-_READERS: dict[bytes, Callable[[bytes], ImageHeader]] = {
+_READERS: dict[bytes, Callable[[bytes], ImageHeader | None]] = {
     b"\x89PNG\r\n\x1a\n": _png,
     b"\xff\xd8\xff": _jpeg,
     b"BM": _bmp,
@@ -138,5 +191,8 @@ _READERS: dict[bytes, Callable[[bytes], ImageHeader]] = {
     b"II+\0": _tiff,
     b"MM\0+": _tiff,
     b"P5": _pgm,
+    b"RIFF": _webp,
+    b"\0\0\0\x0cjP  \r\n\x87\n": _jp2,
+    b"\xff\x4f\xff\x51": _codestream,
 }
 """Parser of each format, by the file's signature."""
