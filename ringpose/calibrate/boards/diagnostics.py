@@ -285,8 +285,8 @@ def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
 def _circles_of(grey: GreyImage, board: Board) -> Float64[Array, "circle xy=2"] | None:
     """The centres of the circles of a grid; None if not all are found."""
     is_asymmetric = board.kind == "asymmetric_circles"
-    found = circle_centers(grey, corner_points(board), board.squares_x or 0, board.squares_y or 0, is_asymmetric)
-    return None if found is None else found.points_px
+    centers = circle_centers(grey, corner_points(board), board.squares_x or 0, board.squares_y or 0, is_asymmetric)
+    return None if centers is None else centers.points_px
 
 
 def _other_grids(board: Board) -> Iterator[Board]:
