@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.optics.feature_errors import OUTSIDE_COLUMNS
-from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.arrays import Array, Bool, Float32, Float64, UInt
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Frame, Shot, searched_frames
 
@@ -34,8 +34,8 @@ class LaserImage:
     """Mid exposure of the background; NaN without one."""
     label: int = UNLABELLED
     """The laser of its stripes if they can belong to a single one only."""
-    left_out: Bool[Array, "row column"] | None = None
-    """Pixels that the background was put into, as a ghost of saturated light was there."""
+    left_out: Float32[Array, "row column"] | None = None
+    """Light that the background was put in place of, since it may be the ghost of saturated light."""
 
 
 def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[LaserImage]:
@@ -151,16 +151,25 @@ def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Arra
     return (image.lit, FLANK_ROWS) if image.dark is None else (image.dark, np.array([-1.0, 0.0, 1.0]))
 
 
-def beside_left_out(position_px: Float64[Array, "laser edge=2 xy=2"], image: LaserImage) -> Bool[Array, "laser edge=2"]:
-    """Which ends of stripes are near pixels of a frame that were left out, so that the stripes may go on there."""
+def beside_left_out(
+    position_px: Float64[Array, "laser edge=2 xy=2"], image: LaserImage, share: float
+) -> Bool[Array, "laser edge=2"]:
+    """Which ends of stripes are near light that was left out and so bright that the stripes may go on there.
+
+    That is more than a `share` of the stripe's own light.
+    """
     beside = np.zeros(position_px.shape[:2], dtype=bool)
     if image.left_out is None:
         return beside
+    light = image.lit.astype(np.float32) - (0.0 if image.dark is None else image.dark)
     for laser in image.lasers:
         for edge in np.flatnonzero(np.isfinite(position_px[laser]).all(axis=1)):
             x, y = np.rint(position_px[laser, edge]).astype(int)
-            rows, columns = slice(max(y - 3, 0), y + 4), slice(max(x - OUTSIDE_COLUMNS, 0), x + OUTSIDE_COLUMNS + 1)
-            beside[laser, edge] = image.left_out[rows, columns].any()
+            rows, reach = slice(max(y - 3, 0), y + 4), OUTSIDE_COLUMNS
+            near = slice(max(x - reach, 0), x + reach + 1)
+            inside = slice(x, x + reach + 1) if position_px[laser, 1 - edge, 0] > x else slice(max(x - reach, 0), x + 1)
+            own_dn = float(np.median(light[rows, inside].max(axis=0, initial=0.0)))
+            beside[laser, edge] = image.left_out[rows, near].max(initial=0.0) > share * own_dn
     return beside
 
 

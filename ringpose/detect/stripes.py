@@ -429,8 +429,9 @@ def _without_ghost(image: LaserImage, ghost: SubtractedGhost) -> LaserImage:
     if image.label == UNLABELLED or image.dark is None:
         return replace(image, lit=clean)
     saturated = (image.lit >= image.saturation_dn) & (image.dark < image.saturation_dn)
-    left_out = _moved_rows(saturated.astype(np.float32), ghost.offset_px) > 0.0
-    return replace(image, lit=np.where(left_out, image.dark, clean), left_out=left_out)
+    unknown = _moved_rows(saturated.astype(np.float32), ghost.offset_px) > 0.0
+    left_out = np.where(unknown, np.subtract(clean, image.dark, dtype=np.float32), np.float32(0.0))
+    return replace(image, lit=np.where(unknown, image.dark, clean), left_out=left_out)
 
 
 def _laser_light(image: LaserImage) -> Float32[Array, "row column"]:
