@@ -102,6 +102,10 @@ CaptureState = Literal["capturing", "finished", "stopped"]
 listed."""
 
 
+SESSION_FILE = "session.yaml"
+"""Name of the file in a session folder that lists its captures."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
     """One run of `ringpose capture`; URIs are as given by the user."""

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from plane_views import ORDER, calibrate, calibrated, copy_views, run_in, written
 
+from ringpose.files.images.sessions import write_session
+from ringpose.types.session import Capture, Session
+
 ROWS = ((550, 1200), (230, 550), (0, 230))
 """Between which rows the carried views have the stripes of left, middle and right."""
 
@@ -126,7 +129,21 @@ def test_a_laser_that_is_never_lit_is_named_with_what_each_shot_showed(plane_fol
     stderr = capsys.readouterr().err
     assert status == 65
     assert 'laser "right": no stripe on the board in any of the 3 shots whose frames have it on' in stderr
-    assert "pln_B_01: 0 stripes on the board where laser 3 is on: too dark" in stderr
+    assert "pln_B_01: 0 stripes on the board where right is on: too dark" in stderr
+
+
+@pytest.mark.parametrize(
+    ("names", "status", "named"),
+    [([["up", "down"]], 65, "there are 2 (up, down)"), (["a", "b"], 2, "sessions of the shots differ: a; b")],
+)
+def test_lasers_have_the_names_of_the_session_that_the_shots_are_from(
+    names, status, named, plane_folder, switched_shots, capsys
+):
+    captures = tuple(Capture(camera="c", lasers="l", state="finished", laser_names=tuple(each)) for each in names)
+    write_session(plane_folder / "planes", Session(captures=captures))
+
+    assert calibrate("planes") == status
+    assert named in capsys.readouterr().err
 
 
 def test_images_without_the_number_of_lasers_are_rejected(plane_folder, capsys):

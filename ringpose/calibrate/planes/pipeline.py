@@ -69,7 +69,7 @@ class StripeShots:
         if shift_px > STILL_PX:
             finding = f"the board, or the camera, moved by {shift_px:.1f} px between its frames"
             raise DataError(shot.name, finding, "left out: hold it still until all frames are taken")
-        view = stripe_view(shot, board, self.boards.board, self.camera, len(self.names), self.surround_m)
+        view = stripe_view(shot, board, self.boards.board, self.camera, self.names, self.surround_m)
         self.views.append(view)
         return view
 

@@ -16,7 +16,7 @@ from ringpose.files.records.codec import RecordType
 from ringpose.files.schema import SESSION
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot
-from ringpose.types.session import Capture, CaptureState, Session
+from ringpose.types.session import SESSION_FILE, Capture, CaptureState, Session
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -29,8 +29,6 @@ RECORD = RecordType(
     is_file=True,
     strict=True,
 )
-
-FILE = "session.yaml"
 
 LOCK = ".lock"
 """Lock file, held while a capture writes into the folder."""
@@ -49,13 +47,13 @@ def folder_of_now() -> Path:
 
 def read_session(folder: Path) -> Session:
     """The session in a folder; whether its shots exist is checked when they are read."""
-    fields = read_yaml(folder / FILE)
+    fields = read_yaml(folder / SESSION_FILE)
     return RECORD.read(fields.values, fields.file)
 
 
 def write_session(folder: Path, session: Session) -> None:
     """Write `session.yaml`, replacing an existing one."""
-    with replacing(folder / FILE, force=True) as stream:
+    with replacing(folder / SESSION_FILE, force=True) as stream:
         write_yaml(stream, RECORD.write(session))
 
 
@@ -85,8 +83,10 @@ class SessionWriter:
         if not is_free and self._existing == "refuse":
             remedy = "add --append to go on with it, or --force to replace it"
             raise CannotCreateError(str(self.folder), "exists already", remedy)
-        if not is_free and not (self.folder / FILE).exists():
-            raise CannotCreateError(str(self.folder), f"is not a session: it has no {FILE}", "choose another --output")
+        if not is_free and not (self.folder / SESSION_FILE).exists():
+            raise CannotCreateError(
+                str(self.folder), f"is not a session: it has no {SESSION_FILE}", "choose another --output"
+            )
         self._lock = _locked(self.folder)
         try:
             self._take_over(is_free)
@@ -174,7 +174,7 @@ class SessionWriter:
             if self._earlier:
                 write_session(self.folder, Session(captures=self._earlier))
             else:
-                (self.folder / FILE).unlink(missing_ok=True)
+                (self.folder / SESSION_FILE).unlink(missing_ok=True)
 
     def _is_free(self) -> bool:
         """Whether the folder does not exist yet, or holds nothing but what a capture killed before its first shot left.
@@ -189,7 +189,7 @@ class SessionWriter:
             left = {path.name for path in self.folder.iterdir() if not path.match(TEMPORARY_FILES)} - {LOCK}
         except OSError as error:
             raise output_error(self.folder, error) from error
-        return not left or (left == {FILE} and self._has_no_shots())
+        return not left or (left == {SESSION_FILE} and self._has_no_shots())
 
     def _has_no_shots(self) -> bool:
         """Whether the folder has a valid session without shots."""

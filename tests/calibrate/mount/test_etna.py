@@ -51,7 +51,7 @@ def test_held_out_laser_points_lie_on_one_plane_in_the_base(folder, limit_m, sha
     camera = calibrate_camera(boards, 1280, 1024, CameraModel(fix_k3=True, keep_all=True)).camera
     poses = read_tool_poses(str(data), convention_named("m,xyzw")).poses
     stations = stations_of(boards, matched_poses([view.name for view in boards], [0.0] * len(boards), poses, "poses"))
-    stripes = [stripe_view(shot, view, BOARD, camera, 1) for shot, view in views]
+    stripes = [stripe_view(shot, view, BOARD, camera, ["red"]) for shot, view in views]
     (laser,) = calibrate_planes(stripes, camera, PlanesModel(names=("red",))).lasers
 
     mount = Transform(*calibrate_mount(stations, camera).solution.state.mount)  # from the corners: no laser point

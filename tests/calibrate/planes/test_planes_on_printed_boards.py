@@ -98,7 +98,7 @@ def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng):
         stands = [board_stand(rng, *size_m) for _ in range(6)]
         shots = [drawn_shot(drawn, rng, stand, str(k)) for k, stand in enumerate(stands)]
         boards = [find_board(shot.images[0], board, shot.name) for shot in shots]
-        views = [stripe_view(shot, seen, board, CAMERA, 3) for shot, seen in zip(shots, boards, strict=True)]
+        views = [stripe_view(shot, seen, board, CAMERA, "abc") for shot, seen in zip(shots, boards, strict=True)]
         normalised.append(nees(calibrate_planes(views, CAMERA, MODEL)))
 
     low, high = chi_squared([0.025 / 3, 1 - 0.025 / 3], 9 * runs)

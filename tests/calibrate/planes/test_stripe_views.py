@@ -55,7 +55,7 @@ def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
 @pytest.mark.parametrize("ratio", [0.0, 0.1])
 def test_a_ghost_that_several_views_show_is_a_property_of_the_rig(rendered_plane_views, ratio):
     switched = [(shot, found) for shot, found in rendered_plane_views if len(shot.lasers) > 2]
-    views = [stripe_view(with_ghost(shot, ratio, -12.0), found, FOUR, TRUE_CAMERA, 3) for shot, found in switched]
+    views = [stripe_view(with_ghost(shot, ratio, -12.0), found, FOUR, TRUE_CAMERA, "abc") for shot, found in switched]
 
     calibration = calibrate_planes(views, TRUE_CAMERA, PlanesModel(names=("left", "middle", "right")))
 
@@ -77,7 +77,7 @@ def test_reflections_at_another_offset_in_every_view_are_not_a_ghost_of_the_rig(
 @pytest.fixture(scope="module")
 def rendered(rendered_plane_views):
     """Planes of the rendered views by either method, with the true camera."""
-    views = [stripe_view(shot, found, FOUR, TRUE_CAMERA, 3) for shot, found in rendered_plane_views]
+    views = [stripe_view(shot, found, FOUR, TRUE_CAMERA, "abc") for shot, found in rendered_plane_views]
     model = PlanesModel(names=("left", "middle", "right"))
     return {method: calibrate_planes(views, TRUE_CAMERA, replace(model, method=method)) for method in PlanesMethod}
 
@@ -127,7 +127,7 @@ def uba(shared_data):
         green, red = shot_of(path, 1), shot_of(path, 2)
         view = find_board(board_image(green), board, path.stem)
         view = replace(view, points_board_m=view.points_board_m * [1, 21.125 / 21.167, 1])
-        views.append(stripe_view(red, view, board, camera, 1))
+        views.append(stripe_view(red, view, board, camera, ["red"]))
     return calibrate_planes(views, camera, PlanesModel(names=("red",)))
 
 
@@ -166,7 +166,7 @@ def test_a_saturated_stripe_on_the_sheet_beside_the_board(shared_data):
     seen = [find_board(shot.images[0], board, shot.name) for shot in shots]
     camera = calibrate_camera(seen, 1280, 1024, CameraModel(fix_k3=True, keep_all=True)).camera
 
-    stripes = [stripe_view(shot, view, board, camera, 1) for shot, view in zip(shots, seen, strict=True)]
+    stripes = [stripe_view(shot, view, board, camera, ["red"]) for shot, view in zip(shots, seen, strict=True)]
     (laser,) = calibrate_planes(stripes, camera, PlanesModel(names=("red",))).lasers
 
     angle = angle_between(laser.normal, np.array([0.79686689, 0.06148914, 0.60101765]))

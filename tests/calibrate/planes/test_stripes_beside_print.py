@@ -43,7 +43,7 @@ def light(x_px, rows=np.s_[:], slope=0.0, strength=STRIPE_DN) -> np.ndarray:
     return image
 
 
-def stripes_of(ambient, lit, rng, *, subtracted, lasers=1, surround_m=None):
+def stripes_of(ambient, lit, rng, *, subtracted, surround_m=None):
     """The view of a shot of this scene, with a frame with the lasers off or without."""
     frames = np.stack([ambient, ambient + lit] if subtracted else [ambient + lit])
     blurred = np.stack([cv2.GaussianBlur(frame, (0, 0), 0.8) for frame in frames])
@@ -52,7 +52,7 @@ def stripes_of(ambient, lit, rng, *, subtracted, lasers=1, surround_m=None):
     points_px = points_m[:, :2] * PIXELS_PER_METRE + [279.5, 179.5]
     board = BoardView(name="b", ids=np.arange(len(points_m)), points_board_m=points_m, points_px=points_px)
     shot = make_shot(images, [0, 1] if subtracted else [1])
-    return stripe_view(shot, board, BOARD, CAMERA, lasers, surround_m)
+    return stripe_view(shot, board, BOARD, CAMERA, ["red"], surround_m)
 
 
 @pytest.mark.parametrize("subtracted", [True, False])

@@ -21,7 +21,7 @@ def test_a_turned_camera_sees_the_same_stripes_on_a_board():
     views = []
     for of_rig, of_shot in ((rig, shot), (turned_rig(rig), turned_shot(shot))):
         board = find_board(board_image(of_shot), FOUR, of_shot.name)
-        views.append(stripe_view(of_shot, board, FOUR, of_rig.camera, 3))
+        views.append(stripe_view(of_shot, board, FOUR, of_rig.camera, "abc"))
 
     for usual, turned in zip(*map(_stripes, views), strict=True):
         lines = [

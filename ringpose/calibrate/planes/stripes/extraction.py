@@ -144,14 +144,16 @@ class BoardSurface:
 
 
 def stripe_view(
-    shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float | None = None
+    shot: Shot, view: BoardView, board: Board, camera: Camera, names: Sequence[str], surround_m: float | None = None
 ) -> StripeView:
     """The stripes on the board in one shot, by laser where the frames identify it.
 
-    Frames with one laser on label their stripe; those with several are used for lasers without such a frame.
+    Frames with one laser on label their stripe; those with several are used for lasers without such a frame. `names`
+    are those of the lasers, by mask bit.
     """
     surface = board_surface(shot, board, board_pose(view, camera), camera, surround_m)
     dark = dark_image(shot)
+    lasers = len(names)
     every = (1 << lasers) - 1
     labelled: dict[int, Float64[Array, "_ xy=2"]] = {}
     unlabelled: tuple[Float64[Array, "_ xy=2"], ...] = ()
@@ -166,7 +168,8 @@ def stripe_view(
         stripes = tuple(line.points_px for line in lines)
         most = max(most, len(stripes))
         if len(stripes) != len(on):
-            remark = stripe_failure(frame.image, dark, surface, len(stripes), on, shot.saturation_dn)
+            lit = [names[laser] for laser in on]
+            remark = stripe_failure(frame.image, dark, surface, len(stripes), lit, shot.saturation_dn)
             remarks += [] if remarks and len(on) > 1 else [remark]
             continue
         ghost = _shown_ghost(shot, frame, dark, along_columns=lines[0].upright)
@@ -380,11 +383,11 @@ def stripe_failure(
     dark: UInt[Array, "row column"] | None,
     surface: BoardSurface,
     stripes: int,
-    on: list[int],
+    on: Sequence[str],
     saturation_dn: int,
 ) -> str:
     """The reason, with measured values, why `stripes` is not the number of lasers that are `on`."""
-    lasers = f"{len(on)} lasers are on" if len(on) > 1 else f"laser {on[0] + 1} is on"
+    lasers = f"{len(on)} lasers are on" if len(on) > 1 else f"{on[0]} is on"
     if stripes > len(on):
         return f"more stripes on the board where {lasers}: reflections, or another light?"
     finding = f"{stripes} stripe{'s' * (stripes != 1)} on the board where {lasers}"
