@@ -1,4 +1,5 @@
 import os
+import struct
 import threading
 
 import cv2
@@ -7,6 +8,7 @@ import pytest
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files.images.codecs import read_image
+from ringpose.files.images.shots import read_shots
 
 LOSSLESS = {
     ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101],
@@ -223,3 +225,35 @@ def test_floating_point_pixels_are_rejected(tmp_path, rng):
 
     with pytest.raises(DataError, match="pixels of type float32"):
         read_image(tmp_path / "a.tif")
+
+
+def pages(count: int) -> list[np.ndarray]:
+    return [np.full((48, 64), 10 * page + 5, np.uint8) for page in range(count)]
+
+
+def test_each_page_of_a_tiff_file_is_a_shot_of_its_own(tmp_path):
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages(12))
+
+    shots = read_shots(tmp_path / "stack.tif")
+
+    assert [shot.name for shot in shots] == [f"stack_{number}" for number in range(1, 13)]
+    for shot, page in zip(shots, pages(12), strict=True):
+        np.testing.assert_array_equal(shot.images, page[None])
+
+
+def test_a_command_that_reads_one_image_rejects_several_pages(tmp_path):
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages(3))
+
+    with pytest.raises(DataError, match="has 3 pages, must have one; give each page as an image"):
+        read_image(tmp_path / "stack.tif")
+
+
+def test_a_thumbnail_in_a_tiff_file_is_not_a_page(tmp_path):
+    assert cv2.imwritemulti(str(tmp_path / "a.tif"), pages(2))
+    whole = bytearray((tmp_path / "a.tif").read_bytes())
+    entry = struct.pack("<HHI", 254, 4, 1)  # NewSubfileType, which OpenCV writes first
+    second = whole.index(entry, whole.index(entry) + 1)
+    whole[second + 8] = 1
+    (tmp_path / "a.tif").write_bytes(whole)
+
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), pages(1)[0])

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
@@ -11,7 +12,7 @@ from ringpose.cli.batch import Batch, with_progress
 from ringpose.errors import UsageError
 from ringpose.files.atomic import make_folder, reject_inputs
 from ringpose.files.images.codecs import write_image
-from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
+from ringpose.files.images.shots import SHOT_SUFFIXES, read_shots
 from ringpose.files.inputs import Input, path_of_input
 from ringpose.files.inputs import inputs as named
 from ringpose.report.boards import board_overlay, thumbnail
@@ -67,27 +68,35 @@ class BoardReader:
         with boards:
             for item in with_progress(items, "images", quiet):
                 with batch.guarded():
-                    shot, view = self._read(item)
-                    finding = f"no board: {view.value}" if isinstance(view, NoBoard) else on_view(shot, view)
-                    if verbose:
-                        messages.echo(f"{shot.name}: {finding}")
+                    for index, shot in enumerate(self._shots(item)):
+                        with batch.guarded():
+                            view = self._view(shot, partial(_by_luminance, item, index))
+                            finding = f"no board: {view.value}" if isinstance(view, NoBoard) else on_view(shot, view)
+                            if verbose:
+                                messages.echo(f"{shot.name}: {finding}")
         report_missing(boards, batch)
 
-    def _read(self, item: Input) -> tuple[Shot, BoardView | NoBoard]:
+    def _shots(self, item: Input) -> list[Shot]:
+        """The shot in an input; a TIFF file has one for each page."""
         path = path_of_input(item)
-        if isinstance(item, Path):
-            reject_inputs((*self._outputs, self._overlay and self._overlay / f"{item.stem}.png"), [item])
-        shot = read_shot(path, self._channel)
-        view = self._boards.add(shot, (lambda: read_shot(path)) if self._channel and self._luminance_too else None)
-        if isinstance(item, Path):
-            self.paths.append(item)
+        reject_inputs((*self._outputs, self._overlay and self._overlay / f"{path.stem}.png"), [path])
+        shots = read_shots(path, self._channel)
+        self.paths.append(path)
+        return shots
+
+    def _view(self, shot: Shot, by_luminance: Callable[[], Shot]) -> BoardView | NoBoard:
+        view = self._boards.add(shot, by_luminance if self._channel and self._luminance_too else None)
         if self._thumbnails_too:
             known = shot.name in self.thumbnails
             self.thumbnails[shot.name] = None if known else thumbnail(shot.images.max(axis=0))
         if self._overlay is not None:
             drawn = board_overlay(board_image(shot), view)
             write_image(self._overlay / f"{shot.name}.png", drawn, force=self._force)
-        return shot, view
+        return view
+
+
+def _by_luminance(item: Input, index: int) -> Shot:
+    return read_shots(path_of_input(item))[index]
 
 
 def report_missing(boards: BoardViews, batch: Batch) -> None:

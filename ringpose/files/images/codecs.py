@@ -39,18 +39,31 @@ _stderr_lock = threading.Lock()
 
 
 def read_image(path: Path, channel: str | None = None, camera: Camera | None = None) -> UInt[Array, "row column"]:
+    """Grey values of an image that is not a TIFF file of several pages; see `read_pages`."""
+    pages = read_pages(path, channel, camera)
+    if len(pages) > 1:
+        remedy = "give each page as an image; the calibration commands read all pages"
+        raise DataError(str(path), f"has {len(pages)} pages, must have one", remedy)
+    return pages[0]
+
+
+def read_pages(path: Path, channel: str | None = None, camera: Camera | None = None) -> list[UInt[Array, "row column"]]:
     """Grey values, 8 or 16 bits; of colour images the luminance, or the given channel (`r`, `g` or `b`).
 
-    The size in the header must be within `MAX_SHOT_PIXELS` and equal the camera's, if one is given; it is checked
-    before the pixels are decoded. The orientation tag is ignored, so that pixels keep their position on the sensor.
+    TIFF files may have several pages; other files are one. The size in the header must be within `MAX_SHOT_PIXELS` and
+    equal the camera's, if one is given; it is checked before the pixels are decoded. The orientation tag is ignored, so
+    that pixels keep their position on the sensor.
     """
     encoded = read_bytes(path)
     header = _checked_header(encoded, path, camera)
     if header.format == "PGM":
-        return _pgm_pixels(encoded, header, path)
+        return [_pgm_pixels(encoded, header, path)]
     if finding := _undetected_damage(encoded, header):
         raise DataError(str(path), finding, _REMEDY)
-    decoded = _decoded(encoded, path)
+    return [_grey(decoded, header, path, channel) for decoded in _decoded(encoded, header, path)]
+
+
+def _grey(decoded: Any, header: ImageHeader, path: Path, channel: str | None) -> UInt[Array, "row column"]:
     if decoded.shape[:2] != (header.height, header.width):
         finding = f"declares {header.width} x {header.height} pixels, has {decoded.shape[1]} x {decoded.shape[0]}"
         raise DataError(str(path), finding, _REMEDY)
@@ -83,8 +96,8 @@ def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageH
         raise DataError(str(path), "is not an image of a known format", _REMEDY)
     if min(header.width, header.height) < 1:
         raise DataError(str(path), f"declares {header.width} x {header.height} pixels", _REMEDY)
-    check_shot_size(str(path), 1, header.width, header.height, camera)
-    decoded = header.width * header.height * header.pixel_bytes
+    check_shot_size(str(path), len(header.pages), header.width, header.height, camera)
+    decoded = len(header.pages) * header.width * header.height * header.pixel_bytes
     if decoded > MAX_DECODED_BYTES:
         size = f"{header.width} x {header.height} pixels of {header.pixel_bytes} bytes"
         finding = f"declares {size}, {decoded / 1e6:.0f} MB, must be at most {MAX_DECODED_BYTES / 1e6:.0f} MB"
@@ -104,15 +117,23 @@ def _pgm_pixels(encoded: bytes, header: ImageHeader, path: Path) -> UInt[Array, 
     return grey.astype(stored.newbyteorder("="))
 
 
-def _decoded(encoded: bytes, path: Path) -> Any:
-    """The decoded pixels. Damage reported by a codec is an error, even if the codec fills in the missing pixels."""
+def _decoded(encoded: bytes, header: ImageHeader, path: Path) -> list[Any]:
+    """The decoded pixels of each page.
+
+    Damage reported by a codec is an error, even if the codec fills in the missing pixels.
+    """
     with silent_opencv(), _codec_reports() as reports:
+        stored = np.frombuffer(encoded, np.uint8)
         try:
-            decoded = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
+            if len(header.pages) == 1:
+                decoded = [cv2.imdecode(stored, cv2.IMREAD_UNCHANGED)]
+            else:
+                images = cv2.imdecodemulti(stored, cv2.IMREAD_UNCHANGED)[1]
+                decoded = [images[page] if page < len(images) else None for page in header.pages]
         except cv2.error:
-            decoded = None
+            decoded = [None]
     damage = [report for report in reports if _DAMAGE.match(report)]
-    if decoded is None or (damage and not (len(damage) == 1 and _is_padding(encoded, damage[0]))):
+    if any(one is None for one in decoded) or (damage and not (len(damage) == 1 and _is_padding(encoded, damage[0]))):
         reason = f": {damage[0].decode(errors='replace')}" if damage else ""
         raise DataError(str(path), f"is an image that is damaged or cut short{reason}", _REMEDY)
     return decoded

@@ -9,6 +9,10 @@ MAX_TILE_PIXELS = 2**24
 """Largest tile of a TIFF image. A tile may be larger than its image, and is decoded as a whole."""
 
 
+MAX_PAGES = 10_000
+"""Images of a TIFF file that are looked at; all of them together may have as many pixels as a shot."""
+
+
 class ImageHeader(NamedTuple):
     """Format and size of an encoded image; sizes in pixels."""
 
@@ -21,6 +25,8 @@ class ImageHeader(NamedTuple):
     """PGM only: the largest grey value."""
     pixel_bytes: int = 1
     """Bytes of a decoded pixel, with all its channels."""
+    pages: tuple[int, ...] = (0,)
+    """TIFF only: which of its images are pages."""
     data_end: int | None = None
     """JPEG 2000 only: offset of the end of the codestream; None for the end of the file."""
 
@@ -84,14 +90,29 @@ def _bmp(encoded: bytes) -> ImageHeader:
 
 
 def _tiff(encoded: bytes) -> ImageHeader:
-    """Size in the first image file directory, which is the one that OpenCV decodes."""
+    """Size and number of the pages, of which all have the largest size of any; thumbnails and masks are no pages."""
     order = "<" if encoded.startswith(b"II") else ">"
-    if struct.unpack_from(order + "H", encoded, 2)[0] == 42:
-        offset, count, entry = "I", "H", "HHI4s"
-        (start,) = struct.unpack_from(order + offset, encoded, 4)
-    else:
-        offset, count, entry = "Q", "Q", "HHQ8s"
-        (start,) = struct.unpack_from(order + offset, encoded, 8)
+    is_big = struct.unpack_from(order + "H", encoded, 2)[0] != 42
+    (start,) = struct.unpack_from(order + ("Q" if is_big else "I"), encoded, 8 if is_big else 4)
+    read: list[int] = []
+    kept: list[int] = []
+    sizes: list[tuple[int, int, int]] = []
+    while start and start not in read and len(read) < MAX_PAGES:
+        values, following = _directory(encoded, start, order, is_big)
+        if not values.get(_SUBFILE, 0) & _NO_PAGE or not read:
+            kept.append(len(read))
+            channels = {1: 1, 2: 4}.get(values.get(_CHANNELS, 1), values.get(_CHANNELS, 1))
+            pixel_bytes = channels * max(values.get(_BITS, 1) // 8, 1)
+            sizes.append((values.get(_WIDTH, 0), values.get(_LENGTH, 0), pixel_bytes))
+        read.append(start)
+        start = following
+    width, height, pixel_bytes = (max(size) for size in zip(*sizes, strict=True))
+    return ImageHeader("TIFF", width, height, pixel_bytes=pixel_bytes, pages=tuple(kept))
+
+
+def _directory(encoded: bytes, start: int, order: str, is_big: bool) -> tuple[dict[int, int], int]:
+    """The integers in one image file directory by their tags, and the offset of the next directory, or 0."""
+    offset, count, entry = ("Q", "Q", "HHQ8s") if is_big else ("I", "H", "HHI4s")
     (entries,) = struct.unpack_from(order + count, encoded, start)
     first, size = start + struct.calcsize(order + count), struct.calcsize(order + entry)
     if first + entries * size > len(encoded):
@@ -108,10 +129,11 @@ def _tiff(encoded: bytes) -> ImageHeader:
             values[tag] = max(struct.unpack_from(f"{order}{min(number, 4)}H", value if fits else encoded, at))
     if values.get(_TILE_WIDTH, 0) * values.get(_TILE_LENGTH, 0) > MAX_TILE_PIXELS:
         raise ValueError("a tile is too large")
-    channels = {1: 1, 2: 4}.get(values.get(_CHANNELS, 1), values.get(_CHANNELS, 1))
-    pixel_bytes = channels * max(values.get(_BITS, 1) // 8, 1)
-    return ImageHeader("TIFF", values.get(_WIDTH, 0), values.get(_LENGTH, 0), pixel_bytes=pixel_bytes)
+    return values, struct.unpack_from(order + offset, encoded, first + entries * size)[0]
 
+
+_SUBFILE, _NO_PAGE = 254, 0b101
+"""NewSubfileType, and its bits of a reduced image and of a transparency mask."""
 
 _BITS, _CHANNELS, _SHORT = 258, 277, 3
 

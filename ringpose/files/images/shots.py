@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
-from ringpose.files.images.codecs import IMAGE_SUFFIXES, read_image
+from ringpose.files.images.codecs import IMAGE_SUFFIXES, read_image, read_pages
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.schema import Fields, late_stamp
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
@@ -36,19 +36,31 @@ def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) ->
     if path.suffix.lower() == ".npz":
         return shot_of(Archive(path), rig)
     image = read_image(path, channel, None if rig is None else rig.camera)
+    shot = _shot_of_image(path, path.stem, image, ALL_LASERS if rig is None else (1 << len(rig.lasers.names)) - 1)
+    return shot if rig is None else checked_shot(shot, rig, str(path))
+
+
+def read_shots(path: Path, channel: str | None = None) -> list[Shot]:
+    """The shot in a file as `read_shot` has it, or one for each page of a TIFF file: a.tif has a_1, a_2, and so on."""
+    if path.suffix.lower() == ".npz":
+        return [shot_of(Archive(path))]
+    pages = read_pages(path, channel)
+    names = [path.stem] if len(pages) == 1 else [f"{path.stem}_{number + 1}" for number in range(len(pages))]
+    return [_shot_of_image(path, name, page, ALL_LASERS) for name, page in zip(names, pages, strict=True)]
+
+
+def _shot_of_image(path: Path, name: str, image: UInt[Array, "row column"], lasers: int) -> Shot:
     try:
         changed_s = max(path.stat().st_mtime, 0.0)
     except OSError:
         raise NoInputError(str(path), "disappeared while it was read") from None
-    lasers = ALL_LASERS if rig is None else (1 << len(rig.lasers.names)) - 1
-    shot = Shot(
-        name=path.stem,
+    return Shot(
+        name=name,
         images=image[None],
         lasers=np.array([lasers], np.uint8),
         stamp_s=np.array([changed_s]),
         exposure_s=np.zeros(1),
     )
-    return shot if rig is None else checked_shot(shot, rig, str(path))
 
 
 def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
