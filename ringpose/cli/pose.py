@@ -22,6 +22,7 @@ from ringpose.cli.app import (
     RigFile,
     Verbose,
     app,
+    numbers,
     with_option_groups,
 )
 from ringpose.cli.batch import Batch, Jobs, with_progress
@@ -43,6 +44,7 @@ from ringpose.cli.options.track import (
 )
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import STDIN, Method
+from ringpose.types.plausible import Range
 
 if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
@@ -51,7 +53,7 @@ if TYPE_CHECKING:
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
-    from ringpose.types.rig import Rig
+    from ringpose.types.rig import Camera, Rig
     from ringpose.types.track import TrackLine
 
 LiveCamera = Annotated[
@@ -61,6 +63,15 @@ LiveCamera = Annotated[
 Frame = Annotated[
     PoseFrame,
     typer.Option("--frame", help="Frame of the vectors: tool and base need the rig's mount, and maybe --robot-poses."),
+]
+
+GraspNear = Annotated[
+    str | None,
+    typer.Option(
+        "--grasp-near",
+        metavar="X_PX,Y_PX",
+        help="Where both arcs of the ring are seen, grasp that nearer to this place; default: the image's middle.",
+    ),
 ]
 
 Track = Annotated[
@@ -80,6 +91,7 @@ def pose(
     frame: Frame = PoseFrame.CAMERA,
     ring: RingOptions,
     assumed: Assumed,
+    grasp_near: GraspNear = None,
     channel: ImageChannel = None,
     camera: LiveCamera = None,
     shots: ShotOptions,
@@ -131,6 +143,7 @@ def pose(
         known=known,
         options=assumed.options,
         camera=motion,
+        grasp_near_px=_place_in_image(grasp_near, loaded_rig.camera),
     )
     in_stream = partial(Stream, setup, settings.options(assumed.options) if track else None, clock=time)
     lines: AbstractContextManager[Iterator[Measured]]
@@ -173,6 +186,18 @@ def _live(
     from ringpose.files.images.shots import checked_shot
 
     return live_lines(shots.request(camera, rig), partial(source_of, batch=batch), in_stream, checked_shot)
+
+
+def _place_in_image(text: str | None, camera: "Camera") -> tuple[float, float] | None:
+    """The place of `--grasp-near`; UsageError unless it is in the image."""
+    option, remedy = "--grasp-near", f"give a column and a row, such as {camera.image_width // 2},0"
+    size = camera.image_width, camera.image_height
+    place = numbers(text, option, remedy, Range(quantity="place", lowest=0, highest=max(size) - 1, unit="pixels"))
+    if not place:
+        return None
+    if len(place) != len(size) or place[0] > size[0] - 1 or place[1] > size[1] - 1:
+        raise UsageError(option, f"{text} is not a place in the image of {size[0]} x {size[1]} pixels", remedy)
+    return place[0], place[1]
 
 
 def _check_source(inputs: list[str] | None, camera: str | None, shots: ShotOptions) -> None:

@@ -65,6 +65,8 @@ class Setup:
     options: AssumptionOptions = USUAL
     camera: CameraMotion | None = None
     """The camera's motion by the poses of the robot; None for a camera that counts as inertial."""
+    grasp_near_px: tuple[float, float] | None = None
+    """Place in the image to which the arc of the grasp point is nearest, if a shot shows both; None for its middle."""
 
     def detection(self, shot: Shot, prior: "Prior | None" = None) -> Detection:
         """What a shot shows; `prior`: what earlier shots have shown."""
@@ -81,6 +83,11 @@ class Setup:
 
     def line(self, detection: Detection, assumptions: Assumptions | None = None) -> PoseLine:
         """The pose line of a detection by itself; `assumptions` if they are known already."""
+        points = detection.break_points
+        if self.grasp_near_px is not None and isinstance(points, BreakPoints):
+            described = points.from_arc_near(self.grasp_near_px)
+            if described is not points:
+                detection = replace(detection, break_points=described, ring=None)  # it is described at the other arc
         return pose_line(
             detection, self.rig, self.method, self.frame, self.known, self.options, self.camera, assumptions
         )

@@ -207,3 +207,12 @@ def test_a_known_radius_is_the_radius(pose):
     found = pose("--radius-outer", "0.597", "--radius-sd", "1e-6")
 
     assert found.records[0]["pose"]["radius_outer_m"] == pytest.approx(0.597, abs=1e-4)
+
+
+@pytest.mark.parametrize("place", ["800", "a,b", "-1,0", "1600,0", "0,1200"])
+def test_a_place_of_the_grasp_point_outside_the_image_is_refused(pose, place):
+    status, out, (message,) = pose("--grasp-near", place)
+
+    assert (status, out) == (2, [])
+    assert message.startswith("ringpose: --grasp-near:")
+    assert "such as" in message

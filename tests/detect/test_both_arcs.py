@@ -91,3 +91,14 @@ def test_the_pose_by_both_arcs_is_within_its_errors_and_more_certain_than_by_one
     assert error_m @ np.linalg.solve(covariance, error_m) < 16.3  # one in a thousand
     assert np.linalg.norm(error_m) < 0.3e-3
     assert np.trace(covariance) < np.trace(one.covariance_center_m2)
+
+
+def test_the_grasp_point_is_on_the_arc_nearer_to_the_place_that_is_asked_for(shots):
+    shot, ring = shots[-0.05]
+    setups = [Setup(rig=RIG, grasp_near_px=place) for place in (None, (0.0, 300.0), (799.0, 300.0))]
+
+    usual, left, right = (setup.line(setup.detection(shot)).pose for setup in setups)
+
+    assert left.grasp_m[0] < ring.center_m[0] < right.grasp_m[0]
+    np.testing.assert_allclose(left.center_m, right.center_m, atol=0.01e-3)
+    assert min(np.linalg.norm(usual.grasp_m - each.grasp_m) for each in (left, right)) < 1e-4
