@@ -94,6 +94,17 @@ def placed_corners(middle_x: float, middle_y: float, side_m: float, turn: float)
     return tuple((float(middle_x + a * cos - b * sin), float(middle_y + a * sin + b * cos)) for a, b in signs)
 
 
+def squares(side_m: float, gap_m: float, columns: int, rows: int) -> Ink:
+    """Separate squares, the first in the board's corner."""
+
+    def ink(x, y):
+        column, row = np.floor(x / (side_m + gap_m)), np.floor(y / (side_m + gap_m))
+        inside = (x - column * (side_m + gap_m) < side_m) & (y - row * (side_m + gap_m) < side_m)
+        return inside & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+
+    return ink
+
+
 @functools.cache
 def rays() -> np.ndarray:
     """Undistorted directions through the points of all pixels, interpolated between those of the pixels' centres."""
@@ -145,11 +156,15 @@ MAP = Board(
     dictionary="DICT_4X4_50",
     markers=tuple(BoardMarker(id=number, corners_m=placed_corners(*place)) for number, *place in PLACED),
 )
+SQUARES = Board(kind="separate_squares", squares_x=6, squares_y=5, square_m=0.0127, gap_m=0.0098778)
+"""Part of Zhang's target: squares of half an inch, 8 / 9 of an inch apart."""
+
 KINDS: dict[str, tuple[Board, Ink, tuple[float, float], bool]] = {
     "symmetric circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), False),
     "asymmetric circles": (ASYMMETRIC, disks(0.018, 0.007, 5, 9, True), (0.2, 0.18), False),
     "light circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), True),
     "marker map": (MAP, placed_markers(), (0.21, 0.2), False),
+    "separate squares": (SQUARES, squares(0.0127, 0.0098778, 6, 5), (0.1256, 0.103), False),
     "AprilGrid": (APRIL, april_grid(0.04, 0.012, 4, 3), (0.22, 0.168), False),
 }
 """A board file's contents, the ink by formulas of its own, width and height in m, whether the ink is light on dark."""

@@ -72,7 +72,7 @@ def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:
 
 
 def marker_corners(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
-    """The corners of the board's markers in metres, clockwise from the top left; none on a board without markers."""
+    """The corners of the board's markers in metres, clockwise from the top left; separate squares are like markers."""
     return LAYOUTS[board.kind].markers(board)
 
 
@@ -167,6 +167,11 @@ def _grid_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
 
 
+def _separate_squares(board: Board) -> Float64[Array, "square corner=4 xyz=3"]:
+    side = board.square_m or 0.0
+    return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
+
+
 def _given_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     corners = np.array([marker.corners_m for marker in board.markers]).reshape(-1, 4, 2)
     return np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=-1)
@@ -214,7 +219,7 @@ def _squares_outline(board: Board) -> tuple[float, float]:
 
 
 def _grid_outline(board: Board) -> tuple[float, float]:
-    marker, gap = board.marker_m or 0.0, board.gap_m or 0.0
+    marker, gap = board.marker_m or board.square_m or 0.0, board.gap_m or 0.0
     columns, rows = board.squares_x or 0, board.squares_y or 0
     return columns * marker + (columns - 1) * gap, rows * marker + (rows - 1) * gap
 
@@ -244,7 +249,7 @@ def _given_outline(board: Board) -> tuple[float, float]:
 class Layout:
     """What distinguishes a kind of board."""
 
-    pattern: Literal["chessboard", "charuco", "markers", "aprilgrid", "circles"]
+    pattern: Literal["chessboard", "charuco", "markers", "aprilgrid", "circles", "squares"]
     """What is searched in an image."""
     keys: tuple[tuple[str, ...], ...]
     """The keys of its board file: of each tuple exactly one must be there."""
@@ -308,6 +313,14 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         border_cells=2,
         black=_april_squares,
         outline_m=_april_outline,
+    ),
+    "separate_squares": Layout(
+        pattern="squares",
+        keys=(*_COUNTS, ("square_m",), ("gap_m",)),
+        min_count=2,
+        markers=_separate_squares,
+        black=_separate_squares,
+        outline_m=_grid_outline,
     ),
     "asymmetric_circles": Layout(
         pattern="circles",

@@ -22,6 +22,7 @@ BoardKind = Literal[
     "aruco_grid",
     "marker_map",
     "aprilgrid",
+    "separate_squares",
     "asymmetric_circles",
     "symmetric_circles",
 ]
@@ -63,7 +64,7 @@ class Board:
         _length("Height of a chessboard's squares where the print made it differ from the width.", plausible.SQUARE_M),
     ] = None
     marker_m: Annotated[float | None, _length("Side of a marker.", plausible.MARKER_M)] = None
-    gap_m: Annotated[float | None, _length("Gap between markers.", plausible.MARKER_M)] = None
+    gap_m: Annotated[float | None, _length("Gap between markers or separate squares.", plausible.MARKER_M)] = None
     spacing_m: Annotated[
         float | None,
         _length(

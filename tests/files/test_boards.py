@@ -20,6 +20,7 @@ BOARDS = [
         dictionary="DICT_4X4_50",
         markers=(BoardMarker(id=7, corners_m=((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))),),
     ),
+    Board(kind="separate_squares", squares_x=8, squares_y=8, square_m=0.0127, gap_m=0.0098778),
     Board(kind="aprilgrid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_APRILTAG_36h11"),
     Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_in_row_m=0.02),
     Board(kind="symmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),

@@ -28,6 +28,7 @@ BOARDS = {
             BoardMarker(id=4, corners_m=((0.2, 0.05), (0.2, 0.1), (0.15, 0.1), (0.15, 0.05))),  # turned clockwise
         ),
     ),
+    "separate_squares": Board(kind="separate_squares", squares_x=6, squares_y=5, square_m=0.02, gap_m=0.015),
     "aprilgrid": Board(
         kind="aprilgrid", squares_x=4, squares_y=3, marker_m=0.04, gap_m=0.012, dictionary="DICT_APRILTAG_36h11"
     ),

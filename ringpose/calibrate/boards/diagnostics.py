@@ -111,7 +111,7 @@ def hopeless(grey: GreyImage, board: Board) -> NoBoard | None:
     if contrast < max(MIN_CONTRAST_DN, MIN_CONTRAST_SIGMAS * noise):
         finding = f"blocks of {CONTRAST_BLOCK_PX} x {CONTRAST_BLOCK_PX} pixels differ by {contrast:.0f} of 255"
         return unusable(grey) or NoBoard(failure=BoardFailure.NO_CONTRAST, finding=finding)
-    if LAYOUTS[board.kind].pattern not in ("chessboard", "circles"):
+    if LAYOUTS[board.kind].pattern not in ("chessboard", "circles", "squares"):
         return None
     long, short = sorted((board.squares_x or 1, board.squares_y or 1), reverse=True)
     square_px = min(max(grey.shape) / long, min(grey.shape) / short)
@@ -256,6 +256,15 @@ def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -
         failure = BoardFailure.BLURRED
         finding = f"{edge_width_in_words(width_px)}, the markers' cells {cell_px:.1f} px; {finding}"
     return NoBoard(failure=failure, finding=finding, points_px=own.corners_px.reshape(-1, 2))
+
+
+def square_failure(grey: GreyImage, board: Board, number: int) -> NoBoard:
+    """Why separate squares are not found; `number` of them are in the largest grid with the board's gaps."""
+    columns, rows, width_px = board.squares_x or 0, board.squares_y or 0, edge_width_px(grey)
+    finding = f"{number} squares in a grid, the board has {columns} x {rows} = {columns * rows}"
+    finding += f", {edge_width_in_words(width_px)}"
+    failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
+    return NoBoard(failure=failure, finding=finding)
 
 
 def circle_failure(grey: GreyImage, board: Board) -> NoBoard:

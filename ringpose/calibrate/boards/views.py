@@ -73,6 +73,23 @@ def _circle_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
     return replace(_view(name, board, circles.points_px), circle_radius_m=circles.radius_m)
 
 
+def _square_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
+    """The view of a grid of separate squares: all of it must be visible."""
+    from ringpose.calibrate.boards.patterns.squares import board_squares  # which no other board needs
+
+    counts = (board.squares_x or 0, board.squares_y or 0)
+    squares = board_squares(grey, *counts, (board.gap_m or 0.0) / (board.square_m or 1.0))
+    if isinstance(squares, int) or 4 * len(squares.numbers) < MIN_CORNERS:
+        return diagnostics.square_failure(grey, board, squares if isinstance(squares, int) else 0)
+    ids = (4 * squares.numbers[:, None] + np.arange(4)).ravel()
+    layout = marker_layout(board, Markers(ids=squares.numbers, corners_px=squares.corners_px))
+    return replace(
+        _view(name, board, squares.corners_px.reshape(-1, 2), ids),
+        end_correlation=squares.end_correlation,
+        marker_size_ratio=None if layout is None else layout.size_ratio,
+    )
+
+
 def _view(
     name: str, board: Board, points_px: Float64[Array, "corner xy=2"], ids: Int64[Array, "corner"] | None = None
 ) -> BoardView:
@@ -157,5 +174,6 @@ _VIEWS = {
     "chessboard": _chessboard_view,
     "circles": _circle_view,
     "markers": _marker_view,
+    "squares": _square_view,
 }
 """The search for each pattern."""

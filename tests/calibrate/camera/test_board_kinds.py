@@ -1,5 +1,7 @@
 """Cameras from drawn views of each kind of board: found at the drawn places, and errors as the covariance states."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibrated import assert_calibrated
@@ -26,6 +28,18 @@ def test_corners_are_found_where_they_are_drawn(kind, rng):
     errors_px = view.points_px - projected_px(view.points_board_m @ turn.T + place, CAMERA)
     assert np.sqrt(np.mean(errors_px**2)) < 0.06
     assert np.abs(errors_px).max() < 0.3
+
+
+def test_squares_with_other_counts_are_refused_and_with_another_gap_measured(rng):
+    board, ink, outline_m, _ = KINDS["separate squares"]
+    image = drawn_view(ink, tilted_poses(rng, outline_m, 1)[0], rng)
+
+    fewer = find_board(image, replace(board, squares_x=5), "fewer")
+    narrower = find_board(image, replace(board, gap_m=0.5 * board.gap_m), "narrower")
+
+    assert "30 squares in a grid, the board has 5 x 5 = 25" in fewer.finding
+    # Squares over their distance are 12.7 / 22.58, and 12.7 / 17.64 in the board file.
+    assert narrower.marker_size_ratio == pytest.approx((0.781, 0.781), abs=0.01)
 
 
 @pytest.mark.slow

@@ -27,6 +27,9 @@ from ringpose.types.arrays import Array, Float64
 Grid = Float64[Array, "corner_row corner_column xy=2"]
 """Pixel positions of inner corners by row and column of the board."""
 
+NumberedGrid = Float64[Array, "corner_row corner_column xy_number"]
+"""Positions by row and column, and what may stand behind them, such as their numbers."""
+
 WINDOW_PER_SQUARE = 0.25
 """Half-window of the sub-pixel refinement, in shortest squares: 5 px on a 640 x 480 photograph of 21 px squares.
 
@@ -289,15 +292,16 @@ def _in_board_order(image: GreyImage, grid: Grid) -> Grid:
     return grid if np.sum(sign * (values - np.median(values))) < 0 else grid[::-1, ::-1]
 
 
-def unmirrored(grid: Grid) -> Grid:
+def unmirrored(grid: NumberedGrid) -> NumberedGrid:
     """The grid with its columns in the order in which y is clockwise from x in the image, as seen from in front."""
     right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     return grid if right[0] * down[1] - right[1] * down[0] >= 0 else grid[:, ::-1]
 
 
-def upright(grid: Grid) -> Grid:
-    """The grid turned so that the first point is nearer to the image's top left than the last."""
-    return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else grid[::-1, ::-1]
+def upright(grid: NumberedGrid, quarter_turns: bool = False) -> NumberedGrid:
+    """The grid turned by half a turn, or also by quarter turns, so that its first point is nearest to the top left."""
+    turned = [np.rot90(grid, turns) for turns in ((0, 1, 2, 3) if quarter_turns else (0, 2))]
+    return min(turned, key=lambda candidate: float(candidate[0, 0, :2].sum()))
 
 
 def largest_grid(image: GreyImage) -> Grid | None:

@@ -105,7 +105,7 @@ def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int, is_asymmetr
         is_found, centers = cv2.findCirclesGrid(image, (columns, rows), flags=kind | by_clusters, blobDetector=detector)
         if is_found:
             grid = np.asarray(centers, dtype=np.float64).reshape(rows, columns, 2)
-            return (_rows_in_turn(grid) if is_asymmetric else upright(unmirrored(grid))).reshape(-1, 2)
+            return (_rows_in_turn(grid) if is_asymmetric else upright(unmirrored(grid), columns == rows)).reshape(-1, 2)
     return None
 
 

@@ -33,8 +33,8 @@ from ringpose.calibrate.boards.patterns.image_patch import MIN_BLUR_PX, GreyImag
 from ringpose.geometry.least_squares import gauss_newton, huber_weights, robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 
-MIN_SIDE_PX = 24.0
-"""Minimum length of a side: shorter ones have too few undisturbed samples."""
+MIN_CELL_PX = 4.0
+"""Minimum width of a cell, 24 px for a side of `CELLS` cells: narrower borders show no dark level."""
 
 MIN_SAMPLES = 8
 """Minimum number of lines of pixels to which a parabola is fitted."""
@@ -54,8 +54,8 @@ REACH_PX = 5.0
 MAX_REACH_PX = 8.0
 """Reach where the edge is so blurred that neither the dark nor the bright level is seen within `REACH_PX`."""
 
-CELLS = 6
-"""Cells across a marker of the smallest dictionaries, border included."""
+CELLS = 6.0
+"""Cells across a marker of the smallest dictionaries, border included; the border is one cell wide."""
 
 FLANK_BLURS, MIN_FLANK, MAX_FLANK = 3.0, 0.3, 0.6
 """Distance of the flanks from the edge in standard deviations of the blur, and its limits as shares of the reach."""
@@ -175,13 +175,16 @@ class SideSamples(NamedTuple):
     """Distance of neighbouring pixels of a line, measured across the side."""
 
 
-def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
-    """Corners of a marker as intersections of its sides; one without two fitted sides, or far away, is unchanged."""
+def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"], cells: float = CELLS) -> SideCorners:
+    """Corners of a marker as intersections of its sides; one without two fitted sides, or far away, is unchanged.
+
+    Beside its sides, a marker is black for one of its `cells` and the paper is white for as much.
+    """
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    if lengths.min() < MIN_SIDE_PX:
+    if lengths.min() < MIN_CELL_PX * cells:
         return SideCorners(corners, 0.0)
-    light = marker_light(image, corners)
-    opposite = [_opposite_sides(image, corners, first, light) for first in (0, 1)]
+    light = marker_light(image, corners, cells)
+    opposite = [_opposite_sides(image, corners, first, light, cells) for first in (0, 1)]
     sides = [opposite[i % 2][i // 2] for i in range(4)]
     refined = corners.copy()
     for i in range(4):
@@ -194,14 +197,14 @@ def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"
     return SideCorners(refined, float(np.mean(correlations)) if len(correlations) == 4 else 0.0)
 
 
-def marker_light(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> Gradients:
+def marker_light(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"], cells: float = CELLS) -> Gradients:
     """Brightness gradients from strips inside and outside the four sides; zero if their brightness is not a plane.
 
     Where the brightness changes by 0.05 % per pixel, a level taken 3 px from the edge displaces the edge by 0.002 px,
     and in the same direction all over the image. The strips of one side are too narrow to measure a gradient.
     """
     sides = [straight_side(corners[i], corners[(i + 1) % 4]) for i in range(4)]
-    reach = reach_px(min(side.length for side in sides))
+    reach = reach_px(min(side.length for side in sides), cells=cells)
     across = _FLANK_POSITION * reach
     strips = np.array([[_strip_brightness(image, side, sign * across) for sign in (-1.0, 1.0)] for side in sides])
     middles = (corners + np.roll(corners, -1, axis=0)) / 2
@@ -227,18 +230,18 @@ def straight_side(start: Float64[Array, "2"], end: Float64[Array, "2"]) -> Side:
     return Side(start=start, along=along, normal=normal, length=length, coefficients=np.zeros(3))
 
 
-def reach_px(length: float, max_px: float = REACH_PX) -> float:
+def reach_px(length: float, max_px: float = REACH_PX, cells: float = CELLS) -> float:
     """Distance from a side of this length within which pixels are used."""
-    return min(max_px, 0.5 * length / CELLS)
+    return min(max_px, 0.5 * length / cells)
 
 
 def _opposite_sides(
-    image: GreyImage, corners: Float64[Array, "corner=4 xy=2"], first: int, light: Gradients
+    image: GreyImage, corners: Float64[Array, "corner=4 xy=2"], first: int, light: Gradients, cells: float
 ) -> list[Side | None]:
     """Two opposite sides, fitted together because they have the same blur; None where too little is visible."""
     chords = [straight_side(corners[i], corners[(i + 1) % 4]) for i in (first, first + 2)]
     for max_px in (REACH_PX, MAX_REACH_PX):
-        reach = min(reach_px(side.length, max_px) for side in chords)
+        reach = min(reach_px(side.length, max_px, cells) for side in chords)
         sides, blur_px = _fitted_sides(image, chords, light, reach)
         if FLANK_BLURS * blur_px < reach:
             break
