@@ -34,7 +34,7 @@ class Limit:
 BOARD_LIMITS: Mapping[str, Limit] = {
     "marker_size_error": Limit(0.03, 0.1,  # relative to the markers' spacing; unrefined corners alone cause 0.01
         "relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
-        "marker_m: measure the print, a size in the board file is wrong"),
+        "marker_m (or the separate squares' square_m): measure the print, a size in the board file is wrong"),
     "bow_sigmas": Limit(5.0, inf,  # root of chi-squared of its three coefficients: 1.5 for flat boards, rarely 4
         "the board is not flat, by about {height_mm:.2f} mm, which changes fx by {fx_px:.1f} px (the standard "
         "deviations contain it): fix it to glass or a plate"),
