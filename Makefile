@@ -112,6 +112,7 @@ test-lowest: $(LOWEST)/.installed
 	$(LOWEST)/bin/python -m pytest -m "not slow" $(PYTEST_FLAGS) tests/test_main_job.py tests/files/test_images.py \
 	  tests/files/test_shots.py tests/files/test_declared_sizes.py tests/cli/test_print_board.py \
 	  tests/calibrate/mount/test_mount.py
+	$(LOWEST)/bin/python -m pytest -m slow $(PYTEST_FLAGS) tests/test_main_job.py -k calibrated_from_carried
 
 # Built from a copy, so that no file of the normal build is taken or replaced. Of a function with clones, the object file
 # has a symbol whose name ends in .avx2.

@@ -175,6 +175,7 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.enable()
+    gc.set_threshold(100_000)  # as the command does
 
 
 @pytest.hookimpl(tryfirst=True)

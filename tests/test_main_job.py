@@ -135,6 +135,7 @@ def test_the_constrained_method_reduces_grasp_errors_tenfold(carried_report):
     assert constrained < free / 10
 
 
+@pytest.mark.slow
 def test_a_rig_calibrated_from_carried_board_views_gives_the_same_grasp_points(carried_data, capsys):
     boards, data = carried_data / "calib_b", carried_data / "rig_b"
     camera = [str(boards / "camera"), "--board", str(boards / "camera_board.yaml"), "--output", "camera.yaml"]

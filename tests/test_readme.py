@@ -43,6 +43,7 @@ def test_links_lead_to_files(page):
     assert [link for link in links if not (ROOT / link).exists()] == []
 
 
+@pytest.mark.slow
 def test_the_pipeline_prints_the_lines_that_are_shown(tmp_path):
     needed_program("jq", "jq")
     blocks = blocks_of(README.read_text())

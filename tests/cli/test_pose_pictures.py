@@ -5,6 +5,7 @@ import re
 
 import cv2
 import numpy as np
+import pytest
 
 
 def test_pictures_do_not_change_the_lines(carried_data, tmp_path, run):
@@ -19,6 +20,7 @@ def test_pictures_do_not_change_the_lines(carried_data, tmp_path, run):
     assert cv2.imread(str(tmp_path / "drawn" / "B_z0500_p01_dim.png")).shape == (1200, 1600, 3)
 
 
+@pytest.mark.slow
 def test_a_shot_without_a_pose_is_drawn_and_reported(rig, detections, picture, tmp_path, run):
     dark = picture("dark.png")
     words = ["--overlay", tmp_path / "drawn", "--report", tmp_path / "r.html", "--method", "paper"]

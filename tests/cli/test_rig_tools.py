@@ -83,6 +83,7 @@ def test_check_rejects_options_that_it_does_not_use(plane_folder, capsys):
     assert "leave out --camera, --output" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_mount_is_written_to_the_rig(plane_folder):
     from ringpose.files.rigs import read_rig
 

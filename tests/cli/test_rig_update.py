@@ -52,6 +52,7 @@ def stream(tmp_path, monkeypatch, rng):
     return written
 
 
+@pytest.mark.slow
 def test_a_recorded_stream_names_the_plane_that_has_moved(stream, real, capsys):
     stream(real)
 

@@ -297,11 +297,11 @@ def test_waves_of_the_edges_beyond_the_tolerance_are_flagged_and_in_the_covarian
         assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 25.0
 
 
-@pytest.mark.parametrize(("count", "tolerance"), [(4, 0.8), pytest.param(12, 0.45, marks=pytest.mark.slow)])
-def test_edges_of_a_round_ring_are_not_flagged(count, tolerance):
+@pytest.mark.slow
+def test_edges_of_a_round_ring_are_not_flagged():
     """Chi-squared of the stripes has more degrees of freedom beside edges, which determine a part of the ring."""
     chi2, expected = [], []
-    for seed in range(count):
+    for seed in range(12):
         shot, rig = with_form(0.7, "strong", seed)
 
         result = pose_result(shot.detection.break_points, rig, ring_edges=shot.detection.ring_edges)
@@ -316,7 +316,7 @@ def test_edges_of_a_round_ring_are_not_flagged(count, tolerance):
         chi2.append(best.estimate.chi2)
         expected.append(best.estimate.expected_chi2)
         assert best.estimate.expected_chi2 > 1.2 * best.estimate.degrees_of_freedom
-    assert sum(chi2) == pytest.approx(sum(expected), rel=tolerance)
+    assert sum(chi2) == pytest.approx(sum(expected), rel=0.45)
 
 
 def test_visible_edges_beside_the_ends_of_stripes_by_a_chamfer_are_used():

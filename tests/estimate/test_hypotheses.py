@@ -106,6 +106,7 @@ def test_an_occluder_over_both_ends_of_one_stripe_is_owned_up_to(scene, points, 
     assert sigmas_off(pose, scene) < 5.0
 
 
+@pytest.mark.slow
 def test_a_stripe_of_which_both_ends_are_wrong_leaves_the_center_weak_or_true_where_nothing_else_tells_it(scene, rng):
     poses = []
     for _ in range(10):
@@ -204,7 +205,7 @@ def test_a_good_shot_is_rarely_doubted(scene, rng):
 
 
 @EVERY_POINT
-@pytest.mark.parametrize("shift_px", [-400.0, 700.0])
+@pytest.mark.parametrize("shift_px", [pytest.param(-400.0, marks=pytest.mark.slow), 700.0])
 def test_a_break_point_far_away_never_passes_for_a_ring(scene, points, laser, edge, shift_px):
     pose = estimate_pose(shifted(points, laser, edge, shift_px), scene.rig)
 

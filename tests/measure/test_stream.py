@@ -200,6 +200,7 @@ def turned_run(scene):
     return [drawn.detection for drawn in drawn_features(turned, Deviations())], scene.rig
 
 
+@pytest.mark.slow
 def test_a_run_with_a_turned_plane_is_measured_with_the_corrected_rig(turned_run):
     run, rig = turned_run
 

@@ -127,7 +127,7 @@ def poses_of_samples(scene, known, rng, samples):
 @pytest.mark.parametrize(
     ("distance_m", "known", "samples"),
     [
-        pytest.param(0.5, None, 150, id="some shots"),
+        pytest.param(0.5, None, 150, id="some shots", marks=pytest.mark.slow),
         pytest.param(0.3, KNOWN, 2000, id="radii known", marks=pytest.mark.slow),
         pytest.param(1.0, None, 2000, id="radii unknown", marks=pytest.mark.slow),
     ],

@@ -135,7 +135,10 @@ READERS = {
 """For each kind of message: its reader, what it returns, a header, the keys that are changed, and the payload."""
 
 
-@pytest.mark.parametrize("kind", READERS)
+@pytest.mark.parametrize(
+    "kind",
+    ["pose", "greeting", "frame", *(pytest.param(kind, marks=pytest.mark.slow) for kind in REQUESTS if kind != "pose")],
+)
 @given(data=st.data())
 def test_any_header_is_read_or_rejected_in_one_line(kind, data):
     reader, made, header, keys, payload = READERS[kind]

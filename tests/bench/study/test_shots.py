@@ -165,6 +165,7 @@ def dirt():
     return read_study(study_path("dirt"), count=1)
 
 
+@pytest.mark.slow
 def test_surfaces_change_the_images_of_a_shot_and_not_its_truth(dirt):
     clean, ghost = (study_shot(dirt, index, setting_of(dirt, index)) for index in range(2))
 
@@ -327,7 +328,8 @@ def test_an_image_of_a_study_is_detected_and_scored(study):
     assert first[0]["detect_s"] > 0
 
 
-@pytest.mark.parametrize("index", [412, *(pytest.param(each, marks=pytest.mark.slow) for each in (966, 710, 1084))])
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [412, 966, 710, 1084])
 def test_visible_edges_that_contradict_the_stripes_leave_no_wrong_quantity_without_a_flag(index):
     """A stripe on a surface behind the ring beside a missing or a wrong one: two stripes that agree on another ring."""
     row = study_rows(read_study(study_path("outliers")), index)[0]

@@ -15,7 +15,7 @@ from ringpose.types.calibration import Grade
 MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}
 
 
-@pytest.mark.parametrize("board", MARKED.values(), ids=MARKED)
+@pytest.mark.parametrize("board", [FOUR, *(pytest.param(each, marks=pytest.mark.slow) for each in (CHARUCO, GRID))])
 def test_markers_have_their_size_with_a_correct_board_file(board):
     findings = marker_size_findings([find_board(drawn_board(board), board, "true")])
 

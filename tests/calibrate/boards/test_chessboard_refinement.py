@@ -98,7 +98,9 @@ def test_a_blot_on_one_corner_displaces_that_corner_only():
 @pytest.mark.parametrize(
     ("corners_px", "finding"),
     [
-        ([(4, -92), (422, -39), (368, 287), (-57, 209)], "9 x 5 of 9 x 6 inner corners"),
+        pytest.param(
+            [(4, -92), (422, -39), (368, 287), (-57, 209)], "9 x 5 of 9 x 6 inner corners", marks=pytest.mark.slow
+        ),
         ([(19, 317), (89, -68), (387, -46), (307, 378)], "8 x 6 of 9 x 6 inner corners"),
     ],
     ids=["cut above", "cut at the left"],

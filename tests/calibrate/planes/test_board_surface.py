@@ -52,7 +52,7 @@ def seen(surface, lasers, first_is_dark) -> Shot:
     return make_shot(np.stack([image] * len(lasers)), lasers)
 
 
-@pytest.mark.parametrize("first_is_dark", [True, False])
+@pytest.mark.parametrize("first_is_dark", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("lasers", "light"), [([0, 1], True), ([1], False)])
 def test_light_squares_are_used_with_a_dark_frame_and_dark_squares_without(lasers, light, first_is_dark, surface):
     found = board_surface(seen(surface, lasers, first_is_dark), surface.board, surface.pose, surface.camera)

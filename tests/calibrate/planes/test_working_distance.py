@@ -62,5 +62,6 @@ def test_poses_at_the_distance_of_the_boards_are_graded_good(near_views):
     assert center_finding(near_views, TRUE_CAMERA, None).grade is Grade.GOOD
 
 
+@pytest.mark.slow
 def test_following_the_advice_brings_poses_within_the_limit(near_views, advised_views):
     assert center_finding([*near_views, *advised_views], TRUE_CAMERA).grade is Grade.GOOD
