@@ -53,7 +53,13 @@ def ended(request, tmp_path, monkeypatch, capfd):
     return run
 
 
-@pytest.mark.parametrize("name", ROWS)
+LONG = ("files and records exchanged: mirrored images of a board with markers",)
+"""Rows that take half a second or more."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in ROWS]
+)
 def test_case_has_its_status_and_its_message(ended, name):
     row = ROWS[name]
 

@@ -39,6 +39,7 @@ def test_parquet_has_the_same_rows_and_names_the_study(folder, study_rows):
     assert json.loads(table.schema.metadata[b"ringpose"])["title"] == "small"
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_resumes_to_the_same_results(folder, study_rows):
     main(["bench", "study", "study.yaml", "--output", "whole", "--jobs", "1"])
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])

@@ -99,6 +99,7 @@ def test_the_report_has_a_verdict_and_pictures(folder):
     assert html.count("<img ") == 6
 
 
+@pytest.mark.slow
 def test_unusable_images_are_named_and_the_others_are_used(folder, capsys):
     whole = (folder / FIRST).read_bytes()
     (folder / "views" / "damaged.png").write_bytes(whole[: len(whole) // 2])

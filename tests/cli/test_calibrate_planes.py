@@ -166,6 +166,7 @@ def test_the_errors_of_poses_are_predicted_at_the_working_distance(plane_folder,
     assert "at 1.00 m" in [finding["place"] for finding in findings if finding["name"] == "ring_center_sd_m"]
 
 
+@pytest.mark.slow
 def test_a_number_of_lasers_below_three_is_reported(plane_folder, switched_shots, capsys):
     for file in sorted((plane_folder / "planes").glob("*.npz")):
         with np.load(file) as shot:
@@ -178,6 +179,7 @@ def test_a_number_of_lasers_below_three_is_reported(plane_folder, switched_shots
     assert note in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_moved_boards_and_exchanged_lasers_are_named_even_if_quiet(plane_folder, switched_shots, capsys):
     with np.load("planes/pln_B_05.npz") as shot:
         moved = np.stack([shot["images"][0], *np.roll(shot["images"][1:], 3, axis=2)])

@@ -90,6 +90,7 @@ def test_an_end_that_a_saturated_glint_hides_is_not_measured(drawn_shot):
     assert found.seen.sum() == 5
 
 
+@pytest.mark.slow
 @settings(relaxed, max_examples=2)
 @example(laser=1, edge=0, start_px=-6, length_px=60, level=255)
 @given(

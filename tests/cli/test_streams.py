@@ -340,6 +340,7 @@ def test_nobody_to_read_the_messages_changes_no_status(started, rig, tmp_path, m
     assert process.returncode == 66
 
 
+@pytest.mark.slow
 def test_name_that_is_no_utf_8_is_a_name(started, rig, tmp_path):
     with started("pose", "-", "--rig", rig, text=False) as process:
         _, said = process.communicate(bytes(tmp_path) + b"/\xff.npz\n", timeout=DEADLINE_S)

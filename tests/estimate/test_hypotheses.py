@@ -273,6 +273,7 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("distance_m", "end_sigma_px"),
     [

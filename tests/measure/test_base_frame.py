@@ -44,6 +44,7 @@ def still_target(rig, rng) -> Motion:
     return in_base(Motion(ring=ring_at(rig, tilt_rad=tilt_rad), velocity_m_s=np.zeros(3), rate_rad_s=np.zeros(3)))
 
 
+@pytest.mark.slow
 @DRAWS
 def test_errors_in_the_base_are_as_large_as_reported(rig, rng, draws):
     errors = {"normal": [], "grasp": [], "center": []}

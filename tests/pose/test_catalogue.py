@@ -72,6 +72,7 @@ def test_a_wider_interval_promises_less():
     assert posterior["R597"] > 2 * posterior["wide"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "distance_m"),
     [("B", 0.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("A", 0.5), ("B", 0.25)))],

@@ -57,6 +57,7 @@ def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
     assert lines[-1].status != "ok"
 
 
+@pytest.mark.slow
 def test_a_plane_that_has_moved_is_named_where_the_edges_are_visible(poses, rng, rig):
     real = moved(rig, 1, (0.0, TILT_RAD))
     scenes = [(scene, points, visible_edges_of(scene, 40, 0.3, rng)) for scene, points in poses(real, 6)]

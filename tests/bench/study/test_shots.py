@@ -287,6 +287,7 @@ def test_a_slightly_turned_plane_leaves_the_others_where_they_are(study):
     np.testing.assert_allclose(turned.break_points_px, exact.break_points_px, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_turned_plane_contradicts_the_rig_that_measures(study):
     status = {}
     for tilt_rad in (0.0, 0.01):

@@ -242,6 +242,7 @@ def test_one_step_leaves_out_a_view_nearly_as_solving_anew_does(views):
     assert np.mean(apart_px) < 0.1 * np.mean(moved_px)
 
 
+@pytest.mark.slow
 def test_many_views_of_noise_alone_agree(views):
     boards = views(25)
 
