@@ -85,6 +85,17 @@ def test_small_noisy_squares_are_found(rng):
     assert found.max() < 0.7
 
 
+def test_corners_that_noise_would_spoil_are_not_refined(rng):
+    small = cv2.resize(drawn_board(CHESSBOARD), None, fx=0.26, fy=0.26, interpolation=cv2.INTER_AREA)
+    image = np.full((240, 320), 150.0)
+    image[60 : 60 + small.shape[0], 80 : 80 + small.shape[1]] = small
+    blurred = cv2.GaussianBlur(image, (0, 0), 2.0)
+
+    found = far_px(np.clip(blurred + rng.normal(0, 15, image.shape), 0, 255).astype(np.uint8), 0.26, (80, 60))
+
+    assert found.max() < 0.7
+
+
 def test_a_blot_on_one_corner_displaces_that_corner_only():
     blotted = drawn_board(CHESSBOARD)
     cv2.circle(blotted, (304, 198), 20, 20, -1)

@@ -116,10 +116,15 @@ def chessboard_corners(
     Then the second value is the largest regular part of a chessboard that is seen, if any.
     """
     inexact: list[Grid] = []
-    for grid in _whole_grids(image, columns, rows):
-        if irregularity(grid) < MAX_IRREGULARITY:
-            return _exact_corners(image, grid), None
-        inexact.append(grid)
+    unrefined: list[Grid] = []
+    for grid, refined in _whole_grids(image, columns, rows):
+        if irregularity(refined) < MAX_IRREGULARITY:
+            return _exact_corners(image, refined), None
+        inexact.append(refined)
+        unrefined.append(grid)
+    regular = min(unrefined, key=irregularity, default=None)
+    if regular is not None and irregularity(regular) < MAX_IRREGULARITY:  # noise can spoil the refinement
+        return _exact_corners(image, regular), None
     seen = largest_grid(image)
     if seen is not None and seen.shape[:2] in ((rows, columns), (columns, rows)):
         return _exact_corners(image, seen if len(seen) == rows else seen.swapaxes(0, 1)), None
@@ -129,8 +134,8 @@ def chessboard_corners(
     return None, seen
 
 
-def _whole_grids(image: GreyImage, columns: int, rows: int) -> Iterator[Grid]:
-    """Grids of all inner corners by each of OpenCV's detectors, in less and less reduced images."""
+def _whole_grids(image: GreyImage, columns: int, rows: int) -> Iterator[tuple[Grid, Grid]]:
+    """Grids of all inner corners by each of OpenCV's detectors, in less and less reduced images, and refined."""
     for reduction in reductions(image.shape):
         small = reduced(image, reduction)
         for finder, flags in _FINDERS:
@@ -140,13 +145,14 @@ def _whole_grids(image: GreyImage, columns: int, rows: int) -> Iterator[Grid]:
                 grid = in_full_image(np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2), reduction)
                 refined = without_outline(image, _refined_grid(image, grid))
                 if refined.shape == grid.shape:
-                    yield refined
+                    yield grid, refined
 
 
 def _exact_corners(image: GreyImage, grid: Grid) -> Float64[Array, "corner xy=2"]:
-    """The corners of a grid refined with normalised squares, in the order of the board."""
+    """The corners of a grid in the order of the board, refined with normalised squares if that leaves it regular."""
     normalised = saddle_points(image, grid, WINDOW_PER_SQUARE * shortest_side(grid))
-    return _in_board_order(image, normalised).reshape(-1, 2)
+    is_spoiled = irregularity(normalised) > max(MAX_IRREGULARITY, irregularity(grid))
+    return _in_board_order(image, grid if is_spoiled else normalised).reshape(-1, 2)
 
 
 def _refined_grid(image: GreyImage, grid: Grid) -> Grid:
