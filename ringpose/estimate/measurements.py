@@ -102,11 +102,6 @@ class Points(NamedTuple):
     """Whether the point lies on the arc opposite to that at which the ring is described."""
 
     @property
-    def described(self) -> Bool[Array, "point"]:
-        """Whether the point is on the arc at which the ring is described: the opposite one if nothing else is seen."""
-        return np.ones(len(self.laser), dtype=bool) if self.opposite.all() else ~self.opposite
-
-    @property
     def ends(self) -> Int64[Array, "point"]:
         """A number for each end of a stripe, the same where it was measured again."""
         numbers: Int64[Array, "point"] = 4 * self.laser + 2 * self.opposite + self.edge
@@ -127,6 +122,8 @@ class Observations(NamedTuple):
     """Number of the break points without a line."""
     stripe_numbers: int
     """Number of distinct numbers of stripes and break points."""
+    described: Bool[Array, "point"]
+    """Whether the point is on the arc at which the ring is described: the opposite one if nothing else is seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,8 +189,17 @@ class Measurements:
         )
         of_lines = self.lines.wrt_camera
         of_rays = of_lines.reshape(ends, *of_lines.shape[2:]), self.points.wrt_camera, self.edges.wrt_camera
-        isolated = int(np.count_nonzero(self.points.isolated))
-        return Observations(self, view, laser, np.concatenate(of_rays), whitening, isolated, self.stripe_numbers)
+        opposite = self.points.opposite
+        return Observations(
+            measured=self,
+            view=view,
+            laser=laser,
+            wrt_camera=np.concatenate(of_rays),
+            whitening=whitening,
+            isolated=int(np.count_nonzero(self.points.isolated)),
+            stripe_numbers=self.stripe_numbers,
+            described=np.ones_like(opposite) if opposite.all() else ~opposite,
+        )
 
     @cached_property
     def unusable(self) -> NoPose | None:
@@ -222,7 +228,8 @@ class Measurements:
         """Number of measured values of stripes and break points; a value that was measured twice counts once."""
         ends = self.points.ends
         distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
-        return 2 * len(set(self.pieces.tolist())) + distinct
+        of_arc = [set(self.lines.laser[self.lines.opposite == arc].tolist()) for arc in (False, True)]
+        return 2 * (len(self.stripes) + len(of_arc[0] & of_arc[1])) + distinct
 
     @property
     def pieces(self) -> Int64[Array, "line"]:

@@ -397,7 +397,7 @@ def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
         return None
     ends = view.ends
     rays, slope, depth_m = rays[ends:], slope[ends:], 1.0 / inverse_depth[ends:]
-    described = measured.points.described
+    described = observations.described
     points_m = depth_m[:, None] * rays
     # dP/dx of the break points along their stripes, for P = depth r
     points_wrt_x = depth_m[:, None] * np.column_stack([np.ones_like(slope), slope, np.zeros_like(slope)])
@@ -405,10 +405,10 @@ def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
 
     normal = -plane / float(np.sqrt(plane @ plane))
     across = (normal @ GENERATORS).reshape(3, 3)  # across @ v is the cross product of the normal and v
-    outward = _outward_direction(normal, across, measured, points_m, points_wrt_x)
+    outward = _outward_direction(normal, across, observations, points_m, points_wrt_x)
     mean_ray = rays[described].mean(axis=0)
     origin = mean_ray / float(mean_ray @ plane)
-    curvature, half_band_m = _expected_size(measured, points_m @ outward, prior)
+    curvature, half_band_m = _expected_size(observations, points_m @ outward, prior)
     if not described.all():  # a circle through the origin, with its centre inward, and the mean point of the other arc
         chord_m = points_m[~described].mean(axis=0) - origin
         curvature = -2.0 * float(chord_m @ outward) / max(float(chord_m @ chord_m), MIN_LENGTH_M**2)
@@ -443,14 +443,14 @@ def _plane_of_stripes(observations: Observations) -> Float64[Array, "3"]:
 def _outward_direction(
     normal: Float64[Array, "3"],
     across: Float64[Array, "3 3"],
-    measured: Measurements,
+    observations: Observations,
     points_m: Float64[Array, "point 3"],
     points_wrt_x: Float64[Array, "point 3"],
 ) -> Float64[Array, "3"]:
     """Mean direction from inner towards outer ends, seen from the middles of their stripes."""
-    points, (*_, last) = measured.points, np.flatnonzero(measured.points.described)
-    first = int(measured.points.described.argmax())
-    direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x) * points.described) @ points_wrt_x
+    points, described = observations.measured.points, observations.described
+    first, last = np.flatnonzero(described)[[0, -1]].tolist()
+    direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x) * described) @ points_wrt_x
     if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
         direction = across @ (points_m[last] - points_m[first])
     if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
@@ -460,14 +460,14 @@ def _outward_direction(
     return unit
 
 
-def _expected_size(measured: Measurements, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
+def _expected_size(observations: Observations, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
     """Curvature (1/m) of the ring and half the width (m) of its face.
 
     Both follow from the prior of the radii where it gives them. Otherwise the curvature is that of a typical ring, and
     the width is the mean distance between the inner and the outer break points, at `outward_m` in radial direction.
     """
-    points = measured.points
-    inner, outer = (outward_m[points.described & (points.edge == edge)].tolist() for edge in range(2))
+    edges, described = observations.measured.points.edge, observations.described
+    inner, outer = (outward_m[described & (edges == edge)].tolist() for edge in range(2))
     half_band_m = 0.5 * (sum(outer) / len(outer) - sum(inner) / len(inner)) if inner and outer else EXPECTED_HALF_BAND_M
     if prior.radii is None or not np.isfinite(prior.radii.radius_m).any():
         return EXPECTED_CURVATURE, half_band_m
@@ -543,7 +543,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         distance_wrt_x=distance_wrt_x,
         distance_scale=scale,
         ordinates=ordinates,
-        described=measured.points.described,
+        described=observations.described,
     )
 
 
@@ -664,7 +664,7 @@ def rig_jacobian(
         wrt_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
         blocks.append((wrt_ray[:, :, None] * edge_ray).sum(axis=1))
     blocks.append(np.zeros((len(residuals.residual) - residuals.data_rows, len(errors.parameters))))
-    described = observations.measured.points.described
+    described = observations.described
     mean_ray = np.array([of[ends:][described].mean(axis=0) for of in (ray[:, 0], predicted_y + sloped)])
     return np.concatenate(blocks), mean_ray
 

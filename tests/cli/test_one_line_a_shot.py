@@ -161,7 +161,7 @@ def test_equations_that_cannot_be_solved_are_a_line_with_a_reason(rig, detection
     monkeypatch.setattr("ringpose.measure.stream.most_likely_pose", singular)
 
     records_of_shots = [json.loads(line) for line in detections.read_text().splitlines()]
-    rejection = {"what": "point", "laser": "middle", "edge": "inner", "chi2": None}
+    rejection = {"what": "point", "laser": "middle", "edge": "inner", "opposite": False, "chi2": None}
     detections.write_text("".join(json.dumps(each | {"rejected": [rejection]}) + "\n" for each in records_of_shots))
 
     assert main(["pose", str(detections), "--rig", str(rig)]) == 3
