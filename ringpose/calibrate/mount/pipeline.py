@@ -14,11 +14,13 @@ from ringpose.calibrate.mount.adjustment import (
     ROTATION_BOUNDS_RAD,
     TRANSLATION_BOUNDS_M,
     MountSolution,
+    RobotSigmas,
     Station,
     adjusted_mount,
     moving_from_fixed,
 )
 from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, rotation_error_rad
+from ringpose.calibrate.mount.systematic import SystematicError, systematic_error
 from ringpose.calibrate.mount.validation import (
     MIN_VIEWS,
     LeftOut,
@@ -59,6 +61,8 @@ class MountCalibration:
     solution: MountSolution
     covariance: Float64[Array, "12 12"]
     """Of mount and board (rotation vector, translation, each in its frame)."""
+    systematic: SystematicError | None
+    """The part of the robot's error that depends on its pose; None if the views show none."""
     disagreement: tuple[float, float]
     """Factors by which the views disagree more about rotation and translation than their likelihood explains."""
     without: LeftOut
@@ -76,16 +80,23 @@ class MountCalibration:
         return len(self.stations) < MIN_FREE_VIEWS
 
     @property
+    def robot_error(self) -> RobotSigmas:
+        """Standard deviations of a pose of the robot, widened by the uncertainty of their estimate."""
+        if self.systematic is not None:
+            return self.systematic.robot
+        widening = sqrt(student_factor(len(self.stations)))
+        return RobotSigmas(*(widening * each for each in self.solution.sigmas))
+
+    @property
     def mount(self) -> Mount:
         """The mount as the rig has it."""
         variance, axes = np.linalg.eigh(self.covariance[:6, :6])
-        widening = sqrt(student_factor(len(self.stations)))
         return Mount(
             carrier_from_camera=self.solution.state.mount.matrix,
             carrier=PoseFrame.BASE if self.eye_to_hand else PoseFrame.TOOL,
             root=axes * np.sqrt(np.maximum(variance, 0.0)),
-            robot_rotation_sd_rad=widening * self.solution.sigmas.rotation_rad,
-            robot_translation_sd_m=widening * self.solution.sigmas.translation_m,
+            robot_rotation_sd_rad=self.robot_error.rotation_rad,
+            robot_translation_sd_m=self.robot_error.translation_m,
         )
 
 
@@ -142,12 +153,14 @@ def calibrate_mount(
     _check_fit(solution)
     without = left_out(solution, chosen)
     fixed = None if refine_camera or camera.covariance is None else camera.covariance.data
-    covariance, of_rotation, of_translation = validated_covariance(solution, without, fixed)
+    systematic = systematic_error(solution, chosen) if len(chosen) >= MIN_FREE_VIEWS else None
+    covariance, of_rotation, of_translation = validated_covariance(solution, without, fixed, systematic)
     return MountCalibration(
         stations=tuple(chosen),
         rejected=rejected,
         solution=solution,
         covariance=covariance,
+        systematic=systematic,
         disagreement=(of_rotation, of_translation),
         without=_where_determined(without, stations, boards, used, eye_to_hand),
         turns=_turns(stations, boards, used, eye_to_hand),

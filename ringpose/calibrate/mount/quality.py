@@ -85,6 +85,12 @@ def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[st
         robot["prior"] = {
             "rotation_rad": PRIOR_ROTATION_RAD, "translation_m": PRIOR_TRANSLATION_M, "factor": PRIOR_FACTOR
         }  # fmt: skip
+    if calibration.systematic is not None:
+        parts = {"repeatability": calibration.systematic.repeatability, "systematic": calibration.systematic.systematic}
+        robot |= {
+            name: {"rotation_sd_rad": part.rotation_rad, "translation_sd_m": part.translation_m}
+            for name, part in parts.items()
+        }
     views = [
         {"name": station.name, "rms_px": rms, "corner_sigma_px": sigma, "held_out_m": held, "held_out_rad": angle}
         for station, rms, sigma, held, angle in zip(
@@ -126,6 +132,13 @@ def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
         f"error of the robot's poses: {1e3 * sigmas.translation_m:.3f} mm, {degrees(sigmas.rotation_rad):.3f} degrees "
         f"each axis{prior}"
     )
+    if calibration.systematic is not None:
+        part, rest = calibration.systematic.systematic, calibration.systematic.repeatability
+        lines.append(
+            f"  it depends on the robot's pose: {1e3 * part.translation_m:.3f} mm, {degrees(part.rotation_rad):.3f} "
+            f"degrees, beside a repeatability of {1e3 * rest.translation_m:.3f} mm, {degrees(rest.rotation_rad):.3f} "
+            "degrees; the same in all views, it is part of the covariance"
+        )
     frame = "base" if calibration.eye_to_hand else "tool"
     mount, sd = solution.state.mount, np.sqrt(np.diag(calibration.covariance))
     place = ", ".join(

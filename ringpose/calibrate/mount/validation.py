@@ -14,6 +14,7 @@ from ringpose.calibrate.mount.adjustment import (
     inverse_marginal,
     robot_sigmas,
 )
+from ringpose.calibrate.mount.systematic import SystematicError
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool, Float64
 
@@ -60,14 +61,18 @@ def left_out(solution: MountSolution, stations: Sequence[Station]) -> LeftOut:
 
 
 def validated_covariance(
-    solution: MountSolution, without: LeftOut, camera_covariance: Float64[Array, "parameter parameter"] | None
+    solution: MountSolution,
+    without: LeftOut,
+    camera_covariance: Float64[Array, "parameter parameter"] | None,
+    systematic: SystematicError | None,
 ) -> tuple[Float64[Array, "12 12"], float, float]:
     """Covariance of X and Y, and the factors by which the views disagree more about X than their likelihood explains.
 
     The factors, of rotation and translation, are those between the jackknife by views and its expectation, the
-    difference of the covariances with and without a view. They widen the covariance where they are above 1. The
-    uncertainty of the robot's standard deviations makes normal errors Student's; that of a camera that is held fixed
-    is propagated.
+    difference of the covariances with and without a view. They widen the covariance where they are larger. The
+    uncertainty of the robot's standard deviations makes normal errors Student's. A systematic error of the robot, which
+    leaving out views does not show, replaces this where it gives more. The covariance of a camera that is held fixed is
+    propagated.
     """
     views = len(solution.numbers.z)
     covariance = solution.covariance[:12, :12]
@@ -79,8 +84,15 @@ def validated_covariance(
             float(np.trace(inner @ (fewer[block, block] - covariance[block, block]))) for fewer in without.covariance
         )
         factors.append(jackknife / max(expected, 1e-12))
-    widening = np.sqrt(student_factor(views) * np.repeat(np.maximum([factors[0], factors[1]] * 2, 1.0), 3))
+    widening = np.sqrt(np.repeat(np.maximum([factors[0], factors[1]] * 2, student_factor(views)), 3))
     total = covariance * np.outer(widening, widening)
+    if systematic is not None:
+        blocks = [slice(first, first + 3) for first in range(0, 12, 3)]
+        less = [
+            np.trace(np.linalg.solve(systematic.covariance[block, block], total[block, block])) / 3 for block in blocks
+        ]
+        widening = np.sqrt(np.repeat(np.maximum(less, 1.0), 3))
+        total = systematic.covariance * np.outer(widening, widening)
     if camera_covariance is not None and solution.covariance.shape == (12, 12):
         weighted = solution.numbers.wrt_common.swapaxes(1, 2) @ solution.weights
         influence = covariance @ (weighted @ solution.numbers.wrt_camera).sum(axis=0)

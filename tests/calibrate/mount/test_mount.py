@@ -243,4 +243,6 @@ def test_the_nees_of_the_mount_is_in_its_band(views, eye_to_hand, rng):
         error = error_of(calibration, mount)
         nees.append(error @ np.linalg.solve(calibration.covariance[:6, :6], error) / 6)
 
-    assert 0.86 < np.mean(nees) < 1.157  # 99 % of chi-squared with 600 degrees of freedom
+    # 99 % of chi-squared with 600 degrees of freedom; less by up to 0.03, as one session in ten is widened for a
+    # systematic error that chance has made
+    assert 0.86 - 0.03 < np.mean(nees) < 1.157

@@ -1,0 +1,182 @@
+"""The mount on a six-axis arm whose joint angles, links and gears have errors: they are alike in neighbouring poses."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from calibrated import chi_squared
+from known_views import CHESSBOARD, TRUE_CAMERA, board_view
+from scipy.spatial.transform import Rotation
+
+from ringpose.calibrate.mount.adjustment import Station
+from ringpose.calibrate.mount.closed_form import Transform
+from ringpose.calibrate.mount.pipeline import calibrate_mount
+from ringpose.calibrate.mount.quality import mount_quality, mount_summary, mount_verdict
+from ringpose.geometry.board import corner_points
+from ringpose.geometry.camera_motion import CameraMotion
+from ringpose.types.options import PoseFrame
+from ringpose.types.rig import RobotPoses
+
+CORNERS_M = corner_points(CHESSBOARD)[::4].copy()
+MIDDLE_M = np.array([0.15, 0.125, 0.0])
+# a, alpha, d, offset of each joint, as of an arm of 1.2 m reach
+ARM = np.array([
+    [0.15, -np.pi / 2, 0.4865, 0.0], [0.475, 0.0, 0.0, -np.pi / 2], [0.0, -np.pi / 2, 0.0, 0.0],
+    [0.0, np.pi / 2, 0.6, 0.0], [0.0, -np.pi / 2, 0.0, 0.0], [0.0, 0.0, 0.065, np.pi],
+])  # fmt: skip
+LENGTH_SD_M, ANGLE_SD_RAD, GEAR_SD_RAD = 2e-4, 3e-4, 2e-4
+REPEATABILITY = (8e-5, 4e-5)
+"""Of an ABB IRB 1600 (Slamani, Nubiola and Bonev 2012), whose error before a calibration is 17 to 32 times larger."""
+MIDDLE_RAD = np.array([0.2, 0.4, 0.1, 0.1, 0.9, 0.3])
+
+
+def matrix(vector, place_m) -> np.ndarray:
+    made = np.eye(4)
+    made[:3, :3], made[:3, 3] = Rotation.from_rotvec(vector).as_matrix(), place_m
+    return made
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Rotation vector and translation between two poses, in their frame."""
+    return np.append(Rotation.from_matrix(one[:3, :3] @ other[:3, :3].T).as_rotvec(), one[:3, 3] - other[:3, 3])
+
+
+def base_from_tool(joints_rad: np.ndarray, arm: np.ndarray, gear=(0.0, 0.0)) -> np.ndarray:
+    """Denavit and Hartenberg's product; `gear`: amplitudes and phases of an error once a revolution."""
+    pose = np.broadcast_to(np.eye(4), (len(joints_rad), 4, 4))
+    angles = joints_rad + arm[:, 3] + gear[0] * np.sin(joints_rad + gear[1])
+    for (a, alpha, d, _), angle in zip(arm, angles.T, strict=True):
+        c, s, ca, sa = (
+            np.cos(angle),
+            np.sin(angle),
+            np.full_like(angle, np.cos(alpha)),
+            np.full_like(angle, np.sin(alpha)),
+        )
+        zero, one = np.zeros_like(c), np.ones_like(c)
+        rows = [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [zero, sa, ca, d * one],
+            [zero, zero, zero, one],
+        ]
+        pose = pose @ np.moveaxis(np.array(rows), 2, 0)
+    return pose
+
+
+def joints_of(poses: np.ndarray) -> np.ndarray:
+    """Inverse kinematics of the nominal arm by Newton's method, of the poses for which it converges."""
+    joints_rad = np.repeat(MIDDLE_RAD[None], len(poses), axis=0)
+
+    def twists(moved):
+        now = np.linalg.inv(base_from_tool(moved, ARM)) @ poses
+        return np.concatenate([Rotation.from_matrix(now[:, :3, :3]).as_rotvec(), now[:, :3, 3]], axis=1)
+
+    for _ in range(30):
+        now = twists(joints_rad)
+        jacobian = np.stack([(now - twists(joints_rad + 1e-6 * each)) / 1e-6 for each in np.eye(6)], axis=-1)
+        joints_rad = joints_rad + np.clip(np.linalg.solve(jacobian, now[..., None])[..., 0], -0.3, 0.3)
+    return joints_rad[np.abs(twists(joints_rad)).max(axis=1) < 1e-8]
+
+
+MOUNT = matrix([0.1, -0.2, 0.4], [0.03, -0.02, 0.08])
+BOARD = base_from_tool(MIDDLE_RAD[None], ARM)[0] @ MOUNT @ matrix([0, 0, 0], np.array([0, 0, 0.5]) - MIDDLE_M)
+
+
+class Session(NamedTuple):
+    stations: list[Station]
+    reported: np.ndarray
+    """Of one more pose of the robot, beside those of the views ..."""
+    seen: np.ndarray
+    """... and the board in the camera there."""
+
+
+def session(rng, views: int, systematic: float = 1.0) -> Session:
+    """Views by an arm with drawn errors, `systematic` times as large as of an arm that is not calibrated."""
+    count = views + 5
+    turns = Rotation.from_rotvec(rng.uniform(-1, 1, (count, 3)) * [0.4, 0.4, 0.7]).as_matrix()
+    middles_m = np.column_stack([rng.uniform(-0.02, 0.02, (count, 2)), rng.uniform(0.4, 0.6, count)])
+    wanted = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
+    wanted[:, :3, :3], wanted[:, :3, 3] = turns, middles_m - turns @ MIDDLE_M
+    joints_rad = joints_of(BOARD @ np.linalg.inv(MOUNT @ wanted))[: views + 1]
+    assert len(joints_rad) == views + 1
+    sds = systematic * np.array([LENGTH_SD_M, ANGLE_SD_RAD, LENGTH_SD_M, ANGLE_SD_RAD])
+    gear = systematic * rng.normal(0, GEAR_SD_RAD, 6), rng.uniform(0, 2 * np.pi, 6)
+    true = base_from_tool(joints_rad, ARM + sds * rng.normal(size=(6, 4)), gear)
+    true = true @ np.array([matrix(*(sd * rng.normal(size=3) for sd in REPEATABILITY)) for _ in true])
+    seen, reported = np.linalg.inv(true @ MOUNT) @ BOARD, base_from_tool(joints_rad, ARM)
+    stations = [
+        Station(
+            view=board_view(
+                CORNERS_M, (one[:3, :3], one[:3, 3]), f"view{number:02d}", rng.normal(0, 0.1, (len(CORNERS_M), 2))
+            ),
+            base_from_tool=Transform(pose[:3, :3], pose[:3, 3]),
+        )
+        for number, (one, pose) in enumerate(zip(seen[:-1], reported[:-1], strict=True))
+    ]
+    return Session(stations, reported[-1], seen[-1])
+
+
+def base_errors(calibration, made: Session) -> tuple[float, float]:
+    """NEES of place and orientation of the board in the base, by another pose of the robot."""
+    poses = RobotPoses(
+        stamp_s=np.array([0.0, 0.2]), position_m=made.reported[None, :3, 3].repeat(2, 0),
+        rotation=made.reported[None, :3, :3].repeat(2, 0),
+    )  # fmt: skip
+    matrix_found, root = CameraMotion(poses=poses, mount=calibration.mount).in_frame(PoseFrame.BASE, 0.1)
+    found = matrix_found @ made.seen
+    lever_m = matrix_found[:3, :3] @ (made.seen @ [*MIDDLE_M, 1.0])[:3]
+    at_middle = np.eye(6)
+    at_middle[3:, :3] = np.cross(np.eye(3), lever_m).T
+    root = at_middle @ root
+    covariance = root @ root.T
+    turn_rad = difference(BOARD, found)[:3]
+    shift_m = (BOARD @ [*MIDDLE_M, 1.0] - found @ [*MIDDLE_M, 1.0])[:3]
+    return (
+        shift_m @ np.linalg.solve(covariance[3:, 3:], shift_m) / 3,
+        turn_rad @ np.linalg.solve(covariance[:3, :3], turn_rad) / 3,
+    )
+
+
+def mount_nees(calibration) -> float:
+    error = difference(MOUNT, calibration.solution.state.mount.matrix)
+    return error @ np.linalg.solve(calibration.covariance[:6, :6], error) / 6
+
+
+def test_errors_of_joints_and_links_are_recognised_and_widen_the_covariance(rng):
+    made = session(rng, 15, systematic=2.0)
+
+    calibration = calibrate_mount(made.stations, TRUE_CAMERA)
+
+    found = calibration.systematic
+    assert found is not None
+    assert found.repeatability.translation_m < 0.5 * found.robot.translation_m
+    by_likelihood = calibration.solution.covariance
+    assert np.trace(calibration.covariance[3:6, 3:6]) > 4.0 * np.trace(by_likelihood[3:6, 3:6])
+    assert mount_nees(calibration) < 3.0
+    assert max(base_errors(calibration, made)) < 5.0
+    verdict = mount_verdict(calibration)
+    assert "it depends on the robot's pose" in " ".join(mount_summary(calibration, verdict))
+    assert mount_quality(calibration, verdict)["robot_error"]["systematic"]["translation_sd_m"] > 1e-4
+
+
+def test_an_arm_that_only_repeats_badly_has_no_systematic_error(rng):
+    found = [calibrate_mount(session(rng, 12, systematic=0.0).stations, TRUE_CAMERA) for _ in range(4)]
+
+    assert [calibration.systematic for calibration in found].count(None) >= 3  # one in ten by chance
+
+
+@pytest.mark.slow
+def test_the_nees_with_systematic_errors_is_in_its_band(rng):
+    """Mount, and place and orientation of the board in the base, of 100 arms each with errors of two sizes."""
+    outside = []
+    for systematic in (1.0, 2.0):  # half a millimetre and a millimetre
+        nees = []
+        for _ in range(100):
+            made = session(rng, 15, systematic)
+            calibration = calibrate_mount(made.stations, TRUE_CAMERA)
+            nees.append((mount_nees(calibration), *base_errors(calibration, made)))
+        for mean, degrees_of_freedom in zip(np.mean(nees, axis=0).tolist(), (6, 3, 3), strict=True):
+            low, high = chi_squared([0.005, 0.995], 100 * degrees_of_freedom) / (100 * degrees_of_freedom)
+            if not low < mean < high:
+                outside.append((systematic, degrees_of_freedom, mean))
+    assert not outside
