@@ -71,13 +71,13 @@ PLACED = [
 """Markers of DICT_4X4_50: number, x and y of the middle, side and turn, clockwise on the board."""
 
 
-def placed_markers() -> Ink:
+def placed_markers(places: Sequence[tuple] = PLACED) -> Ink:
     """Single markers at these places."""
     cells = pictures("DICT_4X4_50", 50, 1)
 
     def ink(x, y):
         dark = np.zeros(x.shape, dtype=bool)
-        for number, middle_x, middle_y, side_m, turn in PLACED:
+        for number, middle_x, middle_y, side_m, turn in places:
             right = ((x - middle_x) * np.cos(turn) + (y - middle_y) * np.sin(turn)) / side_m + 0.5
             down = ((y - middle_y) * np.cos(turn) - (x - middle_x) * np.sin(turn)) / side_m + 0.5
             inside = (right > 0) & (right < 1) & (down > 0) & (down < 1)
@@ -92,6 +92,17 @@ def placed_corners(middle_x: float, middle_y: float, side_m: float, turn: float)
     cos, sin = side_m / 2 * np.cos(turn), side_m / 2 * np.sin(turn)
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     return tuple((float(middle_x + a * cos - b * sin), float(middle_y + a * sin + b * cos)) for a, b in signs)
+
+
+def chessboard(side_m: float, columns: int, rows: int) -> Ink:
+    """The square in the board's corner is black."""
+
+    def ink(x, y):
+        column, row = np.floor(x / side_m), np.floor(y / side_m)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        return inside & ((column + row) % 2 == 0)
+
+    return ink
 
 
 def squares(side_m: float, gap_m: float, columns: int, rows: int) -> Ink:
@@ -159,7 +170,27 @@ MAP = Board(
 SQUARES = Board(kind="separate_squares", squares_x=6, squares_y=5, square_m=0.0127, gap_m=0.0098778)
 """Part of Zhang's target: squares of half an inch, 8 / 9 of an inch apart."""
 
+CHESSBOARD = Board(kind="chessboard", squares_x=9, squares_y=7, square_m=0.02)
+CHARUCO = Board(kind="charuco", squares_x=6, squares_y=5, square_m=0.03, marker_m=0.022, dictionary="DICT_4X4_50")
+WHITE = [(column, row) for row in range(5) for column in range(6) if (column + row) % 2]
+CHARUCO_PLACES = [(n, 0.03 * (x + 0.5), 0.03 * (y + 0.5), 0.022, 0.0) for n, (x, y) in enumerate(WHITE)]
+FOUR = Board(kind="four_markers", width_m=0.2, height_m=0.16, marker_m=0.06, margin_m=0.005, dictionary="DICT_4X4_50")
+FOUR_PLACES = [
+    (n, x, y, 0.06, 0.0) for n, (x, y) in enumerate([(0.035, 0.035), (0.165, 0.035), (0.165, 0.125), (0.035, 0.125)])
+]
+GRID = Board(kind="aruco_grid", squares_x=4, squares_y=3, marker_m=0.04, gap_m=0.012, dictionary="DICT_4X4_50")
+GRID_PLACES = [(n, 0.02 + 0.052 * (n % 4), 0.02 + 0.052 * (n // 4), 0.04, 0.0) for n in range(12)]
+
+
+def either(first: Ink, second: Ink) -> Ink:
+    return lambda x, y: first(x, y) | second(x, y)
+
+
 KINDS: dict[str, tuple[Board, Ink, tuple[float, float], bool]] = {
+    "chessboard": (CHESSBOARD, chessboard(0.02, 9, 7), (0.18, 0.14), False),
+    "ChArUco": (CHARUCO, either(chessboard(0.03, 6, 5), placed_markers(CHARUCO_PLACES)), (0.18, 0.15), False),
+    "four markers": (FOUR, placed_markers(FOUR_PLACES), (0.2, 0.16), False),
+    "marker grid": (GRID, placed_markers(GRID_PLACES), (0.196, 0.144), False),
     "symmetric circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), False),
     "asymmetric circles": (ASYMMETRIC, disks(0.018, 0.007, 5, 9, True), (0.2, 0.18), False),
     "light circles": (SYMMETRIC, disks(0.02, 0.006, 9, 7, False), (0.2, 0.16), True),
