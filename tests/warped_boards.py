@@ -125,8 +125,15 @@ def rays() -> np.ndarray:
     for _ in range(12):
         directions = (seen - CAMERA.camera_matrix[:2, 2]) / np.diag(CAMERA.camera_matrix)[:2]
         seen = seen + pixels - projected_px(np.column_stack([directions, np.ones(len(seen))]), CAMERA)
-    fine = cv2.resize(directions.reshape(height + 2, width + 2, 2), None, fx=SUBPIXELS, fy=SUBPIXELS)
-    return fine[SUBPIXELS:-SUBPIXELS, SUBPIXELS:-SUBPIXELS].reshape(-1, 2)
+    grid = directions.reshape(height + 2, width + 2, 2)
+    by_y, by_x = (np.gradient(grid, axis=axis)[1:-1, None, 1:-1, None] for axis in (0, 1))
+    # Points of a pixel differ in x and in y, so that edges along rows and columns are drawn to a sixteenth of a pixel.
+    coarse, fine = np.arange(SUBPIXELS) / SUBPIXELS - 0.5, (np.arange(SUBPIXELS) + 0.5) / SUBPIXELS**2
+    x, y = (
+        (offset)[None, :, None, :, None]
+        for offset in (coarse[None, :] + fine[:, None], coarse[:, None] + fine[None, :])
+    )
+    return (grid[1:-1, None, 1:-1, None] + x * by_x + y * by_y).reshape(-1, 2)
 
 
 def drawn_view(
@@ -138,10 +145,9 @@ def drawn_view(
     depth = (turn[:, 2] @ place) / (x * turn[0, 2] + y * turn[1, 2] + turn[2, 2])
     offset = [depth * x - place[0], depth * y - place[1], depth - place[2]]
     on_board = [sum(turn[axis, side] * offset[axis] for axis in range(3)) for side in (0, 1)]
-    share = ink(*on_board).astype(np.float32).reshape(CAMERA.image_height * SUBPIXELS, -1)
-    share = cv2.resize(share, (CAMERA.image_width, CAMERA.image_height), interpolation=cv2.INTER_AREA)
-    share = 1 - share if light_on_dark else share
-    light = cv2.GaussianBlur(LIGHT_DN + (DARK_DN - LIGHT_DN) * share.astype(np.float64), (0, 0), BLUR_PX)
+    dark = ink(*on_board).reshape(CAMERA.image_height, SUBPIXELS, CAMERA.image_width, SUBPIXELS)
+    share = (dark != light_on_dark).mean(axis=(1, 3))
+    light = cv2.GaussianBlur(LIGHT_DN + (DARK_DN - LIGHT_DN) * share, (0, 0), BLUR_PX)
     return np.clip(np.rint(light + NOISE_DN * rng.standard_normal(light.shape)), 0, 255).astype(np.uint8)
 
 
