@@ -1,5 +1,7 @@
 """A camera with a laser on an ABB robot (shared data): its points lie on one plane in the base."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.matching import matched_poses
 from ringpose.calibrate.mount.pipeline import calibrate_mount, stations_of
+from ringpose.calibrate.mount.quality import mount_verdict
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.plane_fit import plane_without
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
@@ -65,3 +68,20 @@ def test_held_out_laser_points_lie_on_one_plane_in_the_base(folder, limit_m, sha
 
     assert len(in_base) >= len(shots) - 1
     assert deviation_from_their_plane_m(np.concatenate(in_base)) < limit_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "is_named"), [(1.0, False), (1.2, True), (0.8, True)])
+def test_a_board_whose_sizes_are_wrong_by_a_fifth_is_named_and_a_right_one_is_not(factor, is_named, shared_data):
+    data = shared_data / "real" / "etna_laser_robot" / "calib3"
+    seen = [find_board(shot_of(path).images[0], BOARD, path.stem) for path in sorted(data.glob("*.png"))]
+    boards = [
+        replace(view, points_board_m=factor * view.points_board_m) for view in seen if not isinstance(view, NoBoard)
+    ]
+    camera = calibrate_camera(boards, 1280, 1024, CameraModel(fix_k3=True, keep_all=True)).camera
+    poses = read_tool_poses(str(data), convention_named("m,xyzw")).poses
+    stations = stations_of(boards, matched_poses([view.name for view in boards], [0.0] * len(boards), poses, "poses"))
+
+    verdict = mount_verdict(calibrate_mount(stations, camera))
+
+    assert any("measure its print" in advice for advice in verdict.advice) == is_named
