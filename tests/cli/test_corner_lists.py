@@ -68,12 +68,12 @@ def test_a_table_and_json_lines_give_the_same_camera_within_its_sigmas(corners, 
 def test_opencvs_own_corners_give_the_published_camera(shared_data, run):
     """calib1.dat of opencv_extra, lengths in mm: 7 views of 35 corners."""
     words = (shared_data / "real" / "opencv_extra_calib" / "calib1.dat").read_text().split()
-    numbers = np.array(words[:600], dtype=np.float64)
-    places, pixels = numbers[5 : 5 + 105].reshape(35, 3) / 1000, numbers[110 : 110 + 490].reshape(7, 35, 2)
+    numbers = np.array(words[5 : 5 + 7 * 35 * 5], dtype=np.float64)  # after the sizes of image and board, and 7
+    places, pixels = numbers[: 7 * 105].reshape(7, 35, 3) / 1000, numbers[7 * 105 :].reshape(7, 35, 2)
     rows = [
-        {"view": view, "id": number, "x_px": x, "y_px": y, "x_m": places[number, 0], "y_m": places[number, 1]}
+        {"view": view, "id": 35 * view + number, "x_px": x, "y_px": y, "x_m": place[0], "y_m": place[1]}
         for view in range(7)
-        for number, (x, y) in enumerate(pixels[view])
+        for number, (place, (x, y)) in enumerate(zip(places[view], pixels[view], strict=True))
     ]
 
     _, err, camera = run({"c.csv": table(rows)}, "--image-size", "640x480", "--fix-k3", "--keep-all", "c.csv")
@@ -98,7 +98,6 @@ def test_opencvs_own_corners_give_the_published_camera(shared_data, run):
         (lambda rows: [*rows[:-1], rows[-1] | {"z_m": 0.1}], [], "z_m: is 0.1, must be 0; give corners in one plane"),
         (lambda rows: [*rows[:-1], rows[-1] | {"x_m": 0.5}], [], "id: is 47, which was at 0.24, 0.18 m before"),
         (lambda rows: [*rows[:-1], rows[-1] | {"x_px": "12,5"}], [], "must be a number"),
-        (lambda rows: [rows[0] | {"view": "one"}, *rows[1:]], [], "one: no board: 1 corners, 6 are needed"),
         (lambda rows: [{"view": "a"}], [], "c.csv:1: has no column id in its first line"),
         (lambda rows: rows, ["--board", "board.yaml"], "x_m: is given, and so is --board; leave out one of them"),
         (lambda rows: rows, ["--channel", "r"], "--channel: needs images"),
@@ -113,3 +112,12 @@ def test_a_list_that_cannot_be_is_named_with_its_line(change, words, found, corn
 
     assert status != 0
     assert found in err
+
+
+def test_a_view_with_too_few_corners_is_left_out_and_named(corners, run):
+    rows = with_places(corners)
+
+    status, err, _ = run({"c.csv": table([rows[0] | {"view": "one"}, *rows[1:]])}, "--image-size", "1600x1200", "c.csv")
+
+    assert status == 0
+    assert "one: no board: 1 corners, 6 are needed" in err
