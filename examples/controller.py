@@ -27,6 +27,7 @@ MAX_DISTANCE_M = 5.0  # largest plausible distance; a larger number is in millim
 MAX_ROUNDING = 1e-3  # tolerance of the length of a unit vector
 HOLD_FLAGS = {  # other flags concern other numbers; relabelled: assignment_ambiguous in version 1
     "grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous", "relabelled", "rig_drift",
+    "rig_bent",
 }  # fmt: skip
 
 

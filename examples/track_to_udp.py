@@ -41,6 +41,7 @@ HOLD_ON = {
     "grasp_weak",
     "inconsistent",
     "normal_weak",
+    "rig_bent",
     "rig_drift",
     "side_unknown",
     "velocity_weak",

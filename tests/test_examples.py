@@ -145,6 +145,7 @@ HELD = {
     "weak normal": (lambda: pose_record(flags=["normal_weak"]), "normal_weak"),
     "weak grasp point": (lambda: pose_record(status="degraded", flags=["grasp_weak"]), "grasp_weak"),
     "lasers unclear": (lambda: pose_record(status="degraded", flags=["assignment_ambiguous"]), "assignment_ambiguous"),
+    "rig bent": (lambda: pose_record(status="degraded", flags=["rig_bent"]), "rig_bent"),
     "rig drifts": (lambda: pose_record(status="degraded", flags=["rig_drift"]), "rig_drift"),
     "rig has changed": (lambda: pose_record(rig_health={"left": 0.4, "right": None, "middle": 7.5}), "moved"),
     "rig has changed, version 1": (lambda: pose_record(**VERSION_1, laser_health={"left": 7.5}), "moved"),

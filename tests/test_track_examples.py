@@ -57,10 +57,11 @@ def test_a_valid_track_is_followed_to_where_the_grasp_point_is_now(bridge):
         {"validity": "lost", "pose": None, "grasp": None},
         {"flags": ["side_unknown"]},
         {"flags": ["inconsistent"]},
+        {"flags": ["rig_bent"]},
         {"stamp_s": 1.0},
         {"grasp": {**track_record()["grasp"], "covariance": [[1e-4] * 6] * 6}},
     ],
-    ids=["predicted", "stale", "lost", "side", "pushed", "old", "inaccurate"],
+    ids=["predicted", "stale", "lost", "side", "pushed", "bent", "old", "inaccurate"],
 )
 def test_anything_else_is_a_hold(bridge, changes):
     record = track_record(**changes)
