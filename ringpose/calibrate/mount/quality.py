@@ -25,6 +25,11 @@ SIGNIFICANT_SIGMAS = 3.0
 """Standard deviations from which an error of the board's scale is one: chance gives it in one session of 400. With an
 inaccurate robot (2.7 mm) a board that is wrong by 20 % is at 3.8 to 4.6; doubled, it would not be named."""
 
+MAX_SCALE_SD = 0.2
+"""Standard deviation of the board's scale from which the views do not determine it. Views turned about the board's
+middle at one distance leave it open, and the estimate, which is linear in it, is arbitrary. With half of this a board
+that is wrong by a half would not be named with a poor robot; doubled, chance may name one."""
+
 
 def held_out_rms_m(calibration: MountCalibration) -> float:
     """Root mean square of the held-out errors; NaN if the other views determine the mount for none."""
@@ -52,7 +57,8 @@ def mount_verdict(calibration: MountCalibration) -> Verdict:
     rotation_sd, translation_sd = sds(calibration)
     sigmas = calibration.solution.sigmas
     share, share_sd = calibration.board_scale
-    scale_error = abs(share) if abs(share) > SIGNIFICANT_SIGMAS * share_sd else 0.0
+    known = share_sd < MAX_SCALE_SD and abs(share) > SIGNIFICANT_SIGMAS * share_sd
+    scale_error = abs(share) if known else 0.0
     more = f"add views, turned by 20 degrees or more about the {frame}'s {missing} axis and to both sides"
     findings = [
         check(MOUNT_LIMITS, "board_moved", float(bool(calibration.board_moved)), moved=calibration.board_moved),
