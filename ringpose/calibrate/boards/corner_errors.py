@@ -285,15 +285,20 @@ def _parabola_errors(
 ) -> tuple[Float64[Array, "marker side=4"], Float64[Array, "marker side=4"]]:
     """Distance of a side's parabola outside the true side at its start and at its end, in pixels.
 
-    The parabola is fitted on -1 to 1; the side ends at -`end` and `end`.
+    The parabola is fitted to equally spaced pixels along the side, from -1 to 1; the side ends at -`end` and `end`. In
+    a tilted board these are not equally spaced on the board, and a parabola in one is none in the other.
     """
-    fitted = np.linspace(-1.0, 1.0, _SAMPLES)
-    share = 0.5 * (1.0 + np.array([-1.0, *(fitted / end), 1.0]))
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
     start, stop = points_m[..., None, :], np.roll(points_m, -1, axis=1)[..., None, :]
-    pixels = project(((1.0 - share[:, None]) * start + share[:, None] * stop).reshape(-1, 3), camera)
-    curve = pixels.reshape(*points_m.shape[:2], -1, 2)
-    across = np.einsum("msnk,msk->msn", curve - curve[:, :, :1], side_normals(curve[:, :, 0]))
-    parabola = np.linalg.lstsq(np.vander(fitted, 3), across[..., 1:-1].reshape(-1, _SAMPLES).T)[0]
-    at_ends = (np.vander(np.array([-end, end]), 3) @ parabola).T.reshape(*points_m.shape[:2], 2)
-    errors = at_ends - across[..., [0, -1]]
+    pixels = project(((1.0 - share) * start + share * stop).reshape(-1, 3), camera)
+    side = pixels.reshape(*points_m.shape[:2], -1, 2)
+    curve, chord = side - side[:, :, :1], side[:, :, -1] - side[:, :, 0]
+    across = np.einsum("msnk,msk->msn", curve, side_normals(side[:, :, 0]))
+    along = np.einsum("msnk,msk->msn", curve, chord) / np.einsum("msk,msk->ms", chord, chord)[..., None]
+    place = end * (2.0 * along - 1.0)
+    powers = place[..., None] ** np.arange(3)
+    weights = (np.gradient(place, axis=-1) * (np.abs(place) <= 1.0))[..., None]
+    weighted = np.swapaxes(weights * powers, -1, -2)
+    parabola = np.linalg.solve(weighted @ powers, weighted @ across[..., None])
+    errors = (powers[:, :, [0, -1]] @ parabola)[..., 0] - across[..., [0, -1]]
     return errors[..., 0], errors[..., 1]

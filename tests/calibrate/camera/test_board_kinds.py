@@ -46,11 +46,8 @@ def test_squares_with_other_counts_are_refused_and_with_another_gap_measured(rng
     assert narrower.marker_size_ratio == pytest.approx((0.9125, 0.9125), abs=0.01)
 
 
-OPEN = pytest.mark.xfail(reason="16 corners to 0.0125 px: the focal length is 1 to 2 sigmas too long in the mean")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=OPEN) if kind == "four markers" else kind for kind in KINDS])
+@pytest.mark.parametrize("kind", KINDS)
 def test_cameras_are_within_three_sigmas_and_their_covariance_holds(kind, rng):
     board, ink, outline_m, light_on_dark = KINDS[kind]
     free = np.arange(8)

@@ -30,25 +30,31 @@ def bent_px(points_m: np.ndarray, camera) -> np.ndarray:
 
 
 def drawn_corner(marker_m: np.ndarray, corner: int, camera) -> np.ndarray:
-    """Intersection of parabolas through the inner part of both sides, each as a function of one coordinate."""
-    share = np.linspace(LEFT_OUT, 1 - LEFT_OUT, 400)[:, None]
+    """Intersection of parabolas through equally spaced pixels of the inner part of both sides."""
+    share = np.linspace(0.0, 1.0, 4001)[:, None]
     corner_m, beside_m, below_m = marker_m[[corner, corner ^ 1, 3 - corner]]
-    level, upright = (bent_px(corner_m + share * (other - corner_m), camera) for other in (beside_m, below_m))
-    middle = bent_px(corner_m, camera)
-    flat = np.polynomial.Polynomial.fit(level[:, 0], level[:, 1], 2)
-    steep = np.polynomial.Polynomial.fit(upright[:, 1], upright[:, 0], 2)
-    x, y = middle
+    parabolas = []
+    for other_m, along in ((beside_m, 0), (below_m, 1)):  # as functions of x and of y
+        side = bent_px(corner_m + share * (other_m - corner_m), camera)
+        side = side[np.argsort(side[:, along])]
+        ends = side[[0, -1], along]
+        places = ends[0] + np.linspace(LEFT_OUT, 1 - LEFT_OUT, 400) * (ends[1] - ends[0])
+        across = np.interp(places, side[:, along], side[:, 1 - along])
+        parabolas.append(np.polynomial.Polynomial.fit(places, across, 2))
+    flat, steep = parabolas
+    x, y = bent_px(corner_m, camera)
     for _ in range(20):
         x, y = steep(y), flat(x)
     return np.array([x, y])
 
 
-@pytest.fixture
-def drawn_markers(bent_camera):
-    """Three markers that face the camera, their corners as parabolas give them, and where they are."""
-    places = (PLACES_M[:, None] + CORNERS_M).reshape(-1, 4, 3)
+@pytest.fixture(params=[0.0, 0.5], ids=["facing", "tilted"])
+def drawn_markers(request, bent_camera):
+    """Three markers on a board at a tilt, their corners as parabolas give them, and where they are."""
+    points_m = (PLACES_M[:, None] + CORNERS_M).reshape(-1, 3) - [0, 0, 0.5]
+    turn = cv2.Rodrigues(np.array([request.param, -0.8 * request.param, 0.0]))[0]
+    places = (points_m @ turn.T + [0, 0, 0.5]).reshape(-1, 4, 3)
     found = [drawn_corner(marker, corner, bent_camera) for marker in places for corner in range(4)]
-    points_m = places.reshape(-1, 3) - [0, 0, 0.5]
     view = BoardView(
         name="v",
         ids=np.arange(12),
