@@ -187,7 +187,7 @@ def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[in
         segments, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
     )
     if chords.are_convincing:
-        return face_of_both_arcs(chords, every, rig)
+        return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
     groups: list[Group | None] = list(found)
     best = best_hypothesis(groups)
     while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
@@ -462,7 +462,7 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=11"], rig: Ri
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
     nearer = ring_face(rows, face.lasers, rig) if len(rows) >= CONFIRMED else None
-    if nearer is not None and len(nearer.lasers) >= CONFIRMED:
+    if nearer is not None and nearer.is_confirmed:
         nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < MAX_TILT_OF_FACES
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):

@@ -331,6 +331,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
         [own, jacobian, wrt_rates, wrt_rig, wrt_form, wrt_slope, wrt_camera, -residual[:, None]], axis=1
     )
     whitened = -columns * np.sqrt(estimate.weights[:rows])[:, None]
+    whitened = whitened[measured.of_first_arc]  # between two arcs a track would find its place where nothing was seen
     count = own.shape[1]
     prior = np.eye(count, whitened.shape[1])
     triangle = np.linalg.qr(np.concatenate([prior, whitened]), mode="r")

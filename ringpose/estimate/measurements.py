@@ -224,6 +224,13 @@ class Measurements:
         return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
 
     @cached_property
+    def of_first_arc(self) -> Bool[Array, "row"]:
+        """Whether each residual of `ringpose.estimate.residuals` is not of the opposite arc."""
+        points = self.points.opposite
+        lines, edges = np.repeat(self.lines.opposite, 2), np.zeros(len(self.edges.edge), dtype=bool)
+        return ~np.concatenate([lines, points, points[self.points.isolated], edges])
+
+    @cached_property
     def stripe_numbers(self) -> int:
         """Number of measured values of stripes and break points; a value that was measured twice counts once."""
         ends = self.points.ends

@@ -132,6 +132,8 @@ class Stream:
         early: "Callable[[LaserImage], Stripes | None] | None" = None,
         motion_until: Callable[[float], CameraMotion] | None = None,
     ) -> None:
+        if track is not None and setup.grasp_near_px is None:  # one arc for all shots: the left one
+            setup = replace(setup, grasp_near_px=(0.0, 0.5 * setup.rig.camera.image_height))
         self.setup = setup
         self._clock, self._early, self._motion_until = clock, early, motion_until
         self._drift = DriftMonitor(setup.rig, setup.rig.stability.scaled(setup.options.rig_stability))

@@ -7,6 +7,18 @@ import pytest
 from ring_scenes import PROJECTED, Ring, make_camera, pixels_of
 
 from ringpose.detect.pipeline import detect
+from ringpose.detect.rim import ring_face
+from ringpose.kernels.lines import (
+    CENTERS,
+    CORRELATION,
+    LASER,
+    MIDDLE_X,
+    MIDDLE_Y,
+    SCATTER,
+    SEGMENT_COLUMNS,
+    X_END,
+    X_START,
+)
 from ringpose.measure.stream import Setup
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.rig import Rig
@@ -102,3 +114,31 @@ def test_the_grasp_point_is_on_the_arc_nearer_to_the_place_that_is_asked_for(sho
     assert left.grasp_m[0] < ring.center_m[0] < right.grasp_m[0]
     np.testing.assert_allclose(left.center_m, right.center_m, atol=0.01e-3)
     assert min(np.linalg.norm(usual.grasp_m - each.grasp_m) for each in (left, right)) < 1e-4
+
+
+def segments_on_plane(laser: int, ends_m) -> list[np.ndarray]:
+    """The two segments of a stripe on the plane z = 0.5 m; `ends_m`: outer and inner half width at a place y."""
+    normal, distance_m = RIG.lasers.normal[laser], RIG.lasers.distance_m[laser]
+    y_m = (distance_m - normal[2] * 0.5) / normal[1]
+    outer_m, inner_m = ends_m(y_m)
+    rows = []
+    for x_m in ([-outer_m, -inner_m], [inner_m, outer_m]):
+        x, row = 400.0 + 889.0 * np.array(x_m) / 0.5, np.zeros(len(SEGMENT_COLUMNS))
+        row[[LASER, CENTERS, X_START, X_END, MIDDLE_X]] = laser, x[1] - x[0], *x, x.mean()
+        row[[MIDDLE_Y, SCATTER, CORRELATION]] = 300.0 + 889.0 * y_m / 0.5, 0.1, 2.0
+        rows.append(row)
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("ends_m", "is_ring"),
+    [(lambda _: (0.15, 0.13), False), (lambda y_m: np.sqrt(RADIUS_M[::-1] ** 2 - (y_m + 0.01) ** 2), True)],
+    ids=["bars", "ring"],
+)
+def test_two_stripes_across_two_bars_are_no_ring(ends_m, is_ring):
+    """Ends on parallel lines lie on two circles, too, about the middle between the stripes."""
+    segments = np.array([row for laser in (0, 2) for row in segments_on_plane(laser, ends_m)])
+
+    face = ring_face(segments, (), RIG)
+
+    assert (face is not None and face.opposite is not None) == is_ring

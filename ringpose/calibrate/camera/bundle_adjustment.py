@@ -92,7 +92,10 @@ def camera_solution(
     sigma_px = np.ones(len(views))
     for _ in range(2 + _REWEIGHTINGS):
         corrected = [without_distortion_bias(view, camera) for view in views]
-        solution = _adjusted(corrected, camera, poses, model, sigma_px)
+        try:
+            solution = _adjusted(corrected, camera, poses, model, sigma_px)
+        except np.linalg.LinAlgError:  # as of views of which few corners, or wrong ones, are seen
+            raise undetermined("the equations have no solution") from None
         camera, poses, sigma_px = solution.camera, solution.poses, solution.view_sigma_px
     return solution
 

@@ -522,6 +522,18 @@ static int count_chord_ends(const Candidate *const member[], int size) {
     return seen ? own[0] + own[1] : 0;
 }
 
+/* True if the edges of two chords may be four parallel straight lines, as those of a frame or of two bars: these ends lie on
+   two circles, too, if they are as far on one side of their centre as on the other. */
+static int may_be_straight(const ArcPoint *end, double sigma, double limit) {
+    double mean = 0, square = 0;
+    for (int k = 0; k < 4; k++) mean += (end[k + 4].x - end[k].x) / 4;
+    for (int k = 0; k < 4; k++) {
+        double off = (end[k + 4].x - end[k].x - mean) / sigma;
+        square += off * off / 2;
+    }
+    return square / 2 < limit;
+}
+
 /* Score of a group of chords, without what is gained by the number of ends that agree; minus infinity if it is impossible.
    `sine` is that of `circles_cost`. */
 static double chord_score(const Candidate *const member[], int size, const Scene *scene, double *sine) {
@@ -539,6 +551,7 @@ static double chord_score(const Candidate *const member[], int size, const Scene
     double sigma = params->along_sigma_px * flat_ends(member, size, plane, end) / params->focal_x;
     double circles = circles_cost(end, ends, sigma, sine);
     if (!(circles < params->circle_limit * ends / 2)) return -INFINITY;
+    if (ends == 8 && size == 2 && may_be_straight(end, sigma, params->circle_limit)) return -INFINITY;
     cost += circles + params->unseen_penalty * count_unseen_lasers(member, size, plane, scene);
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
