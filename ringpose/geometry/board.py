@@ -162,13 +162,9 @@ def _four_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     return _squares_at(origins, side)
 
 
-def _grid_markers(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
-    side = board.marker_m or 0.0
-    return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
-
-
-def _separate_squares(board: Board) -> Float64[Array, "square corner=4 xyz=3"]:
-    side = board.square_m or 0.0
+def _grid_of_squares(board: Board) -> Float64[Array, "square corner=4 xyz=3"]:
+    """Markers, or separate squares, with gaps between them."""
+    side = board.marker_m or board.square_m or 0.0
     return _squares_at((side + (board.gap_m or 0.0)) * _lattice(board.squares_x, board.squares_y), side)
 
 
@@ -296,7 +292,7 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
     "aruco_grid": Layout(
         pattern="markers",
         keys=(*_COUNTS, ("marker_m",), ("gap_m",), ("dictionary",)),
-        markers=_grid_markers,
+        markers=_grid_of_squares,
         outline_m=_grid_outline,
     ),
     "marker_map": Layout(
@@ -318,8 +314,8 @@ LAYOUTS: Mapping[BoardKind, Layout] = {
         pattern="squares",
         keys=(*_COUNTS, ("square_m",), ("gap_m",)),
         min_count=2,
-        markers=_separate_squares,
-        black=_separate_squares,
+        markers=_grid_of_squares,
+        black=_grid_of_squares,
         outline_m=_grid_outline,
     ),
     "asymmetric_circles": Layout(
