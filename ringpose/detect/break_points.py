@@ -125,7 +125,7 @@ def _on_arc(
         shown = [laser for laser in image.lasers if laser in face.lasers]
         stamp_s[shown] = image.stamp_s
         if image.left_out is not None:
-            hidden |= beside_left_out(ends.position_px, image, KINK_LEVEL)
+            hidden |= beside_left_out(ends.position_px, image, image.left_out, KINK_LEVEL)
     flags = np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0) | np.where(hidden, int(BreakPointFlag.UNCLEAR), 0)
     points = BreakPoints(
         position_px=np.where(hidden[..., None], np.nan, ends.position_px),

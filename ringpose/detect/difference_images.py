@@ -152,15 +152,16 @@ def _ambient(image: LaserImage) -> tuple[UInt[Array, "row column"], Float64[Arra
 
 
 def beside_left_out(
-    position_px: Float64[Array, "laser edge=2 xy=2"], image: LaserImage, share: float
+    position_px: Float64[Array, "laser edge=2 xy=2"],
+    image: LaserImage,
+    left_out: Float32[Array, "row column"],
+    share: float,
 ) -> Bool[Array, "laser edge=2"]:
-    """Which ends of stripes are near light that was left out and so bright that the stripes may go on there.
+    """Which ends of stripes are near light that was `left_out` and so bright that the stripes may go on there.
 
     That is more than a `share` of the stripe's own light.
     """
     beside = np.zeros(position_px.shape[:2], dtype=bool)
-    if image.left_out is None:
-        return beside
     light = image.lit.astype(np.float32) - (0.0 if image.dark is None else image.dark)
     for laser in image.lasers:
         for edge in np.flatnonzero(np.isfinite(position_px[laser]).all(axis=1)):
@@ -169,7 +170,7 @@ def beside_left_out(
             near = slice(max(x - reach, 0), x + reach + 1)
             inside = slice(x, x + reach + 1) if position_px[laser, 1 - edge, 0] > x else slice(max(x - reach, 0), x + 1)
             own_dn = float(np.median(light[rows, inside].max(axis=0, initial=0.0)))
-            beside[laser, edge] = image.left_out[rows, near].max(initial=0.0) > share * own_dn
+            beside[laser, edge] = left_out[rows, near].max(initial=0.0) > share * own_dn
     return beside
 
 
