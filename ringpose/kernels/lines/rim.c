@@ -556,18 +556,21 @@ static double chord_score(const Candidate *const member[], int size, const Scene
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
 
-/* Appends a chord to those of its laser if its ends are seen: three of four, or both of one piece with two outer ends. */
-static int add_chord(const Segment *all, size_t pieces, const Segment *united, int unions, const Scene *scene, Candidate *chord,
-                     Candidate *own, int count) {
+/* Fills in places, ends and merit of a chord; 0 if it is not possible. */
+static int judge_chord(const Segment *all, size_t pieces, const Segment *united, int unions, const Scene *scene, Candidate *chord) {
     place(all, scene->ring, chord);
-    if (!possible(scene->plane[chord->laser], scene->candidates, chord)) return count;
+    if (!possible(scene->plane[chord->laser], scene->candidates, chord)) return 0;
     double penalty = judge_ends(all, pieces, scene, chord);
-    int seen = count_own(chord), wanted = chord->ends == 4 ? 3 : chord->edge[0] == chord->edge[1] ? 2 : 1;
-    if (seen < wanted) return count;
     rate(united, unions, scene, chord);
     chord->merit -= penalty;
     chord->coincidence_bonus = 0;
-    return rank(chord, own, count, 2 * scene->candidates->max_candidates);
+    return 1;
+}
+
+/* Appends a chord to those of its laser if its ends are seen: three of four, or both of one piece with two outer ends. */
+static int add_chord(const Candidate *chord, const Scene *scene, Candidate *own, int count) {
+    int wanted = chord->ends == 4 ? 3 : chord->edge[0] == chord->edge[1] ? 2 : 1;
+    return count_own(chord) < wanted ? count : rank(chord, own, count, 2 * scene->candidates->max_candidates);
 }
 
 /* The chords of all lasers, sorted by laser. Returns how many, 0 if no stripe is seen on both arcs. */
@@ -580,17 +583,21 @@ static int find_chords(const Segment *all, size_t count, size_t unions, const Sc
         int own = 0;
         for (size_t i = 0; i < count; i++) {
             if (!(all[i].laser < 0 ? scene->unlabelled >> laser & 1 : all[i].laser == laser)) continue;
-            for (int k = 0; k < 3; k++) {
-                Candidate piece = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2, .edge = {edges[k][0], edges[k][1]}};
-                own = add_chord(all, pieces, &all[i], i >= pieces, scene, &piece, of_laser, own);
+            Candidate piece = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2};
+            int is_possible = judge_chord(all, pieces, &all[i], i >= pieces, scene, &piece);
+            for (int k = 0; is_possible && k < 3; k++) {
+                piece.edge[0] = edges[k][0];
+                piece.edge[1] = edges[k][1];
+                own = add_chord(&piece, scene, of_laser, own);
             }
             for (size_t j = 0; j < count; j++) {
                 Candidate pair = {.segment = {(int32_t)i, (int32_t)j}, .laser = laser, .ends = 4,
                                   .edge = {OUTER, INNER, INNER, OUTER}};
                 if (!on_one_line(&all[i], &all[j], scene->unions)) continue;
                 Segment both = united(&all[i], &all[j]);
+                if (!judge_chord(all, pieces, &both, i >= pieces || j >= pieces, scene, &pair)) continue;
                 int before = own;
-                own = add_chord(all, pieces, &both, i >= pieces || j >= pieces, scene, &pair, of_laser, own);
+                own = add_chord(&pair, scene, of_laser, own);
                 pairs += own > before;
             }
         }
