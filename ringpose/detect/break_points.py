@@ -209,10 +209,10 @@ def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None
     )
 
 
-def ends_clear(found: BreakPoints) -> bool:
+def ends_clear(points: BreakPoints) -> bool:
     """Whether enough ends are clear edges: at the end of an apparent face on foil, a stripe fades or continues."""
-    clear = found.seen & (found.flags & int(BreakPointFlag.UNCLEAR) == 0)
-    return int(clear.sum()) >= min(CLEAR_ENDS, int(found.seen.sum()))
+    clear = points.seen & (points.flags & int(BreakPointFlag.UNCLEAR) == 0)
+    return int(clear.sum()) >= min(CLEAR_ENDS, int(points.seen.sum()))
 
 
 class Ends(NamedTuple):
@@ -347,18 +347,18 @@ by a third. That of a single stripe may be larger, on textured background.
 
 def flagged_ends(
     segments: Float64[Array, "segment column=11"],
-    found: Float64[Array, "segment end=2 column=10"],
+    measured: Float64[Array, "segment end=2 column=10"],
     lasers: list[int],
     rig: Rig,
 ) -> Ends:
     """The ends of segments, each of a different laser of the rig, with covariances and flags.
 
-    `found` is the result of `stripe_ends`. The error along the line is that of the edge; the error across is that of
+    `measured` is the result of `stripe_ends`. The error along the line is that of the edge; the error across is that of
     the line: the scatter of the segment's centres, pooled over the segments, divided by the root of the number of
     independent columns, and errors that all its centres have in common. The background shifts a centre by the relative
     change of the amplitude times the section's sigma; a saturated centre errs by `CLIPPED_PHASE`.
     """
-    ends = dict(zip(END_COLUMNS, found.transpose(2, 1, 0), strict=True))
+    ends = dict(zip(END_COLUMNS, measured.transpose(2, 1, 0), strict=True))
     x, y, slope, along, width = ends["x"], ends["y"], ends["slope"], ends["sigma"], ends["width"]
     outside, saturated, blunt = ends["outside"], ends["saturated"], ends["blunt"] == 1
     (section, _), (background, _) = ends["section_sigma"], ends["background"]

@@ -187,14 +187,14 @@ light, and 1.7 times the shot noise (2.4 times with twice the ratio); with half 
 much, and most shots would take the time of several exposures."""
 
 
-def exposure_advice(found: BreakPoints | NoBreakPoints, shot: Shot, images: Sequence[LaserImage]) -> str:
+def exposure_advice(points: BreakPoints | NoBreakPoints, shot: Shot, images: Sequence[LaserImage]) -> str:
     """The exposure that would help, as a phrase; empty if nothing that matters is saturated."""
-    factor = overexposure(found, images)
+    factor = overexposure(points, images)
     if factor == 1.0:
         return ""
     used_s = float(shot.exposure_s.max())
     better = f"expose for about {1e3 * used_s / factor:.2g} ms"
-    faint = _faint_lasers(found, images) if isinstance(found, BreakPoints) else []
+    faint = _faint_lasers(points, images) if isinstance(points, BreakPoints) else []
     if faint:
         numbers = ", ".join(str(laser + 1) for laser in faint)
         better = f"{better}, but laser {numbers} as now: each for itself (capture --exposure auto)"
@@ -217,10 +217,10 @@ def _faint_lasers(points: BreakPoints, images: Sequence[LaserImage]) -> list[int
     return faint
 
 
-def overexposure(found: BreakPoints | NoBreakPoints, images: Sequence[LaserImage]) -> float:
+def overexposure(points: BreakPoints | NoBreakPoints, images: Sequence[LaserImage]) -> float:
     """Factor by which the exposure should be shorter; 1 if nothing that matters is saturated."""
-    if isinstance(found, BreakPoints):
-        return SHORTER if np.any(found.flags & int(BreakPointFlag.SATURATED)) else 1.0
+    if isinstance(points, BreakPoints):
+        return SHORTER if np.any(points.flags & int(BreakPointFlag.SATURATED)) else 1.0
     if not images:
         return 1.0
     saturation_dn = images[0].saturation_dn

@@ -199,8 +199,8 @@ def edge_places(
     point, outward = edge_points(arcs, along_m, edge_sign)
     wrt_step = None if covariance is None else edge_distances(arcs, point, edge_sign).wrt_step.T
     off_face, normal = edge_sign[:, None] * outward, np.ascontiguousarray(np.atleast_2d(arcs.normal))
-    found = _kernels.edge_places(point, off_face, edge_sign, number, normal, wrt_step, covariance, lens, params)
-    return EdgeTrace(np.frombuffer(found, dtype=np.float64).reshape(-1, PLACE_WIDTH))
+    places = _kernels.edge_places(point, off_face, edge_sign, number, normal, wrt_step, covariance, lens, params)
+    return EdgeTrace(np.frombuffer(places, dtype=np.float64).reshape(-1, PLACE_WIDTH))
 
 
 def outside_stripes(frame: EdgeImage, trace: EdgeTrace) -> EdgeTrace:
@@ -328,10 +328,10 @@ def edge_steps(profiles: Profiles, reach_px: int, blur_px: float) -> EdgeSteps:
     """The most likely position of a step of this blur (sigma) in each profile, within `reach_px` of the prediction."""
     params, templates = StepParams(), _templates(reach_px, blur_px)
     value, saturated, noise_dn = (np.ascontiguousarray(each) for each in profiles)
-    found = _kernels.edge_steps(
+    steps = _kernels.edge_steps(
         value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, templates.table, params
     )
-    columns = np.frombuffer(found, dtype=np.float64).reshape(-1, len(STEP_COLUMNS)).T
+    columns = np.frombuffer(steps, dtype=np.float64).reshape(-1, len(STEP_COLUMNS)).T
     return EdgeSteps(**dict(zip(STEP_COLUMNS, columns, strict=True)))
 
 
@@ -443,12 +443,12 @@ def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: b
     return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))
 
 
-def edge_observations(found: ClearSteps, rig: Rig) -> Edges:
+def edge_observations(clear: ClearSteps, rig: Rig) -> Edges:
     """The steps as measurements of the ring's edges, without common errors of their own.
 
     A camera without covariance counts as exact in this search.
     """
-    trace, steps = found
+    trace, steps = clear
     sigma_px = CLUTTER * np.hypot(steps.sigma_px, MIN_SIGMA_PX)
     point = rays_beside(trace, steps.offset_px)
     ray = point / point[:, 2:]
@@ -570,8 +570,8 @@ def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
     trace = edge_places(of_directions.at_rows(direction), along_m, edge_sign, labels, lens(rig.camera), params)
     trace = outside_stripes(frame, trace)  # its `number` is the candidate direction
 
-    found = clear_steps(frame, trace, START_REACH_PX)
-    count = np.bincount(found.trace.number.astype(np.int64), minlength=len(turned))
+    clear = clear_steps(frame, trace, START_REACH_PX)
+    count = np.bincount(clear.trace.number.astype(np.int64), minlength=len(turned))
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):

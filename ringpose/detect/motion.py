@@ -97,10 +97,12 @@ def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
     if np.count_nonzero(visible) < MIN_PLACES:
         return None
     position, normal = position[visible], normal[visible]
-    shift_px, found = _shift_across(before, after, position - corner, normal)
-    if np.count_nonzero(found) < MIN_PLACES:
+    shift_px, tracked = _shift_across(before, after, position - corner, normal)
+    if np.count_nonzero(tracked) < MIN_PLACES:
         return None
-    motion = _fitted(position[found], normal[found], shift_px[found] / duration_s, SIGMA_PX / duration_s, points, rig)
+    motion = _fitted(
+        position[tracked], normal[tracked], shift_px[tracked] / duration_s, SIGMA_PX / duration_s, points, rig
+    )
     if motion is None or float(np.abs(motion.velocity_m_s).max()) > MAX_SPEED_M_S:
         return None
     at_rest = shot.lasers[last] and motion.edge_speed_px_s * duration_s < MIN_SHIFT_PX
@@ -141,7 +143,7 @@ def _shift_across(
     position: Float64[Array, "n 2"],
     normal: Float64[Array, "n 2"],
 ) -> tuple[Float64[Array, "n"], Bool[Array, "n"]]:
-    """Displacement of each place along its normal (Lucas and Kanade's method), and where it was found.
+    """Displacement of each place along its normal (Lucas and Kanade's method), and which were tracked.
 
     The displacement along the edge is not visible, and not needed.
     """
@@ -149,11 +151,11 @@ def _shift_across(
     to_bytes = 1.0 if before.dtype == np.uint8 else 255.0 / max(int(before.max()), 255)
     halves = [cv2.convertScaleAbs(cv2.pyrDown(each), alpha=to_bytes) for each in (before, after)]
     flow: Any = cv2.calcOpticalFlowPyrLK  # OpenCV's stubs do not allow None for points without a guess
-    moved, found, _ = flow(
+    moved, tracked, _ = flow(
         halves[0], halves[1], start, None, winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS, minEigThreshold=1e-5
     )
     shift: Float64[Array, "n"] = ((2.0 * (moved.astype(np.float64) - start)) * normal).sum(axis=1)
-    return shift, found.ravel() > 0
+    return shift, tracked.ravel() > 0
 
 
 def _fitted(

@@ -128,20 +128,20 @@ def detect_ring_edges(
     saturation_dn = shot.saturation_dn
 
     def searched(points: BreakPoints) -> list[FoundEdges]:
-        found = (_edges_in_frame(frame, points, shot, saturation_dn, stripes, rig, motion) for frame in frames)
-        return [each for each in found if each is not None]
+        edges = (_edges_in_frame(frame, points, shot, saturation_dn, stripes, rig, motion) for frame in frames)
+        return [each for each in edges if each is not None]
 
-    found = searched(break_points)
-    lit = any(each.mostly_visible for each in found)
+    edges = searched(break_points)
+    lit = any(each.mostly_visible for each in edges)
     if not lit:
         lit = edges_lit(break_points, shot)
         if lit:
-            found = _without_displaced_stripe(found, break_points, searched, rig, assumptions, camera)
-    if not found:
+            edges = _without_displaced_stripe(edges, break_points, searched, rig, assumptions, camera)
+    if not edges:
         return RingEdges(break_points, None, missing=lit)
-    if all(each.straight for each in found):
+    if all(each.straight for each in edges):
         return RingEdges(NoBreakPoints.STRAIGHT_EDGES, None)
-    return RingEdges(*named_by_curvature(break_points, found))
+    return RingEdges(*named_by_curvature(break_points, edges))
 
 
 LIT_SHARE = 8 / 255
@@ -181,31 +181,31 @@ In 107 rendered shots it is at least 1.8 without a displaced stripe, in 27 at mo
 
 
 def _without_displaced_stripe(
-    found: list[FoundEdges],
+    with_all: list[FoundEdges],
     break_points: BreakPoints,
     searched: Callable[[BreakPoints], list[FoundEdges]],
     rig: Rig,
     assumptions: Assumptions,
     camera: CameraMotion | None,
 ) -> list[FoundEdges]:
-    """The edges found without one of the stripes, if these are far more; else `found`, those found with all stripes.
+    """The edges found without one of the stripes, if these are far more; else `with_all`, those found with all stripes.
 
     A stripe that is not on the ring, or not where it seems to be, leads the search along another ring, where steps are
     found by chance. The ring of the others leads to the edges, and the estimate rejects the stripe; if it is in front
     of that ring, the others may be on a flange behind the face, the edges of which are visible, too. Of two stripes
     each may be the wrong one, so that no edges count as found.
     """
-    least, best = MORE_STEPS * sum(each.steps for each in found), found
+    least, best = MORE_STEPS * sum(each.steps for each in with_all), with_all
     for laser in np.flatnonzero(break_points.of_lasers).tolist():
         lines = np.arange(len(break_points.flags)) == laser
         without = searched(break_points.without(lines[:, None] & break_points.seen, lines))
         steps = sum(each.steps for each in without)
         if steps > least and not any(_in_front(laser, break_points, each.arcs, rig) for each in without):
             least, best = steps, without
-    if best is found:
-        return found
+    if best is with_all:
+        return with_all
     of_two = np.count_nonzero(break_points.of_lasers) <= STRIPES_OF_A_PLANE
-    if of_two or (not found and not _contradict(best, break_points, rig, assumptions, camera)):
+    if of_two or (not with_all and not _contradict(best, break_points, rig, assumptions, camera)):
         return []
     return best
 
@@ -221,13 +221,17 @@ def _in_front(laser: int, break_points: BreakPoints, ring: RingArcs | None, rig:
 
 
 def _contradict(
-    found: list[FoundEdges], break_points: BreakPoints, rig: Rig, assumptions: Assumptions, camera: CameraMotion | None
+    edges_in_frames: list[FoundEdges],
+    break_points: BreakPoints,
+    rig: Rig,
+    assumptions: Assumptions,
+    camera: CameraMotion | None,
 ) -> bool:
     """Whether no ring explains edges and stripes unless some of them are rejected.
 
     If edges that agree with all stripes were not found with all of them, they are probably accidental.
     """
-    points, edges = named_by_curvature(break_points, found)
+    points, edges = named_by_curvature(break_points, edges_in_frames)
     named = not np.any(points.flags & int(BreakPointFlag.EDGE_UNKNOWN))
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
@@ -251,11 +255,11 @@ def _edges_in_frame(
     frame = EdgeImage(image=image, saturation_dn=saturation_dn, lit=lit)
     if motion is not None:
         break_points, rig = moved_to(stamp_s, break_points, rig, motion)
-    found = found_edges(break_points, frame, rig)
-    if found is None:
+    edges = found_edges(break_points, frame, rig)
+    if edges is None:
         return None
-    stamps = np.full(len(found.points.edge), stamp_s)
-    return found._replace(points=replace(found.points, stamp_s=stamps))
+    stamps = np.full(len(edges.points.edge), stamp_s)
+    return edges._replace(points=replace(edges.points, stamp_s=stamps))
 
 
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
@@ -265,14 +269,14 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     if stripes is None or tracked is None:
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig.camera, ALONG_PX, PREDICTED_SIGMA_PX))
-    found = clear_steps(frame, trace, REACH_PX, precise=True)
-    refined = stripes.fitted(tracked.arcs, edge_observations(found, rig))
+    clear = clear_steps(frame, trace, REACH_PX, precise=True)
+    refined = stripes.fitted(tracked.arcs, edge_observations(clear, rig))
     if refined is None:
         return None
-    points = ring_edge_points(refined.arcs, found.trace, found.steps.offset_px, found.steps.sigma_px)
+    points = ring_edge_points(refined.arcs, clear.trace, clear.steps.offset_px, clear.steps.sigma_px)
     if points is None:
         return None
-    wider, steps = 1.0, len(found.trace.edge_sign)
+    wider, steps = 1.0, len(clear.trace.edge_sign)
     mostly_visible = steps >= MOSTLY_VISIBLE * len(trace.edge_sign)
     if GROUP * len(points.edge) < MOSTLY_VISIBLE * len(trace.edge_sign):  # most steps are beside the edges, if any
         wider = uncertainty_factor(points, refined.arcs, stripes, break_points, frame, rig)
@@ -359,15 +363,15 @@ def uncertainty_factor(
     return max(1.0, math.sqrt(variance * information)) * (1.0 if confirmed else UNCONFIRMED)
 
 
-def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:
+def named_by_curvature(break_points: BreakPoints, edges: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:
     """Break points and edge points of all frames; inner and outer edge by the most significant curvature if unknown.
 
     What lies beside the edges, and with it most of their errors, is the same in every frame: the standard deviations
     are raised so that several frames of a ring at rest determine the ring no better than one.
     """
-    parts = [replace(each.points, sigma_px=math.sqrt(len(found)) * each.points.sigma_px) for each in found]
+    parts = [replace(each.points, sigma_px=math.sqrt(len(edges)) * each.points.sigma_px) for each in edges]
     points = parts[0] if len(parts) == 1 else joined_edge_points(parts)
-    side_sigmas = max((each.side_sigmas for each in found), key=lambda each: np.nan_to_num(abs(each)))
+    side_sigmas = max((each.side_sigmas for each in edges), key=lambda each: np.nan_to_num(abs(each)))
     unknown = int(BreakPointFlag.EDGE_UNKNOWN)
     if not np.any(break_points.flags & unknown) or not abs(side_sigmas) >= SIDE_SIGMAS:
         return break_points, points

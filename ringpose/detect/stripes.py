@@ -81,13 +81,13 @@ def find_stripes(
         coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
         full_dn=full_dn,
     )
-    found = stripe_centers(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)
-    pieces = int(found.piece[-1]) + 1 if len(found.piece) else 0
+    centers = stripe_centers(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)
+    pieces = int(centers.piece[-1]) + 1 if len(centers.piece) else 0
     return Stripes(
-        position_px=found.position_px,
-        sigma_px=found.sigma_px,
-        peak_dn=found.peak_dn,
-        piece=found.piece,
+        position_px=centers.position_px,
+        sigma_px=centers.sigma_px,
+        peak_dn=centers.peak_dn,
+        piece=centers.piece,
         laser=np.full(pieces, UNLABELLED, dtype=np.int64),
     )
 
@@ -222,8 +222,8 @@ def straight_segments(
     column.
     """
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
-    found = _kernels.stripe_segments(position, sigma, piece, laser, lens, params)
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(SEGMENT_COLUMNS))
+    rows = _kernels.stripe_segments(position, sigma, piece, laser, lens, params)
+    return np.frombuffer(rows, dtype=np.float64).reshape(-1, len(SEGMENT_COLUMNS))
 
 
 @lru_cache(maxsize=4)
