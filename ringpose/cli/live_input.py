@@ -27,7 +27,7 @@ def live_camera_motion(rig: Path, batch: "Batch") -> "Iterator[Callable[[float],
     It waits for the robot's poses, which arrive on standard input. The batch reports bad ones; those that repeat the
     one before are counted, and reported at the end of the block.
     """
-    from ringpose.cli.options.track import report_repeats
+    from ringpose.cli.options.robot import report_repeats
     from ringpose.files.records.robot_poses import RobotPoseStream
     from ringpose.files.rigs import read_mount
     from ringpose.geometry.camera_motion import CameraMotion

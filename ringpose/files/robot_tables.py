@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError, NoInputError, UsageError
-from ringpose.files.inputs import Input, Problem, Record, file_lines, holds_records, inputs, lines
-from ringpose.files.schema import MAX_QUATERNION_ERROR, NOT_KNOWN, ROBOT_POSE, ROUNDED, Fields, kind_of
+from ringpose.files.inputs import file_lines, holds_records, inputs, lines
+from ringpose.files.records.robot_poses import motion_of, pose_in_record, stamp_of
+from ringpose.files.schema import MAX_QUATERNION_ERROR, NOT_KNOWN, ROUNDED, Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.robot_conventions import PoseConvention, convention_named
 from ringpose.geometry.rotations import rotation_of
@@ -56,7 +57,7 @@ def read_tool_poses(
     elif source == STDIN or holds_records(path):
         if convention is not None and (convention.order, convention.length_m) != ("xyzw", 1.0):
             raise UsageError("--robot-convention", "is of no use for JSON lines: their keys state it", "leave it out")
-        read = [_pose_in_record(item) for item in inputs([source], (".jsonl",))]
+        read = [pose_in_record(item) for item in inputs([source], (".jsonl",))]
     elif path.is_dir():
         read = [pose for file in _files(path) for pose in _poses_in_file(file, convention, columns, is_tum, one=True)]
     else:
@@ -68,22 +69,12 @@ def read_tool_poses(
     return _without_repeats(read)
 
 
-def motion_of(reported: ReportedPoses, location: str) -> RobotPoses:
-    """The motion of the tool by poses in any order, each of which must have a stamp."""
-    for pose in reported.poses:
-        if pose.stamp_s is None:
-            remedy = "name the column of the time stamp_s, by a line with names or --robot-columns"
-            raise DataError(pose.location, "has no stamp, by which the pose belongs to a frame", remedy)
+def whole_motion(reported: ReportedPoses, source: str) -> RobotPoses:
+    """The motion of the tool by the poses of a source in any order, each of which must have a stamp."""
     if len(reported.poses) < 2:
+        location = _STDIN if source == STDIN else source
         raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
-    stamp_s = np.array([pose.stamp_s for pose in reported.poses], dtype=np.float64)
-    order = np.argsort(stamp_s, kind="stable")
-    return RobotPoses(
-        stamp_s=stamp_s[order],
-        position_m=np.array([pose.position_m for pose in reported.poses])[order],
-        rotation=np.array([pose.rotation for pose in reported.poses])[order],
-        repeats=reported.repeats,
-    )
+    return motion_of(sorted(reported.poses, key=stamp_of), reported.repeats)
 
 
 def _files(folder: Path) -> list[Path]:
@@ -301,22 +292,6 @@ def _check_distances(poses: Sequence[ReportedPose], location: str, convention: P
             raise DataError(location, finding, "likely the angles are in radians: give rad in --robot-convention")
 
 
-def _pose_in_record(item: Input | Problem) -> ReportedPose:
-    """The pose in a JSON line; `stamp_s` may be missing if there is a `shot`, or if poses go by their order."""
-    if not isinstance(item, Record):
-        if isinstance(item, Path):
-            raise DataError(str(item), "is not a robot pose", "give JSON lines, or --robot-convention for a table")
-        raise item
-    fields = Fields(item.location, item.values)
-    other = kind_of(fields.values)
-    if other is not None and other is not ROBOT_POSE:
-        raise fields.problem("", *ROBOT_POSE.instead_of(other))
-    return _pose_of(
-        fields.fields("base_from_tool"), item.location, fields.optional("shot", fields.text) or "",
-        fields.optional("stamp_s", fields.stamp_s),
-    )  # fmt: skip
-
-
 def _pose_of(pose: Fields, location: str, name: str, stamp_s: float | None) -> ReportedPose:
     position_m = pose.quantities("position_m", 3, REACH_M)
     return ReportedPose(location, name, stamp_s, position_m, rotation_of(pose.quaternion("orientation_xyzw")))
@@ -371,7 +346,7 @@ def _without_repeats(read: Iterable[ReportedPose]) -> ReportedPoses:
         first = known.setdefault(key, pose) if key != ("", None) else pose
         if first is pose:
             kept.append(pose)
-        elif np.array_equal(first.position_m, pose.position_m) and np.array_equal(first.rotation, pose.rotation):
+        elif pose.repeats(first):
             repeats += 1
         else:
             what = f"name {pose.name!r}" if pose.name else f"stamp {pose.stamp_s:.6f}"

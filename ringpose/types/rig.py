@@ -12,7 +12,7 @@ from ringpose.types import plausible
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.options import DistortionModel, PoseFrame
-from ringpose.types.record import Form, Key
+from ringpose.types.record import Form, Key, Presence
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """Parameters in the order of OpenCV's Jacobian; a camera with fewer distortion coefficients has the first of them."""
@@ -94,19 +94,19 @@ class ToolPose:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobotPose:
-    """The pose of a robot at one time."""
+    """The pose of a robot at one time, or for one image."""
 
     base_from_tool: Annotated[ToolPose, Key("Pose of the tool in the base frame.")]
-    stamp_s: Annotated[float, Key("Time (Unix time) at which it holds.", form=Form.STAMP)]
-
-    def repeats(self, other: "RobotPose") -> bool:
-        """Whether this is the other pose once more."""
-        ours, theirs = self.base_from_tool, other.base_from_tool
-        return (
-            self.stamp_s == other.stamp_s
-            and np.array_equal(ours.position_m, theirs.position_m)
-            and np.array_equal(ours.orientation_xyzw, theirs.orientation_xyzw)
-        )
+    stamp_s: Annotated[
+        float | None,
+        Key("Time (Unix time) at which it holds; only a calibration of the mount does without.", form=Form.STAMP,
+            null=None, presence=Presence.IF_KNOWN),
+    ] = None  # fmt: skip
+    shot: Annotated[
+        str,
+        Key("Name of the image to which it belongs, for a calibration of the mount.", null="",
+            presence=Presence.IF_KNOWN),
+    ] = ""  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

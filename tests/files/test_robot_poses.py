@@ -57,3 +57,13 @@ def test_a_failure_of_standard_input_is_raised_where_poses_are_needed(monkeypatc
 
     with pytest.raises(DataError, match="32 MiB"):
         RobotPoseStream(lambda _: None).until(10.0, 60.0)
+
+
+def test_a_pose_without_a_stamp_that_arrives_is_reported_with_its_remedy(monkeypatch):
+    pose = {"base_from_tool": {"position_m": [0.0, 0.0, 0.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}}
+    monkeypatch.setattr(robot_poses, "inputs", lambda *_: iter([Record("-:1", {"shot": "a", **pose})]))
+    reported = []
+
+    RobotPoseStream(reported.append).until(1.0, 60.0)
+
+    assert ["-:1: has no stamp" in str(problem) and "give stamp_s" in str(problem) for problem in reported] == [True]

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
+from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
     from ringpose.geometry.robot_conventions import PoseConvention
@@ -33,7 +34,12 @@ def tool_poses(
     known, is_tum = convention_of(convention)
     names = [] if columns is None else [name.strip() for name in columns.split(",")]
     poses = read_tool_poses(source, known, names, is_tum)
-    if poses.repeats:
-        received = poses.repeats + len(poses.poses)
-        messages.echo(f"{source}: {poses.repeats} of {received} poses are exact repeats and are left out")
+    report_repeats(source, poses.repeats, poses.repeats + len(poses.poses))
     return poses, known
+
+
+def report_repeats(robot_poses: str, repeats: int, received: int) -> None:
+    """Report how many of the poses of a file, or of standard input (`-`), repeat another one, if any does."""
+    if repeats:
+        place = "standard input" if robot_poses == STDIN else robot_poses
+        messages.echo(f"{place}: {repeats} of {received} poses are exact repeats and are left out")

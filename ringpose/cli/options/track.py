@@ -121,9 +121,8 @@ def camera_motion(
             if given is not None:
                 raise UsageError(option, "is of no use without --robot-poses", "leave it out, or give the poses")
         return None
-    from ringpose.files.inputs import holds_records
-    from ringpose.files.records.robot_poses import read_robot_poses
     from ringpose.files.rigs import read_mount
+    from ringpose.files.robot_tables import whole_motion
     from ringpose.geometry.camera_motion import CameraMotion
 
     if rig is None:
@@ -131,22 +130,8 @@ def camera_motion(
     if robot_poses == STDIN and STDIN in (inputs or ()):
         raise UsageError("--robot-poses", "and the input are both standard input", "give one of them as a file")
     mount = read_mount(rig)
-    if convention is None and columns is None and (robot_poses == STDIN or holds_records(Path(robot_poses))):
-        poses = read_robot_poses(robot_poses)
-        report_repeats(robot_poses, poses.repeats, poses.repeats + len(poses.stamp_s))
-    else:
-        from ringpose.files.robot_tables import motion_of
-
-        reported, _ = tool_poses(robot_poses, convention, columns)
-        poses = motion_of(reported, robot_poses)
-    return CameraMotion(poses=poses, mount=mount)
-
-
-def report_repeats(robot_poses: str, repeats: int, received: int) -> None:
-    """Report how many of the poses of a file, or of standard input (`-`), repeat the one before, if any does."""
-    if repeats:
-        place = "standard input" if robot_poses == STDIN else robot_poses
-        messages.echo(f"{place}: {repeats} of {received} poses repeat the one before exactly and are left out")
+    reported, _ = tool_poses(robot_poses, convention, columns)
+    return CameraMotion(poses=whole_motion(reported, robot_poses), mount=mount)
 
 
 def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:

@@ -1,9 +1,8 @@
-"""Poses of a robot (JSON lines)."""
+"""Poses of a robot (JSON lines): the reader of one line, and of those that arrive while the target is measured."""
 
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from ringpose.files.schema import ROBOT_POSE, kind_of
 from ringpose.geometry.rotations import rotation_of
 from ringpose.types.options import STDIN
 from ringpose.types.rig import RobotPose, RobotPoses
+from ringpose.types.robot import ReportedPose
 
 KEPT_S = 5.0
 """Time for which poses that arrive on standard input are kept: longer than late records and backgrounds are used."""
@@ -28,20 +28,36 @@ RECORD = RecordType(
 )
 
 
-def read_robot_poses(source: Path | str) -> RobotPoses:
-    """The poses in a file, or on standard input (`-`) until its end, in the order of their stamps, without repeats."""
-    read = sorted((_robot_pose(item) for item in inputs([source], (".jsonl",))), key=lambda pose: pose.stamp_s)
-    location = "standard input" if source == STDIN else str(source)
-    poses: list[RobotPose] = []
-    for pose in read:
-        if not poses or pose.stamp_s > poses[-1].stamp_s:
-            poses.append(pose)
-        elif not pose.repeats(poses[-1]):
-            finding = f"has two poses of the stamp {pose.stamp_s:.6f} that differ"
-            raise DataError(location, finding, "give the poses of one robot, each with the stamp at which it holds")
-    if len(poses) < 2:
-        raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
-    return replace(_joined(poses), repeats=len(read) - len(poses))
+def pose_in_record(item: Input | Problem) -> ReportedPose:
+    """The pose in a JSON line; its errors name the line."""
+    if not isinstance(item, Record):
+        if isinstance(item, Path):
+            raise DataError(str(item), "is not a robot pose", "give JSON lines, or --robot-convention for a table")
+        raise item
+    other = kind_of(item.values)
+    if other is not None and other is not ROBOT_POSE:
+        raise DataError(item.location, *ROBOT_POSE.instead_of(other))
+    read = RECORD.read(item.values, item.location)
+    tool = read.base_from_tool
+    return ReportedPose(item.location, read.shot, read.stamp_s, tool.position_m, rotation_of(tool.orientation_xyzw))
+
+
+def motion_of(poses: Sequence[ReportedPose], repeats: int = 0) -> RobotPoses:
+    """The motion of the tool by poses in the order of their stamps; DataError for one without a stamp."""
+    return RobotPoses(
+        stamp_s=np.array([stamp_of(pose) for pose in poses], dtype=np.float64),
+        position_m=np.array([pose.position_m for pose in poses], dtype=np.float64).reshape(-1, 3),
+        rotation=np.array([pose.rotation for pose in poses], dtype=np.float64).reshape(-1, 3, 3),
+        repeats=repeats,
+    )
+
+
+def stamp_of(pose: ReportedPose) -> float:
+    """The stamp of a pose, without which it belongs to no frame (DataError)."""
+    if pose.stamp_s is None:
+        remedy = "give stamp_s: as a key of a JSON line, or as the name of a column (--robot-columns)"
+        raise DataError(pose.location, "has no stamp, by which the pose belongs to a frame", remedy)
+    return pose.stamp_s
 
 
 class RobotPoseStream:
@@ -51,7 +67,7 @@ class RobotPoseStream:
         """`report` receives the errors of invalid poses, which are left out, as identical repeats are."""
         self.received, self.repeats = 0, 0
         """Number of valid poses that have arrived, and of those among them that repeat the one before exactly."""
-        self._report, self._poses, self._ended = report, deque[RobotPose](), False
+        self._report, self._poses, self._ended = report, deque[ReportedPose](), False
         self._failure: RingposeError | None = None
         self._changed = threading.Condition()
         threading.Thread(target=self._read, name="robot poses", daemon=True).start()
@@ -63,17 +79,17 @@ class RobotPoseStream:
         """
         with self._changed:
             self._changed.wait_for(
-                lambda: self._ended or (len(self._poses) > 1 and self._poses[-1].stamp_s >= stamp_s), patience_s
+                lambda: self._ended or (len(self._poses) > 1 and stamp_of(self._poses[-1]) >= stamp_s), patience_s
             )
             if self._failure is not None:
                 raise self._failure
-            return _joined(list(self._poses))
+            return motion_of(list(self._poses))
 
     def _read(self) -> None:
         try:
             for item in inputs([STDIN], (".jsonl",)):
                 try:
-                    self._add(_robot_pose(item), getattr(item, "location", STDIN))
+                    self._add(pose_in_record(item))
                 except (DataError, NoInputError) as problem:
                     self._report(problem)
         except RingposeError as failure:
@@ -83,38 +99,17 @@ class RobotPoseStream:
                 self._ended = True
                 self._changed.notify_all()
 
-    def _add(self, pose: RobotPose, location: str) -> None:
+    def _add(self, pose: ReportedPose) -> None:
+        stamp_s = stamp_of(pose)
         with self._changed:
             self.received += 1
             if self._poses and pose.repeats(self._poses[-1]):
                 self.repeats += 1
                 return
-            if self._poses and pose.stamp_s <= self._poses[-1].stamp_s:
-                finding = f"has the stamp {pose.stamp_s:.6f}, which is not later than the one before"
-                raise DataError(location, finding, "give the poses in the order of their stamps")
+            if self._poses and stamp_s <= stamp_of(self._poses[-1]):
+                finding = f"has the stamp {stamp_s:.6f}, which is not later than the one before"
+                raise DataError(pose.location, finding, "give the poses in the order of their stamps")
             self._poses.append(pose)
-            while pose.stamp_s - self._poses[0].stamp_s > KEPT_S and len(self._poses) > 2:
+            while stamp_s - stamp_of(self._poses[0]) > KEPT_S and len(self._poses) > 2:
                 self._poses.popleft()
             self._changed.notify_all()
-
-
-def _joined(poses: Sequence[RobotPose]) -> RobotPoses:
-    return RobotPoses(
-        stamp_s=np.array([pose.stamp_s for pose in poses], dtype=np.float64),
-        position_m=np.array([pose.base_from_tool.position_m for pose in poses], dtype=np.float64).reshape(-1, 3),
-        rotation=np.array(
-            [rotation_of(pose.base_from_tool.orientation_xyzw) for pose in poses], dtype=np.float64
-        ).reshape(-1, 3, 3),
-    )
-
-
-def _robot_pose(item: Input | Problem) -> RobotPose:
-    """The pose in a record; its errors name the line."""
-    if not isinstance(item, Record):
-        if isinstance(item, Path):
-            raise DataError(str(item), "is not a robot pose", "give JSON lines, or --robot-convention for a table")
-        raise item
-    other = kind_of(item.values)
-    if other is not None and other is not ROBOT_POSE:
-        raise DataError(item.location, *ROBOT_POSE.instead_of(other))
-    return RECORD.read(item.values, item.location)
