@@ -1,16 +1,18 @@
 """The Typer application with which every subcommand registers, and the options that several commands share."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from functools import wraps
-from inspect import signature
+from inspect import cleandoc, signature
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
+from typer.models import CommandFunctionType
 
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
@@ -18,7 +20,25 @@ from ringpose.types.options import PoseFrame as PoseFrame
 from ringpose.types.plausible import Range
 
 
-class TwoWords(TyperGroup):
+class Command(TyperCommand):
+    """A command whose help lists its options by purpose, which is their `rich_help_panel`."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, the options without a purpose of their own, and the others."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            row = parameter.get_help_record(ctx)
+            if row is not None:
+                purpose = getattr(parameter, "rich_help_panel", None) or "Options"
+                title = "Arguments" if parameter.param_type_name == "argument" else purpose
+                sections.setdefault(title, []).append(row)
+        for title, rows in sections.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+class Commands(TyperGroup):
     """A command group in which `simulate serve` can be a command of its own beside `simulate`."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -28,14 +48,33 @@ class TwoWords(TyperGroup):
             return name, self.commands[name], args[2:]
         return super().resolve_command(ctx, args)
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names that a shell completes: of one word."""
+        return [name for name in self.commands if " " not in name]
 
-app = typer.Typer(
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write what each command does, in full."""
+        rows = [(name, cleandoc(command.help or "").split("\n\n")[0]) for name, command in self.commands.items()]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+class Application(typer.Typer):
+    """Typer with commands whose options are listed by purpose."""
+
+    def command(
+        self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **given: Any
+    ) -> Callable[[CommandFunctionType], CommandFunctionType]:
+        """A decorator that registers a command."""
+        return super().command(name, cls=cls, **given)
+
+
+app = Application(
     name="ringpose",
-    cls=TwoWords,
+    cls=Commands,
     help="Pose of a satellite's launch-adapter ring from one camera and line lasers.",
     epilog="Each command has a manual page: ringpose help pose, or man ringpose-pose. All pages: ringpose help.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -46,7 +85,8 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     """The command for Typer, in which a parameter whose type is a data class is replaced by one option for each field.
 
     A group of options that several commands share is thus defined once, by its data class, whose fields have defaults
-    and are annotated with `typer.Option`. The command receives the group as one value.
+    and are annotated with `typer.Option`. The command receives the group as one value. The help lists the group under
+    the data class's `PURPOSE`.
     """
     groups: dict[str, Any] = {}
     options = []
@@ -54,9 +94,11 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
         if not is_dataclass(parameter.annotation):
             options.append(parameter)
             continue
-        groups[parameter.name] = parameter.annotation
-        for field in fields(parameter.annotation):
-            options.append(parameter.replace(name=field.name, default=field.default, annotation=field.type))
+        group: Any = parameter.annotation
+        groups[parameter.name] = group
+        for field in fields(group):
+            option = for_purpose(group.PURPOSE, field.type)
+            options.append(parameter.replace(name=field.name, default=field.default, annotation=option))
 
     @wraps(command)
     def called(**values: Any) -> None:
@@ -66,6 +108,14 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
 
     called.__signature__ = signature(command).replace(parameters=options)  # type: ignore[attr-defined]
     return called
+
+
+def for_purpose(purpose: str, option: Any) -> Any:
+    """A type that is annotated with `typer.Option`, listed under this purpose in the help."""
+    value_type, info = get_args(option)
+    listed = copy(info)
+    listed.rich_help_panel = purpose
+    return Annotated[value_type, listed]
 
 
 def _print_version(requested: bool) -> bool:
@@ -87,6 +137,17 @@ def _options(
 
 
 STDOUT = "-"
+
+ASSUMED, DEVICES, KNOWN_RING, LIMITS, OUTPUT, ROBOT, TRACK = (
+    "What is assumed",
+    "Camera and lasers",
+    "What is known of the ring",
+    "Limits",
+    "Output",
+    "Robot",
+    "Track",
+)
+"""Purposes of options by which several commands list them."""
 
 
 class Channel(StrEnum):
@@ -111,12 +172,12 @@ def number_option(
     return typer.Option(name, metavar=unit, min=least, max=most, callback=finite, help=meaning)
 
 
-def file_option(*names: str, meaning: str, metavar: str = "FILE") -> Any:
+def file_option(*names: str, meaning: str, metavar: str = "FILE", purpose: str | None = None) -> Any:
     """An option that names a file or folder.
 
     A file that is not readable is reported when it is read, with its own exit status; Typer would report wrong usage.
     """
-    return typer.Option(*names, readable=False, metavar=metavar, help=meaning)
+    return typer.Option(*names, readable=False, metavar=metavar, help=meaning, rich_help_panel=purpose)
 
 
 def check_plausible(option: str, value: float | None, plausible: Range, remedy: str = "") -> None:
@@ -149,9 +210,15 @@ _BOARD = file_option("--board", meaning="The board file: its kind and its sizes.
 BoardFile = Annotated[Path, _BOARD]
 OptionalBoardFile = Annotated[Path | None, _BOARD]
 Overlay = Annotated[
-    Path | None, file_option("--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.")
+    Path | None,
+    file_option(
+        "--overlay", metavar="DIR", meaning="Draw what was found into PNG files in this folder.", purpose=OUTPUT
+    ),
 ]
-Report = Annotated[Path | None, file_option("--report", meaning="Write an HTML page with pictures (needs matplotlib).")]
+Report = Annotated[
+    Path | None,
+    file_option("--report", meaning="Write an HTML page with pictures (needs matplotlib).", purpose=OUTPUT),
+]
 
 
 def check_report(report: Path | None, force: bool) -> None:
@@ -170,10 +237,14 @@ CalibrationOutput = Annotated[
     Path | None, file_option("--output", "-o", meaning="Where the result is written; required to calibrate.")
 ]
 JsonFile = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
+    str | None,
+    typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.", rich_help_panel=OUTPUT),
 ]
-CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="The rows as CSV; - instead of tables.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.")]
+CsvFile = Annotated[
+    str | None,
+    typer.Option("--csv", metavar="FILE", help="The rows as CSV; - instead of tables.", rich_help_panel=OUTPUT),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.", rich_help_panel=OUTPUT)]
 ImageChannel = Annotated[
     Channel | None, typer.Option("--channel", help="Read this channel of colour images; else their luminance.")
 ]

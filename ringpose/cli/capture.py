@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import ImageChannel, Quiet, Verbose, app, file_option, finite, with_option_groups
+from ringpose.cli.app import DEVICES, OUTPUT, ImageChannel, Quiet, Verbose, app, file_option, finite, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.devices import ShotOptions
 from ringpose.errors import NO_POSE, UsageError
@@ -39,7 +39,10 @@ def _list_devices(is_requested: bool) -> bool:
 CameraUri = Annotated[
     str,
     typer.Option(
-        "--camera", metavar="URI", help="files:FOLDER, files:-, sim:SCENE.yaml, aravis:ADDRESS, ... (manual)."
+        "--camera",
+        metavar="URI",
+        help="files:FOLDER, files:-, sim:SCENE.yaml, aravis:ADDRESS, ... (manual).",
+        rich_help_panel=DEVICES,
     ),
 ]
 OptionalRig = Annotated[
@@ -50,20 +53,30 @@ OptionalRig = Annotated[
     ),
 ]
 SessionFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The session; session-<UTC time> if not given.")
+    Path | None,
+    typer.Option(
+        "--output", "-o", metavar="FOLDER", help="The session; session-<UTC time> if not given.", rich_help_panel=OUTPUT
+    ),
 ]
-ReplaceSession = Annotated[bool, typer.Option("--force", help="Replace a session that exists already.")]
+ReplaceSession = Annotated[
+    bool, typer.Option("--force", help="Replace a session that exists already.", rich_help_panel=OUTPUT)
+]
 ListDevices = Annotated[
     bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=_list_devices, is_eager=True)
 ]
 TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
 Rate = Annotated[
-    float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")
+    float | None,
+    typer.Option(
+        "--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.", rich_help_panel=DEVICES
+    ),
 ]
 HeldStill = Annotated[
     bool, typer.Option("--still", help="State in each shot that the target is held still while it is taken.")
 ]
-Append = Annotated[bool, typer.Option("--append", help="Go on with a session that exists already.")]
+Append = Annotated[
+    bool, typer.Option("--append", help="Go on with a session that exists already.", rich_help_panel=OUTPUT)
+]
 
 
 @app.command()

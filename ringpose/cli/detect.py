@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option, with_option_groups
+from ringpose.cli.app import (
+    OUTPUT,
+    Force,
+    ImageChannel,
+    Inputs,
+    Overlay,
+    Quiet,
+    Verbose,
+    app,
+    file_option,
+    with_option_groups,
+)
 from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
 from ringpose.errors import NO_POSE, UsageError
@@ -25,7 +36,14 @@ OptionalRig = Annotated[
     file_option("--rig", meaning="The calibrated rig (rig.yaml); required without --segments-only."),
 ]
 Output = Annotated[
-    str, typer.Option("--output", "-o", metavar="DIR", help="Write one NPZ a shot into this folder; - writes records.")
+    str,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="DIR",
+        help="Write one NPZ a shot into this folder; - writes records.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 SegmentsOnly = Annotated[
     bool, typer.Option("--segments-only", help="Find straight segments in any image; no rig is needed.")
@@ -39,7 +57,12 @@ StripesFrom = Annotated[
 Track = Annotated[
     bool, typer.Option("--track", help="Search near the stripes of the previous shot first, then the whole image.")
 ]
-Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments into records too, as NPZ files do.")]
+Full = Annotated[
+    bool,
+    typer.Option(
+        "--full", help="Write stripes and segments into records too, as NPZ files do.", rich_help_panel=OUTPUT
+    ),
+]
 
 
 @app.command()

@@ -47,8 +47,10 @@ def main(arguments: Sequence[str]) -> int:
         status = _command(list(arguments))
         if sys.stdout is not None:
             sys.stdout.flush()
-    except (BrokenPipeError, SystemExit):  # Typer raises SystemExit for a broken pipe, and for nothing else
+    except BrokenPipeError:
         return CLOSED_PIPE
+    except SystemExit as end:  # raised by Typer for a broken pipe, and with status 0 after a shell's completion
+        return CLOSED_PIPE if end.code else 0
     except RingposeError as error:
         messages.error(error)
         return error.status

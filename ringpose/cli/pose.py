@@ -11,6 +11,10 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import (
+    DEVICES,
+    OUTPUT,
+    ROBOT,
+    TRACK,
     Force,
     ImageChannel,
     OptionalInputs,
@@ -57,12 +61,22 @@ if TYPE_CHECKING:
     from ringpose.types.track import TrackLine
 
 LiveCamera = Annotated[
-    str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="URI",
+        help="Measure what this camera sees, see ringpose-capture(1).",
+        rich_help_panel=DEVICES,
+    ),
 ]
 
 Frame = Annotated[
     PoseFrame,
-    typer.Option("--frame", help="Frame of the vectors: tool and base need the rig's mount, and maybe --robot-poses."),
+    typer.Option(
+        "--frame",
+        help="Frame of the vectors: tool and base need the rig's mount, and maybe --robot-poses.",
+        rich_help_panel=ROBOT,
+    ),
 ]
 
 GraspNear = Annotated[
@@ -75,10 +89,18 @@ GraspNear = Annotated[
 ]
 
 Track = Annotated[
-    bool, typer.Option("--track", help="Track the ring: write track records, and use the track in the next shots.")
+    bool,
+    typer.Option(
+        "--track",
+        help="Track the ring: write track records, and use the track in the next shots.",
+        rich_help_panel=TRACK,
+    ),
 ]
 
-Brief = Annotated[bool, typer.Option("--brief", help="Write lines without what only filters use, which is long.")]
+Brief = Annotated[
+    bool,
+    typer.Option("--brief", help="Write lines without what only filters use, which is long.", rich_help_panel=OUTPUT),
+]
 
 
 @app.command()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import Quiet, Verbose, app, file_option, number_option, with_option_groups
+from ringpose.cli.app import OUTPUT, Quiet, Verbose, app, file_option, number_option, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
@@ -63,7 +63,9 @@ def track(
     output_format: OutputFormat = Format.RINGPOSE,
     frame_id: FrameId = None,
     newest: Newest = False,
-    brief: Annotated[bool, typer.Option("--brief", help="Write lines without attempts and evidence.")] = False,
+    brief: Annotated[
+        bool, typer.Option("--brief", help="Write lines without attempts and evidence.", rich_help_panel=OUTPUT)
+    ] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:

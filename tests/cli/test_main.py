@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -62,6 +63,42 @@ def test_wrong_words_are_one_line(capsys, words, message):
 def test_every_command_has_its_help(capsys, command):
     assert main([command, "--help"]) == 0
     assert f"Usage: ringpose {command}" in capsys.readouterr().out
+
+
+def test_the_help_says_in_full_what_each_command_does(run):
+    said = " ".join(" ".join(run("--help").out).split())
+    assert "..." not in said.partition("Commands:")[2]
+    assert "track Track a moving ring through pose records: one JSON record a measurement, or --rate a second." in said
+
+
+def test_options_are_listed_by_purpose_and_each_once(run):
+    lines = run("pose", "--help").out
+    titles = [line.removesuffix(":") for line in lines if re.fullmatch(r"\w.*:", line)]
+    options = [line.split()[0] for line in lines[lines.index("Options:") :] if line.startswith("  -")]
+    assert titles[:2] == ["Arguments", "Options"]
+    assert {"What is assumed", "Robot", "Track", "Output"} < set(titles)
+    assert len(options) == len(set(options))
+    assert lines.index("What is assumed:") < lines.index(
+        "  --still                 The target does not move within a shot."
+    )
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        (["ringpose", "si"], ["simulate"]),
+        (["ringpose", "pose", "--rin"], ["--ring", "--rings", "--ring-tolerance"]),
+        (["ringpose", "pose", "--frame", ""], ["camera", "tool", "base"]),
+    ],
+)
+def test_a_shell_completes_commands_options_and_values(run, monkeypatch, typed, completed):
+    monkeypatch.setenv("_RINGPOSE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", " ".join(typed))
+    monkeypatch.setenv("COMP_CWORD", str(len(typed) - 1))
+
+    shown = run()
+
+    assert (shown.status, shown.out) == (0, completed)
 
 
 @pytest.mark.parametrize("word", ["nan", "inf"])

@@ -5,12 +5,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import (
+    LIMITS,
     STDOUT,
     CsvFile,
     Force,
@@ -66,6 +67,8 @@ def _count_limit(name: str, counted: str) -> Any:
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The limits on errors and counts, as given; None for no limit."""
+
+    PURPOSE: ClassVar = LIMITS
 
     max_center_mm: Annotated[float | None, _error_limit("--max-center-mm", "MM", "centre's")] = None
     max_normal_deg: Annotated[float | None, _error_limit("--max-normal-deg", "DEG", "normal's")] = None

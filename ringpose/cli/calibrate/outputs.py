@@ -4,9 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from typer.core import TyperCommand
-
-from ringpose.cli.app import check_report, file_option
+from ringpose.cli.app import Command, check_report, file_option
 
 if TYPE_CHECKING:
     from ringpose.types.calibration import Verdict
@@ -99,7 +97,7 @@ _MODES = {
 _NONE: tuple[Any, ...] = (None, (), [])
 
 
-class CommandWithModes(TyperCommand):
+class CommandWithModes(Command):
     """A command that rejects options that its mode would ignore."""
 
     def invoke(self, ctx: Any) -> Any:

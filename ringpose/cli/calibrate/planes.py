@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from ringpose.types.image import Shot
     from ringpose.types.rig import Camera, Rig
 
+LASERS = "The lasers"
+
 BoardFile = Annotated[
     Path | None,
     file_option("--board", meaning="The board file: kind and sizes; required unless a stream is checked (--check)."),
@@ -47,15 +49,30 @@ FreeCamera = Annotated[
 ]
 LaserNames = Annotated[
     str | None,
-    typer.Option("--laser-names", metavar="NAMES", help="Names by mask bit, comma between, as left,middle,right."),
+    typer.Option(
+        "--laser-names",
+        metavar="NAMES",
+        help="Names by mask bit, comma between, as left,middle,right.",
+        rich_help_panel=LASERS,
+    ),
 ]
 LaserOrder = Annotated[
     str | None,
-    typer.Option("--laser-order", metavar="NAMES", help="Order of the stripes down the image, if all lasers are on."),
+    typer.Option(
+        "--laser-order",
+        metavar="NAMES",
+        help="Order of the stripes down the image, if all lasers are on.",
+        rich_help_panel=LASERS,
+    ),
 ]
 ExpectedAngles = Annotated[
     str | None,
-    typer.Option("--expected-angles", metavar="DEGREES", help="Between neighbouring lasers, comma between, as 10,10."),
+    typer.Option(
+        "--expected-angles",
+        metavar="DEGREES",
+        help="Between neighbouring lasers, comma between, as 10,10.",
+        rich_help_panel=LASERS,
+    ),
 ]
 WorkingDistance = Annotated[
     float | None,

@@ -1,11 +1,11 @@
 """The options of what is assumed about motion, ring and rig; the same in every command that estimates."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
-from ringpose.cli.app import check_plausible
+from ringpose.cli.app import ASSUMED, check_plausible
 from ringpose.errors import UsageError
 from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.plausible import FACE_SLOPE_DEG, MAX_RATE_DEG_S, RING_TOLERANCE_M, SPEED_M_S, STABILITY_FACTOR
@@ -31,6 +31,8 @@ MaxRate = Annotated[
 @dataclass(frozen=True, slots=True)
 class Assumed:
     """The options of what a pose assumes, as given; None where the default of each shot is used."""
+
+    PURPOSE: ClassVar = ASSUMED
 
     still: Annotated[bool, typer.Option("--still", help="The target does not move within a shot.")] = False
     max_speed: MaxSpeed = None

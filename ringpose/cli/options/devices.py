@@ -2,11 +2,11 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
-from ringpose.cli.app import finite
+from ringpose.cli.app import DEVICES, finite
 from ringpose.errors import UsageError
 
 if TYPE_CHECKING:
@@ -57,6 +57,8 @@ def steps(text: str) -> "tuple[Step, ...]":
 @dataclass(frozen=True, slots=True)
 class ShotOptions:
     """How shots are taken from devices, as given; named like the options."""
+
+    PURPOSE: ClassVar = DEVICES
 
     lasers: Annotated[
         str | None,

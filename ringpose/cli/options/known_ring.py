@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from ringpose.cli.app import check_plausible
+from ringpose.cli.app import KNOWN_RING, check_plausible
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 from ringpose.types.plausible import RADIUS_SD_M, RING_RADIUS_M
@@ -35,6 +35,8 @@ RadiusInner = Annotated[
 @dataclass(frozen=True, slots=True)
 class RingOptions:
     """What the user states about the ring; None for an option that is not given."""
+
+    PURPOSE: ClassVar = KNOWN_RING
 
     radius_outer: RadiusOuter = None
     radius_inner: RadiusInner = None

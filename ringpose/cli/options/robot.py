@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
+from ringpose.cli.app import ROBOT
 from ringpose.types.options import STDIN
 
 if TYPE_CHECKING:
@@ -14,13 +15,19 @@ if TYPE_CHECKING:
 RobotConvention = Annotated[
     str | None,
     typer.Option(
-        "--robot-convention", metavar="NAME", help="How the poses are stated: abb, kuka, fanuc, ur ..., or mm,ZYX,deg."
+        "--robot-convention",
+        metavar="NAME",
+        help="How the poses are stated: abb, kuka, fanuc, ur ..., or mm,ZYX,deg.",
+        rich_help_panel=ROBOT,
     ),
 ]
 RobotColumns = Annotated[
     str | None,
     typer.Option(
-        "--robot-columns", metavar="NAMES", help="The columns of a table, comma between, as shot,x,y,z,a,b,c."
+        "--robot-columns",
+        metavar="NAMES",
+        help="The columns of a table, comma between, as shot,x,y,z,a,b,c.",
+        rich_help_panel=ROBOT,
     ),
 ]
 

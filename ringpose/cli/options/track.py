@@ -7,12 +7,12 @@ from enum import StrEnum
 from functools import partial
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import check_plausible, number_option
+from ringpose.cli.app import OUTPUT, ROBOT, TRACK, check_plausible, number_option
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.robot import tool_poses
 from ringpose.errors import NO_POSE, UsageError
@@ -36,19 +36,35 @@ class Format(StrEnum):
 
 RobotPosesFile = Annotated[
     str | None,
-    typer.Option("--robot-poses", metavar="FILE|-", help="Poses of the robot with the camera; -: from standard input."),
+    typer.Option(
+        "--robot-poses",
+        metavar="FILE|-",
+        help="Poses of the robot with the camera; -: from standard input.",
+        rich_help_panel=ROBOT,
+    ),
 ]
-OutputFormat = Annotated[Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.")]
+OutputFormat = Annotated[
+    Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.", rich_help_panel=OUTPUT)
+]
 FrameId = Annotated[
     str | None,
-    typer.Option("--frame-id", metavar="NAME", help="Of --format ros: name of the frame, for camera, tool or base."),
+    typer.Option(
+        "--frame-id",
+        metavar="NAME",
+        help="Of --format ros: name of the frame, for camera, tool or base.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
-Newest = Annotated[bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.")]
+Newest = Annotated[
+    bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.", rich_help_panel=OUTPUT)
+]
 
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
     """The options of a track; None for those that are not given."""
+
+    PURPOSE: ClassVar = TRACK
 
     predict_for: Annotated[
         float | None,

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from ringpose.types.scene import Scene
     from ringpose.types.truth import Truth
 
+OF_FEATURES = "With --features"
+
 Features = Annotated[
     bool, typer.Option("--features", help="Draw detection records from the ring's model; no images are rendered.")
 ]
@@ -26,7 +28,8 @@ MaxSpeed = Annotated[
         metavar="M_PER_S",
         min=0,
         callback=finite,
-        help="With --features: two standard deviations of the velocity of the ring's centre, per axis.",
+        help="Two standard deviations of the velocity of the ring's centre, per axis.",
+        rich_help_panel=OF_FEATURES,
     ),
 ]
 MaxRate = Annotated[
@@ -36,7 +39,8 @@ MaxRate = Annotated[
         metavar="DEG_PER_S",
         min=0,
         callback=finite,
-        help="With --features: two standard deviations of the ring's rates across its normal, per axis.",
+        help="Two standard deviations of the ring's rates across its normal, per axis.",
+        rich_help_panel=OF_FEATURES,
     ),
 ]
 RingTolerance = Annotated[
@@ -46,18 +50,23 @@ RingTolerance = Annotated[
         metavar="M",
         min=0,
         callback=finite,
-        help="With --features: standard deviation of the ring's edges and face from circles and a plane.",
+        help="Standard deviation of the ring's edges and face from circles and a plane.",
+        rich_help_panel=OF_FEATURES,
     ),
 ]
 RigErrors = Annotated[
-    bool, typer.Option("--rig-errors", help="With --features: draw the true rig from the covariance of the scene's.")
+    bool,
+    typer.Option(
+        "--rig-errors", help="Draw the true rig from the covariance of the scene's.", rich_help_panel=OF_FEATURES
+    ),
 ]
 Displaced = Annotated[
     str | None,
     typer.Option(
         "--displaced",
         metavar="SHARE[:PX,PX]",
-        help="With --features: share of break points displaced along their stripe, and by how much.",
+        help="Share of break points displaced along their stripe, and by how much.",
+        rich_help_panel=OF_FEATURES,
     ),
 ]
 Background = Annotated[
@@ -65,13 +74,20 @@ Background = Annotated[
     typer.Option(
         "--background",
         metavar="SHARE[:M,M]",
-        help="With --features: share of stripes on a surface behind the ring, and its distance.",
+        help="Share of stripes on a surface behind the ring, and its distance.",
+        rich_help_panel=OF_FEATURES,
     ),
 ]
 Missing = Annotated[
     float | None,
     typer.Option(
-        "--missing", metavar="SHARE", min=0, max=1, callback=finite, help="With --features: share of missing stripes."
+        "--missing",
+        metavar="SHARE",
+        min=0,
+        max=1,
+        callback=finite,
+        help="Share of missing stripes.",
+        rich_help_panel=OF_FEATURES,
     ),
 ]
 

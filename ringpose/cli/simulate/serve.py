@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from ringpose.types.scene import Scene
     from ringpose.types.truth import Truth
 
+OF_IMAGES = "With --images"
+
 SceneArgument = Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="The scene (scene.yaml).")]
 SceneOption = Annotated[Path | None, typer.Option("--scene", metavar="SCENE", help="The same as SCENE.")]
 Address = Annotated[str | None, typer.Option("--camera", metavar="ADDRESS", help="Address of the camera: 127.x.y.z.")]
@@ -49,25 +51,48 @@ Images = Annotated[
     typer.Option("--images", metavar="URI", help="Serve images instead: tcp://HOST:PORT; port 0 is any free one."),
 ]
 ClockOption = Annotated[
-    Clock, typer.Option("--clock", help="Of --images: the time of day, or simulated time that waits for the clients.")
+    Clock,
+    typer.Option(
+        "--clock", help="The time of day, or simulated time that waits for the clients.", rich_help_panel=OF_IMAGES
+    ),
 ]
 RateOption = Annotated[
     float | None,
     typer.Option(
-        "--rate", metavar="HZ", min=1e-3, max=1e4, callback=finite, help="Of --images: frames a second; default: 5."
+        "--rate",
+        metavar="HZ",
+        min=1e-3,
+        max=1e4,
+        callback=finite,
+        help="Frames a second; default: 5.",
+        rich_help_panel=OF_IMAGES,
     ),
 ]
 SecretFile = Annotated[
     Path | None,
-    typer.Option("--secret-file", readable=False, metavar="FILE", help="Of --images: a secret that clients must have."),
+    typer.Option(
+        "--secret-file",
+        readable=False,
+        metavar="FILE",
+        help="A secret that clients must have.",
+        rich_help_panel=OF_IMAGES,
+    ),
 ]
 TruthFile = Annotated[
     Path | None,
-    typer.Option("--truth", readable=False, metavar="FILE", help="Of --images: write the truth of each served shot."),
+    typer.Option(
+        "--truth",
+        readable=False,
+        metavar="FILE",
+        help="Write the truth of each served shot.",
+        rich_help_panel=OF_IMAGES,
+    ),
 ]
 ImageWidth = Annotated[
     int | None,
-    typer.Option("--width", metavar="PX", min=16, max=65535, help="Of --images: smaller images of the same view."),
+    typer.Option(
+        "--width", metavar="PX", min=16, max=65535, help="Smaller images of the same view.", rich_help_panel=OF_IMAGES
+    ),
 ]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
