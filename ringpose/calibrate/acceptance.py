@@ -137,6 +137,12 @@ MOUNT_LIMITS: Mapping[str, Limit] = {
     "disagreement": Limit(3.0, 30.0, "take views that differ more from each other"),
 }
 
+MOVING_LIMITS: Mapping[str, Limit] = {
+    "delay_sd_s": Limit(2e-3, inf, "{more}"),  # 0.1 mm at 50 mm/s
+    "blur_sigmas": Limit(1.0, inf,  # of the corners' residuals
+        "expose shorter or move slower: corners move by {blur_px:.2g} px within an exposure"),
+}
+
 MOUNT_CHECK_LIMITS: Mapping[str, Limit] = {
     "difference_sigmas": Limit(4.0, 8.0,
         "the given mount contradicts the views: something has moved, or it is inverted; calibrate it again"),

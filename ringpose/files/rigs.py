@@ -267,12 +267,12 @@ def write_mount(
 ) -> None:
     """Write a rig with this mount, else unchanged; or the mount alone if `camera` is not the file of a rig.
 
-    `quality` becomes the key `quality.mount`.
+    `quality` becomes the key `quality.mount`. A mount whose delay was not estimated has that of the rig.
     """
     if kind_of(Fields(str(camera), parsed(read_bytes(camera), str(camera))).values) is RIG:
         both = {"quality": {**calibration_quality(camera), "mount": quality}}
         rig = read_rig(camera, for_rings=False)
-        if rig.mount is not None:
+        if rig.mount is not None and not mount.delay_sd_s:
             mount = replace(mount, delay_s=rig.mount.delay_s, delay_sd_s=rig.mount.delay_sd_s)
         rig = replace(rig, mount=mount)
         write_rig(path, rig, extra=both, force=force, inputs=inputs)

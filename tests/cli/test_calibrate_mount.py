@@ -1,9 +1,13 @@
 """`ringpose calibrate-mount`: views and poses -> rig.yaml, on boards that a simulated robot sees."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view
+from moving_robots import seen_by_a_moving_robot
 from scipy.spatial.transform import Rotation
 
 from ringpose.calibrate.boards import shots as board_shots
@@ -89,3 +93,52 @@ def test_what_is_missing_or_wrong_is_reported_with_its_status(session, capsys):
     assert main([*WORDS, "--robot-convention", "mitsubishi", "-o", "mount.yaml"]) == 65
     assert "likely the angles are of the order ZYX" in capsys.readouterr().err
     assert not (session / "mount.yaml").exists()
+
+
+@pytest.fixture
+def moving_session(tmp_path, monkeypatch, rng):
+    """Shots of a board (found by their names), and poses of a robot that moves, whose clock is 80 ms ahead."""
+    seen = seen_by_a_moving_robot(rng, views=10, delay_s=0.08, rate_hz=50.0)
+    monkeypatch.chdir(tmp_path)
+    write_board(tmp_path / "board.yaml", CHESSBOARD)
+    write_camera(tmp_path / "camera.yaml", TRUE_CAMERA)
+    (tmp_path / "views").mkdir()
+    for view, stamp_s in zip(seen.views, seen.stamps_s, strict=True):
+        np.savez(
+            tmp_path / "views" / f"{view.name}.npz", images=rng.integers(0, 255, (1, 12, 16)).astype(np.uint8),
+            lasers=np.zeros(1, np.uint8), stamp_s=np.array([stamp_s - 0.001]), exposure_s=np.array([0.002]),
+        )  # fmt: skip
+    lines = [
+        json.dumps({
+            "stamp_s": stamp_s,
+            "base_from_tool": {
+                "position_m": pose[:3, 3].tolist(),
+                "orientation_xyzw": Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(),
+            },
+        })
+        for stamp_s, pose in zip(seen.robot_s.tolist(), seen.poses, strict=True)
+    ]  # fmt: skip
+    (tmp_path / "robot.jsonl").write_text("\n".join(lines) + "\n")
+    views = {view.name: view for view in seen.views}
+    monkeypatch.setattr(board_shots.BoardSearch, "__call__", lambda _self, _image, _board, name: views[name])
+    return seen
+
+
+MOVING_WORDS = (*WORDS[:-1], "robot.jsonl")
+
+
+def test_a_moving_robot_gives_the_mount_and_the_offset_of_its_clock(moving_session, capsys):
+    assert main([*MOVING_WORDS, "--moving", "-o", "mount.yaml"]) == 0
+
+    mount = read_mount(Path("mount.yaml"))
+    assert mount.delay_s == pytest.approx(0.08, abs=5.0 * mount.delay_sd_s)
+    assert 0.0 < mount.delay_sd_s < 1e-3
+    np.testing.assert_allclose(mount.carrier_from_camera, moving_session.mount, atol=3e-3)
+    assert "the robot's stamps are those of the camera + " in capsys.readouterr().err
+    assert yaml.safe_load(Path("mount.yaml").read_text())["quality"]["mount"]["delay"]["is_determined"]
+
+
+def test_a_robot_that_moves_at_the_views_is_reported_without_moving(moving_session, capsys):
+    main([*MOVING_WORDS, "-o", "mount.yaml"])
+
+    assert "give --moving" in capsys.readouterr().err

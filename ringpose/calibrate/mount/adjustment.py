@@ -11,7 +11,7 @@ likelihood (Patterson and Thompson 1971) gives s_r and s_t without the bias by t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,8 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import moderated_variances, view_equations
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
-from ringpose.calibrate.mount.closed_form import Transform
+from ringpose.calibrate.mount.closed_form import Transform, moving_from_fixed
+from ringpose.calibrate.mount.moving import DELAY_PRIOR_S, ToolMotion, moved
 from ringpose.geometry.camera_motion import left_jacobian
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.ring import rotation_by
@@ -56,11 +57,63 @@ class Station:
     base_from_tool: Transform
     location: str = ""
     """File and line of the robot's pose."""
+    sighting: "Sighting | None" = None
+    """When the board was seen, if the robot moved."""
+    twist: Float64[Array, "6"] = field(default_factory=lambda: np.zeros(6))
+    """Rate (rad/s) and velocity (m/s) of the tool, in its frame."""
+    interpolation_sd: Float64[Array, "6"] = field(default_factory=lambda: np.zeros(6))
+    """Of the robot's pose between two that it reported: rotation vector, translation, in the tool frame."""
 
     @property
     def name(self) -> str:
         """Name of the image."""
         return self.view.name
+
+    @property
+    def has_delay(self) -> bool:
+        """Whether the delay is one of the unknowns."""
+        return self.sighting is not None and not self.sighting.is_held
+
+    @property
+    def delay_s(self) -> float:
+        """The delay to which the robot's pose belongs."""
+        return 0.0 if self.sighting is None else self.sighting.delay_s
+
+    def at(self, delay_s: float) -> "Station":
+        """With the robot's pose at another delay; unchanged if the robot was at rest.
+
+        Where the robot's poses do not cover it, the tool is taken to go on at its twist.
+        """
+        if self.sighting is None:
+            return self
+        sighting, stamp_s = replace(self.sighting, delay_s=delay_s), self.sighting.stamp_s + delay_s
+        instant = sighting.motion.at(stamp_s)
+        if instant is None:
+            further = moved(self.base_from_tool, (delay_s - self.delay_s) * self.twist)
+            return replace(self, base_from_tool=further, sighting=sighting)
+        return replace(
+            self, base_from_tool=instant.base_from_tool, twist=instant.twist, sighting=sighting,
+            interpolation_sd=instant.interpolation_sd, location=sighting.motion.location_at(stamp_s),
+        )  # fmt: skip
+
+    def held_at(self, delay_s: float) -> "Station":
+        """With the robot's pose at a delay that is not estimated."""
+        there = self.at(delay_s)
+        return there if there.sighting is None else replace(there, sighting=replace(there.sighting, is_held=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sighting:
+    """When a moving robot saw the board."""
+
+    motion: ToolMotion
+    stamp_s: float
+    """Middle of the exposure, by the camera's clock."""
+    exposure_s: float = 0.0
+    delay_s: float = 0.0
+    """The delay to which the robot's pose belongs: the robot's stamp is `stamp_s` + `delay_s`."""
+    is_held: bool = False
+    """Whether this delay is not estimated, as the views do not determine it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,6 +127,8 @@ class MountState:
     true_poses: tuple[Transform, ...]
     """base_from_tool of each view, with the robot's error removed."""
     camera: Camera
+    delay_s: float = 0.0
+    """The robot's stamp less that of the camera, of a robot that moves."""
 
 
 class RobotSigmas(NamedTuple):
@@ -95,7 +150,8 @@ class ViewNumbers:
     z: Float64[Array, "view 6"]
     covariance: Float64[Array, "view 6 6"]
     wrt_common: Float64[Array, "view 6 common"]
-    """With respect to X, Y (rotation vector, translation, each in its frame), and the camera's free parameters."""
+    """With respect to X, Y (rotation vector, translation, each in its frame), the delay if the robot moves, and the
+    camera's free parameters."""
     wrt_error: Float64[Array, "view 6 6"]
     camera_information: Float64[Array, "view common common"]
     """Information about the camera that does not depend on the pose."""
@@ -121,7 +177,9 @@ class MountSolution:
     boards: tuple[BoardPose, ...]
     """The board in the camera, by the state."""
     covariance: Float64[Array, "common common"]
-    """Of X, Y (rotation vector, translation, each in its frame) and the refined camera, by the likelihood."""
+    """Of X, Y (rotation vector, translation, each in its frame), delay and refined camera, by the likelihood."""
+    has_delay: bool = False
+    """Whether the delay is one of the unknowns."""
 
     @property
     def weights(self) -> Float64[Array, "view 6 6"]:
@@ -141,24 +199,26 @@ def adjusted_mount(
     """The mount by maximum likelihood over the corners, with the robot's errors as unknowns."""
     poses = poses or [board_pose(station.view, camera) for station in stations]
     corner_px = corner_sigmas(stations, poses, camera)
+    has_delay = stations[0].has_delay
     state = MountState(
-        mount=start[0], board=start[1], true_poses=tuple(one.base_from_tool for one in stations), camera=camera
-    )
+        mount=start[0], board=start[1], true_poses=tuple(one.base_from_tool for one in stations), camera=camera,
+        delay_s=stations[0].delay_s,
+    )  # fmt: skip
     # the robot's error starts large, so that the first iterations follow the corners and not the closed form
     sigmas = RobotSigmas(1e-2, 1e-2)
-    prior = _camera_prior(camera, refine_camera)
+    prior = _prior(camera, refine_camera, has_delay)
     for iteration in range(_ITERATIONS):
         numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
         if iteration:
             sigmas = robot_sigmas(numbers, prior, None if iteration == 1 else sigmas)
         information, gradient = _normal_equations(numbers, sigmas)
-        pull = prior @ _camera_offset(state.camera, camera, prior)
+        pull = prior @ _offset(state, camera, has_delay, len(prior))
         total, right = information.sum(axis=0) + prior, gradient.sum(axis=0) - pull
         step = covariance_of_free(total) @ right
         length = float(np.sqrt(max(step @ total @ step, 0.0)))
         if iteration > 1 and length < _MIN_STEP:
             break
-        state = _moved(state, stations, numbers, sigmas, step, refine_camera)
+        state, stations = _moved(state, stations, numbers, sigmas, step)
     else:  # the last step is not in the linear model yet
         numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
     shown = list(zip(stations, _poses(state, eye_to_hand), strict=True))
@@ -167,9 +227,9 @@ def adjusted_mount(
     information, gradient = _normal_equations(numbers, sigmas)
     return MountSolution(
         state=state, sigmas=sigmas, corner_px=corner_px, numbers=numbers, information=information, gradient=gradient,
-        prior=prior, pull=prior @ _camera_offset(state.camera, camera, prior),
+        prior=prior, pull=prior @ _offset(state, camera, has_delay, len(prior)),
         boards=tuple(pose for _, pose in shown), residual_rms_px=rms_px,
-        covariance=covariance_of_free(information.sum(axis=0) + prior),
+        covariance=covariance_of_free(information.sum(axis=0) + prior), has_delay=has_delay,
     )  # fmt: skip
 
 
@@ -182,11 +242,6 @@ def corner_sigmas(stations: Sequence[Station], poses: Sequence[BoardPose], camer
         rows.append(float(len(residual)))
     variances = moderated_variances(np.array(squares), np.maximum(np.array(rows) - 6.0, 1.0))
     return np.maximum(np.sqrt(variances), MIN_CORNER_PX)
-
-
-def moving_from_fixed(base_from_tool: Transform, eye_to_hand: bool) -> Transform:
-    """G of T = X^-1 G Y: tool_from_base, or base_from_tool of a camera that is fixed."""
-    return base_from_tool if eye_to_hand else base_from_tool.inverse()
 
 
 def _poses(state: MountState, eye_to_hand: bool) -> list[BoardPose]:
@@ -206,7 +261,8 @@ def view_numbers(
     refine_camera: bool,
 ) -> ViewNumbers:
     """The linear model of the views at a state."""
-    count = 12 + (len(parameters_of(state.camera)) if refine_camera else 0)
+    first = camera_from(stations[0].has_delay)
+    count = first + (len(parameters_of(state.camera)) if refine_camera else 0)
     rows: list[tuple[Float64[Array, "..."], ...]] = []
     back = state.mount.rotation.T
     for station, pose, true, sigma in zip(
@@ -242,11 +298,14 @@ def view_numbers(
         information, gradient = np.zeros((count, count)), np.zeros(count)
         common = np.zeros((6, count))
         common[:, :6], common[:, 6:12] = wrt_mount, wrt_board
+        common[:, 12:first] = (wrt_error @ station.twist)[:, None]  # a later pose is displaced like a wrong one
         if refine_camera:
-            common[:, 12:] = wrt_camera
-            information[12:, 12:], gradient[12:] = outside.T @ outside, outside.T @ equations.residual
+            common[:, first:] = wrt_camera
+            information[first:, first:], gradient[first:] = outside.T @ outside, outside.T @ equations.residual
+        between = wrt_error * station.interpolation_sd
         z = inverse @ (basis.T @ equations.residual) + wrt_error @ error
-        rows.append((z, inverse @ inverse.T, common, wrt_error, information, gradient, wrt_camera))
+        covariance = inverse @ inverse.T + between @ between.T
+        rows.append((z, covariance, common, wrt_error, information, gradient, wrt_camera))
     columns = [np.array(each) for each in zip(*rows, strict=True)]
     return ViewNumbers(
         z=columns[0], covariance=columns[1], wrt_common=columns[2], wrt_error=columns[3],
@@ -315,30 +374,43 @@ def robot_sigmas(
     return RobotSigmas(*np.exp(np.clip(likeliest.x, lower, upper)).tolist())
 
 
-def _camera_prior(camera: Camera, refine_camera: bool) -> Float64[Array, "common common"]:
-    """Information about the common parameters that does not come from the views: the camera's own covariance."""
+def camera_from(has_delay: bool) -> int:
+    """Index of the camera's first parameter among the common ones, behind X, Y and the delay of a robot that moves."""
+    return 12 + has_delay
+
+
+def _prior(camera: Camera, refine_camera: bool, has_delay: bool) -> Float64[Array, "common common"]:
+    """Information about the common parameters that does not come from the views: the delay's bounds, the camera."""
+    first = camera_from(has_delay)
     parameters = len(parameters_of(camera)) if refine_camera else 0
-    prior = np.zeros((12 + parameters, 12 + parameters))
+    prior = np.zeros((first + parameters, first + parameters))
+    if has_delay:
+        prior[12, 12] = DELAY_PRIOR_S**-2
     if refine_camera and camera.covariance is not None:
-        prior[12:, 12:] = covariance_of_free(camera.covariance.data)
+        prior[first:, first:] = covariance_of_free(camera.covariance.data)
     return prior
 
 
-def _camera_offset(now: Camera, given: Camera, prior: Float64[Array, "common common"]) -> Float64[Array, "common"]:
-    offset = np.zeros(len(prior))
-    if len(prior) > 12:
-        offset[12:] = parameters_of(now) - parameters_of(given)
+def _offset(state: MountState, given: Camera, has_delay: bool, parameters: int) -> Float64[Array, "common"]:
+    """How far the state is from what the prior expects."""
+    offset, first = np.zeros(parameters), camera_from(has_delay)
+    offset[12:first] = state.delay_s
+    if parameters > first:
+        offset[first:] = parameters_of(state.camera) - parameters_of(given)
     return offset
 
 
 def _moved(
     state: MountState, stations: Sequence[Station], numbers: ViewNumbers, sigmas: RobotSigmas,
-    step: Float64[Array, "common"], refine_camera: bool,
-) -> MountState:  # fmt: skip
-    """The state after a step of the common parameters, with the most likely error of the robot in each view."""
+    step: Float64[Array, "common"],
+) -> tuple[MountState, list[Station]]:  # fmt: skip
+    """State and stations after a step of the common parameters, with the most likely error of each pose."""
     rest = numbers.z - numbers.wrt_common @ step
     gain = sigmas.variances[:, None] * (numbers.wrt_error.swapaxes(1, 2) @ inverse_marginal(numbers, sigmas))
     errors = (gain @ rest[..., None])[..., 0]
+    first = camera_from(stations[0].has_delay)
+    delay_s = state.delay_s + float(step[12:first].sum())
+    stations = [station.at(delay_s) for station in stations]
     true_poses = tuple(
         Transform(
             one.base_from_tool.rotation @ rotation_by(error[:3]),
@@ -346,11 +418,13 @@ def _moved(
         )
         for one, error in zip(stations, errors, strict=True)
     )
-    camera = camera_with(parameters_of(state.camera) + step[12:], state.camera) if refine_camera else state.camera
-    return replace(
-        state, mount=_turned(state.mount, step[:6]), board=_turned(state.board, step[6:12]), true_poses=true_poses,
-        camera=camera,
+    refined = len(step) > first
+    camera = camera_with(parameters_of(state.camera) + step[first:], state.camera) if refined else state.camera
+    moved_state = MountState(
+        mount=_turned(state.mount, step[:6]), board=_turned(state.board, step[6:12]), true_poses=true_poses,
+        camera=camera, delay_s=delay_s,
     )  # fmt: skip
+    return moved_state, stations
 
 
 def _turned(transform: Transform, step: Float64[Array, "6"]) -> Transform:

@@ -5,8 +5,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from ringpose.calibrate.mount.adjustment import Station, moving_from_fixed
-from ringpose.calibrate.mount.closed_form import Transform, Turns, best_rotation, closed_form_mount, turns_between
+from ringpose.calibrate.mount.adjustment import Station
+from ringpose.calibrate.mount.closed_form import (
+    Transform,
+    Turns,
+    best_rotation,
+    closed_form_mount,
+    moving_from_fixed,
+    turns_between,
+)
 from ringpose.geometry.robot_conventions import ANGLE_ORDERS, PoseConvention
 from ringpose.types.arrays import Array, Float64
 

@@ -44,6 +44,11 @@ class Transform(NamedTuple):
         return matrix
 
 
+def moving_from_fixed(base_from_tool: Transform, eye_to_hand: bool) -> Transform:
+    """G of T = X^-1 G Y: tool_from_base, or base_from_tool of a camera that is fixed."""
+    return base_from_tool if eye_to_hand else base_from_tool.inverse()
+
+
 class Turns(NamedTuple):
     """Rotation vectors between pairs of views, in the frames of robot and camera."""
 

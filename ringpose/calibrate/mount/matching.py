@@ -6,6 +6,8 @@ from pathlib import PurePath
 
 import numpy as np
 
+from ringpose.calibrate.mount.adjustment import PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M
+from ringpose.calibrate.mount.moving import ToolMotion
 from ringpose.errors import DataError
 from ringpose.types.robot import ReportedPose
 
@@ -14,6 +16,10 @@ MAX_APART_S = 1.0
 
 MAX_MOVED_M, MAX_TURNED_RAD = 1e-3, 1e-3
 """Largest difference of the poses before and after a shot that still count as standing."""
+
+MAX_REPEATED = 6.0
+"""Displacement, in standard deviations of a robot's usual error, which two poses of one that rests do not have: chance
+gives it once in ten thousand; halved, robots at rest would be said to move, doubled, a motion by 1 mm is overlooked."""
 
 
 def matched_poses(
@@ -75,5 +81,23 @@ def _at_stamp(name: str, stamp_s: float, poses: Sequence[ReportedPose]) -> Repor
         moved_m = float(np.linalg.norm(first.position_m - last.position_m))
         if moved_m > MAX_MOVED_M or np.abs(first.rotation - last.rotation).max() > MAX_TURNED_RAD:
             finding = f"the robot moved while it was taken, by {1e3 * moved_m:.3g} mm between two poses"
-            return DataError(name, finding, "let it stand still at each view")
+            return DataError(name, finding, "let it stand still at each view, or give --moving")
     return poses[nearest]
+
+
+def motion_finding(stamps_s: Sequence[float], motion: ToolMotion) -> str:
+    """At how many of the views the tool moves, and how fast; empty if it stands still at all of them."""
+    instants = [instant for instant in map(motion.at, stamps_s) if instant is not None]
+    twists = np.array([instant.twist for instant in instants]).reshape(-1, 6)
+    rate_rad_s, speed_m_s = (np.linalg.norm(twists[:, part], axis=1) for part in (slice(0, 3), slice(3, 6)))
+    around_s = 2.0 * motion.span_s
+    moving = (speed_m_s * around_s > MAX_REPEATED * PRIOR_TRANSLATION_M) | (
+        rate_rad_s * around_s > MAX_REPEATED * PRIOR_ROTATION_RAD
+    )
+    if not moving.any():
+        return ""
+    return (
+        f"the robot moves at {moving.sum()} of {len(stamps_s)} views, by up to {1e3 * speed_m_s.max():.3g} mm/s and "
+        f"{np.degrees(rate_rad_s.max()):.2g} degrees/s: clocks that differ by 10 ms are an error of "
+        f"{10.0 * speed_m_s.max():.2g} mm"
+    )

@@ -15,11 +15,14 @@ from ringpose.calibrate.mount.adjustment import (
     TRANSLATION_BOUNDS_M,
     MountSolution,
     RobotSigmas,
+    Sighting,
     Station,
     adjusted_mount,
-    moving_from_fixed,
 )
 from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, rotation_error_rad
+from ringpose.calibrate.mount.closed_form import moving_from_fixed
+from ringpose.calibrate.mount.delay import OpenDelay, delayed_covariance, open_delay
+from ringpose.calibrate.mount.moving import DELAY_PRIOR_S, ToolMotion, coarse_delay_s
 from ringpose.calibrate.mount.systematic import SystematicError, systematic_error
 from ringpose.calibrate.mount.validation import (
     MIN_VIEWS,
@@ -59,8 +62,8 @@ class MountCalibration:
     rejected: Mapping[str, str]
     """Views left out, and why."""
     solution: MountSolution
-    covariance: Float64[Array, "12 12"]
-    """Of mount and board (rotation vector, translation, each in its frame)."""
+    covariance: Float64[Array, "common common"]
+    """Of mount and board (rotation vector, translation, each in its frame), and of the delay if the robot moved."""
     systematic: SystematicError | None
     """The part of the robot's error that depends on its pose; None if the views show none."""
     disagreement: tuple[float, float]
@@ -73,6 +76,8 @@ class MountCalibration:
     eye_to_hand: bool
     board_moved: str = ""
     """How the board moved between the views, if it did."""
+    open_delay: OpenDelay | None = None
+    """The delay as far as it is known, of a moving robot whose views do not determine it."""
 
     @property
     def has_prior(self) -> bool:
@@ -97,7 +102,33 @@ class MountCalibration:
             root=axes * np.sqrt(np.maximum(variance, 0.0)),
             robot_rotation_sd_rad=self.robot_error.rotation_rad,
             robot_translation_sd_m=self.robot_error.translation_m,
+            delay_s=self.solution.state.delay_s,
+            delay_sd_s=self.delay_sd_s,
         )
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the robot moved, so that its clock matters."""
+        return any(station.sighting is not None for station in self.stations)
+
+    @property
+    def is_delay_known(self) -> bool:
+        """Whether the views tell more about the delay than its bounds do."""
+        return self.open_delay is None and self.delay_sd_s < 0.5 * DELAY_PRIOR_S
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Highest velocity (m/s) and rate (rad/s) of the tool at the views."""
+        twists = np.array([station.twist for station in self.stations])
+        rates, speeds = (np.linalg.norm(twists[:, part], axis=1) for part in (slice(0, 3), slice(3, 6)))
+        return float(speeds.max()), float(rates.max())
+
+    @property
+    def delay_sd_s(self) -> float:
+        """Standard deviation of the delay; 0 if the robot was at rest."""
+        if self.open_delay is not None:
+            return self.open_delay.sd_s
+        return float(sqrt(self.covariance[12, 12])) if self.solution.has_delay else 0.0
 
 
 def stations_of(views: Sequence[BoardView], poses: Sequence[ReportedPose | DataError]) -> list[Station]:
@@ -107,6 +138,31 @@ def stations_of(views: Sequence[BoardView], poses: Sequence[ReportedPose | DataE
         for view, pose in zip(views, poses, strict=True)
         if not isinstance(pose, DataError)
     ]
+
+
+def moving_stations(
+    views: Sequence[BoardView],
+    camera: Camera,
+    stamps_s: Sequence[float],
+    exposures_s: Sequence[float],
+    motion: ToolMotion,
+    *,
+    eye_to_hand: bool,
+) -> tuple[list[Station], list[DataError]]:
+    """The views with the pose of a moving robot at the delay that fits best, and why others have none."""
+    boards = [_transform(board_pose(view, camera)) for view in views]
+    delay_s = coarse_delay_s(stamps_s, boards, motion, eye_to_hand)
+    stations, problems = [], []
+    for view, stamp_s, exposure_s in zip(views, stamps_s, exposures_s, strict=True):
+        instant = motion.at(stamp_s + delay_s)
+        if instant is None:
+            finding = motion.why_not_at(stamp_s + delay_s)
+            problems.append(DataError(view.name, finding, "give the robot's poses before and after it, too"))
+            continue
+        sighting = Sighting(motion=motion, stamp_s=stamp_s, exposure_s=exposure_s, delay_s=delay_s)
+        station = Station(view=view, base_from_tool=instant.base_from_tool, sighting=sighting)
+        stations.append(station.at(delay_s))
+    return stations, problems
 
 
 def calibrate_mount(
@@ -127,17 +183,21 @@ def calibrate_mount(
     _check_motions(stations, boards, eye_to_hand, convention)
     rejected: dict[str, str] = {}
     board_moved = ""
+    delay: OpenDelay | None = None
     used = list(range(len(stations)))
     while True:
         chosen = [stations[index] for index in used]
         own = [boards[index] for index in used]
         solution = _solved(chosen, own, camera, eye_to_hand, refine_camera)
+        chosen = [station.at(solution.state.delay_s) for station in chosen]
         wrong = wrong_views(solution)
-        if wrong is None:
-            break
-        slipped = wrong.slipped and not board_moved
-        if not slipped and len(rejected) + 1 > MAX_WRONG_SHARE * len(stations):
-            break
+        slipped = wrong is not None and wrong.slipped and not board_moved
+        if wrong is None or (not slipped and len(rejected) + 1 > MAX_WRONG_SHARE * len(stations)):
+            delay = delay or open_delay(solution, chosen)
+            if delay is None or not solution.has_delay:
+                break
+            stations = [station.held_at(delay.delay_s) for station in stations]
+            continue
         rest = [index for index in range(len(chosen)) if index not in wrong.views]
         others = _solved(
             [chosen[index] for index in rest], [own[index] for index in rest], camera, eye_to_hand, refine_camera
@@ -154,19 +214,22 @@ def calibrate_mount(
     without = left_out(solution, chosen)
     fixed = None if refine_camera or camera.covariance is None else camera.covariance.data
     systematic = systematic_error(solution, chosen) if len(chosen) >= MIN_FREE_VIEWS else None
-    covariance, of_rotation, of_translation = validated_covariance(solution, without, fixed, systematic)
+    covariance, factors = validated_covariance(solution, without, fixed, systematic)
+    if delay is not None:
+        covariance = covariance + delayed_covariance(solution, chosen, delay.sd_s)
     return MountCalibration(
         stations=tuple(chosen),
         rejected=rejected,
         solution=solution,
         covariance=covariance,
         systematic=systematic,
-        disagreement=(of_rotation, of_translation),
+        disagreement=factors,
         without=_where_determined(without, stations, boards, used, eye_to_hand),
         turns=_turns(stations, boards, used, eye_to_hand),
         board_scale=board_scale(solution),
         eye_to_hand=eye_to_hand,
         board_moved=board_moved,
+        open_delay=delay,
     )
 
 

@@ -1,12 +1,19 @@
 """Quality of a mount: verdict with advice, values for the file, summary for the user, check of a given mount."""
 
 from collections.abc import Mapping
-from math import degrees
+from math import degrees, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.acceptance import MOUNT_CHECK_LIMITS, MOUNT_LIMITS, check, verdict_lines, verdict_values
+from ringpose.calibrate.acceptance import (
+    MOUNT_CHECK_LIMITS,
+    MOUNT_LIMITS,
+    MOVING_LIMITS,
+    check,
+    verdict_lines,
+    verdict_values,
+)
 from ringpose.calibrate.mount.adjustment import (
     MIN_FREE_VIEWS,
     PRIOR_FACTOR,
@@ -74,7 +81,37 @@ def mount_verdict(calibration: MountCalibration) -> Verdict:
         check(MOUNT_LIMITS, "robot_translation_m", sigmas.translation_m),
         check(MOUNT_LIMITS, "disagreement", float(max(calibration.disagreement))),
     ]
+    if calibration.is_moving:
+        moved_px = image_motion_px(calibration)
+        sigmas_of_blur = (
+            moved_px / sqrt(12.0) / calibration.solution.corner_px
+        )  # of a place that is anywhere on the way
+        worst = int(np.argmax(sigmas_of_blur))
+        findings += [
+            check(MOVING_LIMITS, "delay_sd_s", calibration.delay_sd_s, more=_delay_advice(calibration)),
+            check(MOVING_LIMITS, "blur_sigmas", float(sigmas_of_blur[worst]), blur_px=moved_px[worst]),
+        ]
     return Verdict(findings=tuple(findings))
+
+
+def _delay_advice(calibration: MountCalibration) -> str:
+    if calibration.open_delay is not None:
+        return "the robot hardly moves at the views: move it there to know its clock, or leave out --moving"
+    return "move the robot faster at the views, and not alike at all of them"
+
+
+def image_motion_px(calibration: MountCalibration) -> Float64[Array, "view"]:
+    """How far the corners move within the exposure of each view, root mean square, by the pinhole."""
+    solution, moved_px = calibration.solution, []
+    focal_px = float(solution.state.camera.camera_matrix[0, 0])
+    for station, pose, wrt_error in zip(calibration.stations, solution.boards, solution.numbers.wrt_error, strict=True):
+        rate = wrt_error @ station.twist
+        arm_m = station.view.points_board_m @ pose.rotation.T
+        point_m, velocity_m_s = arm_m + pose.translation_m, np.cross(rate[:3], arm_m) + rate[3:]
+        along = velocity_m_s[:, :2] - point_m[:, :2] / point_m[:, 2:] * velocity_m_s[:, 2:]
+        speed_px_s = focal_px * np.sqrt(np.mean(np.sum((along / point_m[:, 2:]) ** 2, axis=1)))
+        moved_px.append(speed_px_s * (0.0 if station.sighting is None else station.sighting.exposure_s))
+    return np.array(moved_px)
 
 
 def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[str, Any]:
@@ -105,6 +142,13 @@ def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[st
             without.distance_m.tolist(), without.angle_rad.tolist(), strict=True,
         )
     ]  # fmt: skip
+    delay = {} if not calibration.is_moving else {
+        "delay": {
+            "delay_s": solution.state.delay_s, "sd_s": calibration.delay_sd_s,
+            "is_determined": calibration.is_delay_known, "speed_m_s": calibration.speeds[0],
+            "rate_rad_s": calibration.speeds[1], "image_motion_px": float(image_motion_px(calibration).max()),
+        }
+    }  # fmt: skip
     known = [
         {key: value for key, value in view.items() if isinstance(value, str) or np.isfinite(value)} for view in views
     ]
@@ -115,6 +159,7 @@ def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[st
         "translation_sd_m": translation_sd,
         "disagreement": list(calibration.disagreement),
         "robot_error": robot,
+        **delay,
         "board_scale": {"share": share, "sd": share_sd},
         board: solution.state.board.matrix,
         f"{board}_covariance": calibration.covariance[6:12, 6:12],
@@ -156,6 +201,8 @@ def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
         for value, sigma in zip(rotation_vector(mount.rotation), sd[:3], strict=True)
     )
     lines += [f"camera in the {frame} frame: {place} mm", f"  rotation vector: {turn} degrees"]
+    if calibration.is_moving:
+        lines.append(_delay_line(calibration))
     if np.isfinite(held_out_rms_m(calibration)):
         worst = int(np.nanargmax(without.distance_m))
         lines.append(
@@ -166,16 +213,28 @@ def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
     return lines + verdict_lines(verdict)
 
 
+def _delay_line(calibration: MountCalibration) -> str:
+    speed_m_s, rate_rad_s = calibration.speeds
+    offset = f"{1e3 * calibration.solution.state.delay_s:.2f} ± {1e3 * calibration.delay_sd_s:.2f} ms"
+    motion = f"up to {1e3 * speed_m_s:.3g} mm/s and {degrees(rate_rad_s):.2g} degrees/s at the views"
+    if calibration.is_delay_known:
+        return f"the robot's stamps are those of the camera + {offset}; it moves by {motion}"
+    why = "hardly moves" if calibration.open_delay is not None else "moves alike at all views, as with another mount"
+    return f"the offset of the robot's stamps is not determined, {offset}: the robot {why} ({motion})"
+
+
 class MountComparison(NamedTuple):
     """A given mount against that of the views."""
 
     shift_m: Float64[Array, "xyz=3"]
     turn_rad: Float64[Array, "3"]
     sigmas: float
-    """Root of the squared Mahalanobis distance over its six degrees of freedom."""
+    """Root of the squared Mahalanobis distance over its degrees of freedom, six or, with a delay, seven."""
     rotation_sd_rad: float
     translation_sd_m: float
     """Standard deviations of the difference in the worst direction."""
+    delay_s: float | None = None
+    """Difference of the delays, of a robot that moved."""
 
 
 def compared_mount(calibration: MountCalibration, given: Mount) -> MountComparison:
@@ -183,10 +242,16 @@ def compared_mount(calibration: MountCalibration, given: Mount) -> MountComparis
     mount = calibration.solution.state.mount
     turn_rad = rotation_vector(given.carrier_from_camera[:3, :3] @ mount.rotation.T)
     shift_m = given.carrier_from_camera[:3, 3] - mount.translation_m
+    difference, delay_s = np.append(turn_rad, shift_m), None
     both = calibration.covariance[:6, :6] + given.covariance[:6, :6]
-    difference = np.append(turn_rad, shift_m)
-    sigmas = float(np.sqrt(difference @ np.linalg.solve(both, difference) / 6))
-    return MountComparison(shift_m, turn_rad, sigmas, *_worst_sds(both))
+    if calibration.is_moving:
+        delay_s = given.delay_s - calibration.solution.state.delay_s
+        difference, both = np.append(difference, delay_s), np.pad(both, (0, 1))
+        both[6, 6] = calibration.delay_sd_s**2 + given.delay_sd_s**2
+        if calibration.solution.has_delay:
+            both[6, :6] = both[:6, 6] = calibration.covariance[12, :6]
+    sigmas = float(np.sqrt(difference @ np.linalg.solve(both, difference) / len(difference)))
+    return MountComparison(shift_m, turn_rad, sigmas, *_worst_sds(both), delay_s)
 
 
 def comparison_verdict(comparison: MountComparison) -> Verdict:
@@ -207,4 +272,6 @@ def comparison_lines(comparison: MountComparison, verdict: Verdict) -> list[str]
     shift = ", ".join(f"{1e3 * each:.2f}" for each in comparison.shift_m)
     angle = degrees(float(np.linalg.norm(comparison.turn_rad)))
     far = f"{1e3 * np.linalg.norm(comparison.shift_m):.2f} mm ({shift}) and {angle:.3f} degrees"
+    if comparison.delay_s is not None:
+        far += f", its delay by {1e3 * comparison.delay_s:.2f} ms"
     return [f"the given mount differs by {far}, {comparison.sigmas:.1f} sigmas", *verdict_lines(verdict)]

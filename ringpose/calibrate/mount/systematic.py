@@ -23,6 +23,7 @@ from ringpose.calibrate.mount.adjustment import (
     MountSolution,
     RobotSigmas,
     Station,
+    camera_from,
 )
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.rotations import skew
@@ -48,8 +49,8 @@ class SystematicError(NamedTuple):
     repeatability: RobotSigmas
     systematic: RobotSigmas
     """Standard deviations of the field, widened by the uncertainty of their estimate."""
-    covariance: Float64[Array, "12 12"]
-    """Of mount and board, with the part of the error that all views have in common."""
+    covariance: Float64[Array, "common common"]
+    """Of mount, board and delay, with the part of the error that all views have in common."""
     robot: RobotSigmas
     """Standard deviations of a pose of the robot, with both parts."""
 
@@ -78,13 +79,13 @@ def systematic_error(solution: MountSolution, stations: Sequence[Station]) -> Sy
     total = own + sum(variance * part for variance, part in zip(variances.tolist(), parts, strict=True))
     gain = solution.covariance @ design.T @ _diagonal(solution.weights)
     covariance = gain @ total @ gain.T + solution.covariance @ known @ solution.covariance
-    sds = np.sqrt(variances)
+    common, sds = camera_from(solution.has_delay), np.sqrt(variances)
     # half of the turns are those of the base, at the end of the reach, two of three of them across it
     rotation, translation = variances[0] + variances[2], variances[1] + variances[3] + variances[2] * reach_m2 / 3.0
     return SystematicError(
         repeatability=RobotSigmas(*sds[:2].tolist()),
         systematic=RobotSigmas(*sds[2:].tolist()),
-        covariance=covariance[:12, :12],
+        covariance=covariance[:common, :common],
         robot=RobotSigmas(float(np.sqrt(rotation)), float(np.sqrt(translation))),
     )
 

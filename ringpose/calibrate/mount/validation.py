@@ -11,6 +11,7 @@ from ringpose.calibrate.mount.adjustment import (
     MountSolution,
     Station,
     ViewNumbers,
+    camera_from,
     inverse_marginal,
     robot_sigmas,
 )
@@ -65,8 +66,8 @@ def validated_covariance(
     without: LeftOut,
     camera_covariance: Float64[Array, "parameter parameter"] | None,
     systematic: SystematicError | None,
-) -> tuple[Float64[Array, "12 12"], float, float]:
-    """Covariance of X and Y, and the factors by which the views disagree more about X than their likelihood explains.
+) -> tuple[Float64[Array, "common common"], tuple[float, float]]:
+    """Covariance of X, Y, delay, and factors by which views disagree more about X than their likelihood explains.
 
     The factors, of rotation and translation, are those between the jackknife by views and its expectation, the
     difference of the covariances with and without a view. They widen the covariance where they are larger. The
@@ -75,29 +76,31 @@ def validated_covariance(
     propagated.
     """
     views = len(solution.numbers.z)
-    covariance = solution.covariance[:12, :12]
+    common = camera_from(solution.has_delay)
+    covariance = solution.covariance[:common, :common]
+    blocks = [slice(first, min(first + 3, common)) for first in range(0, common, 3)]
     factors = []
-    for block in (slice(0, 3), slice(3, 6)):
+    for block in (*blocks[:2], *blocks[4:]):
         inner = np.linalg.inv(covariance[block, block])
         jackknife = sum(float(step[block] @ inner @ step[block]) for step in without.step)
         expected = sum(
             float(np.trace(inner @ (fewer[block, block] - covariance[block, block]))) for fewer in without.covariance
         )
         factors.append(jackknife / max(expected, 1e-12))
-    widening = np.sqrt(np.repeat(np.maximum([factors[0], factors[1]] * 2, student_factor(views)), 3))
+    widening = np.sqrt(np.repeat(np.maximum(factors[:2] * 2 + factors[2:], student_factor(views)), 3)[:common])
     total = covariance * np.outer(widening, widening)
     if systematic is not None:
-        blocks = [slice(first, first + 3) for first in range(0, 12, 3)]
         less = [
-            np.trace(np.linalg.solve(systematic.covariance[block, block], total[block, block])) / 3 for block in blocks
+            np.mean(np.diag(np.linalg.solve(systematic.covariance[block, block], total[block, block])))
+            for block in blocks
         ]
-        widening = np.sqrt(np.repeat(np.maximum(less, 1.0), 3))
+        widening = np.sqrt(np.repeat(np.maximum(less, 1.0), 3)[:common])
         total = systematic.covariance * np.outer(widening, widening)
-    if camera_covariance is not None and solution.covariance.shape == (12, 12):
+    if camera_covariance is not None and len(solution.covariance) == common:
         weighted = solution.numbers.wrt_common.swapaxes(1, 2) @ solution.weights
         influence = covariance @ (weighted @ solution.numbers.wrt_camera).sum(axis=0)
         total = total + influence @ camera_covariance @ influence.T
-    return total, factors[0], factors[1]
+    return total, (factors[0], factors[1])
 
 
 def student_factor(views: int) -> float:

@@ -5,15 +5,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli import messages
 from ringpose.cli.app import BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option
 from ringpose.cli.options.robot import RobotColumns, RobotConvention, tool_poses
-from ringpose.errors import UsageError
+from ringpose.errors import DataError, UsageError
 from ringpose.types.options import PoseFrame
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ringpose.calibrate.mount.adjustment import Station
     from ringpose.calibrate.mount.pipeline import MountCalibration
+    from ringpose.types.board import BoardView
     from ringpose.types.image import Shot
-    from ringpose.types.rig import Mount
+    from ringpose.types.rig import Camera, Mount
+    from ringpose.types.robot import ReportedPoses
 
 CameraFile = Annotated[
     Path, file_option("--camera", meaning="The calibrated camera, or the rig whose mount is written (rig.yaml).")
@@ -28,6 +34,9 @@ EyeToHand = Annotated[
 ]
 RefineCamera = Annotated[
     bool, typer.Option("--refine-camera", help="Let the views improve the camera, from its covariance.")
+]
+Moving = Annotated[
+    bool, typer.Option("--moving", help="The robot moves at the views: estimate the offset of its clock, too.")
 ]
 Check = Annotated[
     Path | None, file_option("--check", metavar="MOUNT", meaning="Only compare this mount (of a rig) with the views.")
@@ -45,6 +54,7 @@ def calibrate_mount(
     robot_columns: RobotColumns = None,
     eye_to_hand: EyeToHand = False,
     refine_camera: RefineCamera = False,
+    moving: Moving = False,
     check: Check = None,
     overlay: Overlay = None,
     channel: ImageChannel = None,
@@ -54,7 +64,8 @@ def calibrate_mount(
 ) -> None:
     """Estimate where the camera is mounted on a robot, from views of a resting board and the robot's poses.
 
-    Ten to fifteen views are good, each with the robot at rest, turned by 20 degrees or more about two axes.
+    Ten to fifteen views are good, each with the robot at rest (else give --moving), turned by 20 degrees or more about
+    two axes.
     """
     from ringpose.calibrate.boards.shots import BoardShots
     from ringpose.calibrate.mount.quality import compared_mount, comparison_lines, comparison_verdict
@@ -73,28 +84,28 @@ def calibrate_mount(
     boards = BoardShots(read_board(board), names_differ=True)
     read_cam = read_camera(camera)
     batch = Batch()
-    stamps_s: dict[str, float] = {}
+    times_s: dict[str, tuple[float, float]] = {}
 
-    def stamp(shot: "Shot", view: object) -> str:
-        stamps_s[shot.name] = float(shot.stamp_s[0] + shot.exposure_s[0] / 2)
+    def note_time(shot: "Shot", view: object) -> str:
+        times_s[shot.name] = _time_of_board(shot, moving)
         return "board found"
 
     reader = BoardReader(boards, overlay=overlay, channel=channel, outputs=(output,), force=force)
-    reader.read_each(inputs, batch, stamp, quiet=quiet, verbose=verbose)
+    reader.read_each(inputs, batch, note_time, quiet=quiet, verbose=verbose)
     with batch.guarded():
-        from ringpose.calibrate.mount.matching import matched_poses
         from ringpose.calibrate.mount.pipeline import calibrate_mount as calibrated
-        from ringpose.calibrate.mount.pipeline import stations_of
 
-        names = [view.name for view in boards.views]
-        matched = matched_poses(names, [stamps_s[name] for name in names], poses.poses, robot_poses)
-        for problem in matched:
-            if isinstance(problem, Exception):
-                batch.report(problem)
+        views = [view for view in boards.views if view.name in times_s]
+        times = [times_s[view.name] for view in views]
+        if moving:
+            stations, problems = _moving_stations(views, read_cam, times, poses, robot_poses, eye_to_hand)
+        else:
+            stations, problems = _resting_stations(views, times, poses, robot_poses)
+        for problem in problems:
+            batch.report(problem)
         calibration = calibrated(
-            stations_of(boards.views, matched), read_cam, eye_to_hand=eye_to_hand, refine_camera=refine_camera,
-            convention=convention,
-        )  # fmt: skip
+            stations, read_cam, eye_to_hand=eye_to_hand, refine_camera=refine_camera, convention=convention
+        )
         if known is not None:
             comparison = compared_mount(calibration, known)
             verdict = comparison_verdict(comparison)
@@ -104,6 +115,51 @@ def calibrate_mount(
             inputs_read = list(dict.fromkeys([*files, *records, *reader.paths]))
             batch.record_status(_write(calibration, camera, output, inputs_read, force=force, quiet=quiet))
     batch.finish()
+
+
+def _time_of_board(shot: "Shot", moving: bool) -> tuple[float, float]:
+    """Middle and length of the exposure in which the board is searched; DataError if a moving board is in several."""
+    import numpy as np
+
+    off = np.flatnonzero(shot.lasers == 0)
+    if moving and not len(off) and len(shot.lasers) > 1:
+        raise DataError(shot.name, "has no frame with the lasers off, and the robot moves", "give a shot with one")
+    frame = int(off[0]) if len(off) else 0
+    exposure_s = float(shot.exposure_s[frame])
+    return float(shot.stamp_s[frame]) + exposure_s / 2, exposure_s
+
+
+def _resting_stations(
+    views: "Sequence[BoardView]", times: "Sequence[tuple[float, float]]", poses: "ReportedPoses", location: str
+) -> "tuple[list[Station], list[DataError]]":
+    """The views with the poses of a robot that rests at each of them; a warning if it does not."""
+    from ringpose.calibrate.mount.matching import matched_poses, motion_finding
+    from ringpose.calibrate.mount.moving import ToolMotion
+    from ringpose.calibrate.mount.pipeline import stations_of
+    from ringpose.files.robot_tables import whole_motion
+
+    stamps_s = [middle_s for middle_s, _ in times]
+    matched = matched_poses([view.name for view in views], stamps_s, poses.poses, location)
+    if len(poses.poses) > 1 and all(pose.stamp_s is not None and not pose.name for pose in poses.poses):
+        finding = motion_finding(stamps_s, ToolMotion(poses=whole_motion(poses, location)))
+        if finding:
+            messages.echo(f"{location}: warning: {finding}; give --moving")
+    return stations_of(views, matched), [each for each in matched if isinstance(each, DataError)]
+
+
+def _moving_stations(
+    views: "Sequence[BoardView]", camera: "Camera", times: "Sequence[tuple[float, float]]", poses: "ReportedPoses",
+    location: str, eye_to_hand: bool,
+) -> "tuple[list[Station], list[DataError]]":  # fmt: skip
+    """The views with the poses of a robot that moves."""
+    from ringpose.calibrate.mount.moving import ToolMotion
+    from ringpose.calibrate.mount.pipeline import moving_stations
+    from ringpose.files.robot_tables import whole_motion
+
+    in_time = sorted(poses.poses, key=lambda pose: pose.stamp_s or 0.0)
+    motion = ToolMotion(poses=whole_motion(poses, location), locations=tuple(pose.location for pose in in_time))
+    stamps_s, exposures_s = [middle_s for middle_s, _ in times], [exposure_s for _, exposure_s in times]
+    return moving_stations(views, camera, stamps_s, exposures_s, motion, eye_to_hand=eye_to_hand)
 
 
 def _given_mount(check: Path, output: Path | None, eye_to_hand: bool) -> "Mount":
