@@ -23,7 +23,7 @@ from ringpose.detect.difference_images import (
     saturated_along_stripes,
 )
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
+from ringpose.detect.rim import CLEAR_MARGIN, CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.stripes import BLOCK, MAX_GAP, find_stripes, stripe_line_segments, without_ghosts
 from ringpose.geometry.camera_motion import CameraMotion
@@ -559,13 +559,17 @@ def _dark_frame_lit(image: LaserImage) -> bool:
 
 
 def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment column=11"], rig: Rig) -> bool:
-    """Whether the stripes fit a ring of three lasers only under an assignment that contradicts the laser masks."""
+    """Whether the stripes fit a ring of three lasers only under an assignment that contradicts the laser masks.
+
+    Stripes on the body behind the ring fit one nearly always: it must explain clearly more than the face.
+    """
     if face is not None and face.is_confirmed:
         return False
     unlabelled = segments.copy()
     unlabelled[:, LASER] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
-    return other is not None and len(other.lasers) > 2
+    explained = -math.inf if face is None else face.score + CLEAR_MARGIN[CONFIRMED]
+    return other is not None and len(other.lasers) >= CONFIRMED and other.score > explained
 
 
 def _why_no_stripe(images: Sequence[LaserImage]) -> NoBreakPoints:

@@ -461,8 +461,8 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=11"], rig: Ri
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
-    nearer = ring_face(rows, face.lasers, rig) if len(rows) >= CONFIRMED else None
-    if nearer is not None and nearer.is_confirmed:
+    nearer = ring_face(rows, face.lasers, rig) if len(rows) > 1 else None
+    if nearer is not None and len(nearer.lasers) > 1 and (nearer.is_confirmed or nearer.score > face.score):
         nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < MAX_TILT_OF_FACES
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):

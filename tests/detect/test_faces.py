@@ -283,3 +283,29 @@ def test_a_piece_beside_the_ring_is_not_taken_for_the_stripe_of_a_light_plane_th
     assert face.lasers == (1, 2)
     assert face.displaced == (0,)
     assert ring_face(segments, unlabelled, RIG).lasers == ALL
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_two_stripes_are_a_face_where_the_third_passes_through_a_gap_of_the_ring(seed):
+    faces = [row(*face_ends(seed)[laser], laser) for laser in (0, 1)]
+    body = [row(*body_ends(seed, laser), laser) for laser in (0, 1)]
+    start, end = body_ends(seed, 2)
+    through_gap = row(end - 4.0 * (end - start), end, 2)
+
+    face = ring_face(np.array([*faces, *body, through_gap]), (), RIG)
+
+    np.testing.assert_array_equal(face.segments, faces)
+    assert not face.behind
+    assert ring_face(np.array([*faces, *body]), (), RIG).score < face.score  # nothing shows where that light is
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("laser", ALL)
+def test_two_stripes_of_which_one_is_on_the_floor_of_a_groove_are_no_face(seed, laser):
+    """A third stripe as long as theirs would stand in front of the plane of these two."""
+    rows = [row(*ends, own) for own, ends in enumerate(face_ends(seed))]
+    rows[laser] = row(*in_front(face_ends(seed)[laser], laser, -0.04, 0.0, shift_m=0.0), laser)
+
+    face = ring_face(np.array(rows), (), RIG)
+
+    assert face.lasers == tuple(own for own in ALL if own != laser)

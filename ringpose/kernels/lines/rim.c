@@ -90,6 +90,8 @@ typedef struct {
     const UnionParams *unions;
     const CandidateParams *candidates;
     const RingParams *ring;
+    const Segment *segment; /* those that are not merged */
+    size_t segments;
 } Scene;
 
 enum { MAX_MEMBERS = 3 };
@@ -342,21 +344,42 @@ static double plane_cost(const Candidate *const member[], int size, double plane
     return cost > 0 ? cost : 0;
 }
 
-/* Lasers outside the group whose stripe on the plane the image would show at normalised x. */
-static int count_unseen_lasers(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+/* True if light of that laser, in a frame that shows no other one, is seen in a column and leaves a plane there to the group:
+   on what stands on it, or through a gap. A nearer stripe as long as those of the group may be the face. */
+static int is_seen_elsewhere(int laser, double x, const double plane[3], double min_columns, const Scene *scene) {
+    const double *light = scene->plane[laser], column = x * scene->ring->focal_x + scene->ring->principal_x;
+    int seen = 0, may_be_face = 0;
+    for (size_t i = 0; i < scene->segments; i++) {
+        const Segment *segment = &scene->segment[i];
+        if (segment->laser != laser || segment->x_start > column || segment->x_end < column) continue;
+        double y = (line_y(segment, column) - scene->ring->principal_y) / scene->ring->focal_y;
+        double nearer = (light[0] - plane[0]) * x + (light[1] - plane[1]) * y + light[2] - plane[2];
+        seen = 1;
+        may_be_face |= nearer > 0 && segment->x_end - segment->x_start >= min_columns;
+    }
+    return seen && !may_be_face;
+}
+
+/* Penalty of the lasers outside the group whose stripe on the plane the image would show at normalised x. */
+static double unseen_lasers_penalty(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     const RingParams *params = scene->ring;
-    double x = 0;
-    int unseen_penalty = 0;
-    for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[member[i]->ends - 1]) / (2 * size);
+    double x = 0, length = INFINITY, penalty = 0;
+    for (int i = 0; i < size; i++) {
+        double first = member[i]->x[0], last = member[i]->x[member[i]->ends - 1];
+        x += (first + last) / (2 * size);
+        length = fmin(length, last - first);
+    }
     for (int laser = 0; laser < scene->lasers; laser++) {
         int in_group = 0;
         for (int i = 0; i < size; i++) in_group |= member[i]->laser == laser;
         const double *light = scene->plane[laser];
         double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
         double row = y * params->focal_y + params->principal_y;
-        unseen_penalty += !in_group && row > params->border_px && row < params->image_height - params->border_px;
+        if (in_group || !(row > params->border_px && row < params->image_height - params->border_px)) continue;
+        int elsewhere = size > 1 && is_seen_elsewhere(laser, x, plane, length * params->focal_x, scene);
+        penalty += elsewhere ? scene->candidates->covered_penalty : params->unseen_penalty;
     }
-    return unseen_penalty;
+    return penalty;
 }
 
 /* Half the chi-square of two concentric arcs through the used ends, which are at most two radii apart. */
@@ -446,7 +469,7 @@ static double group_score(const Candidate *const member[], int size, const Scene
         if (!(circle < params->circle_limit * size)) return -INFINITY;
         cost += circle;
     }
-    cost += params->unseen_penalty * count_unseen_lasers(member, size, plane, scene);
+    cost += unseen_lasers_penalty(member, size, plane, scene);
     return merit - cost - oblique;
 }
 
@@ -552,7 +575,7 @@ static double chord_score(const Candidate *const member[], int size, const Scene
     double circles = circles_cost(end, ends, sigma, sine);
     if (!(circles < params->circle_limit * ends / 2)) return -INFINITY;
     if (ends == 8 && size == 2 && may_be_straight(end, sigma, params->circle_limit)) return -INFINITY;
-    cost += circles + params->unseen_penalty * count_unseen_lasers(member, size, plane, scene);
+    cost += circles + unseen_lasers_penalty(member, size, plane, scene);
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
 
@@ -792,7 +815,9 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
                          (const double(*)[3])a.view[2].buf,
                          (const UnionParams *)a.number[3],
                          (const CandidateParams *)a.number[4],
-                         (const RingParams *)a.number[5]};
+                         (const RingParams *)a.number[5],
+                         a.view[0].buf,
+                         (size_t)segments};
     if (!require(lasers <= MAX_LASERS && segments <= INT32_MAX / 2, "planes, segments: there are too many") ||
         !check_lasers(a.view[0].buf, segments, lasers))
         return close_arguments(&a, NULL);

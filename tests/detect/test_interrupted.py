@@ -1,0 +1,22 @@
+"""Two stripes that nothing interrupts are a pose: rendered rings with a gap, and with a cable over the third stripe."""
+
+import pytest
+
+from ringpose.files.images.shots import read_shot
+from ringpose.files.records.truths import read_truths
+from ringpose.files.rigs import read_rig
+from ringpose.measure.stream import Setup
+
+
+@pytest.mark.parametrize(("kind", "laser"), [("gap", "right"), ("cable", "middle")])
+def test_two_whole_stripes_are_a_pose_that_names_the_third(shared_data, kind, laser):
+    folder, name = shared_data / "rendered" / "surfaces_b", f"W_{kind}_B500_dim_sw"
+    (truth,) = (each for each in read_truths(folder / "truth.jsonl") if each.shot == name)
+    setup = Setup(rig=read_rig(folder / "rig.yaml"))
+
+    line = setup.line(setup.detection(read_shot(folder / "shots" / f"{name}.npz")))
+
+    assert line.status == "degraded"
+    assert f"the stripe of laser {laser}" in line.reason
+    off_m = (line.pose.grasp_m - truth.center_m) @ truth.normal
+    assert abs(off_m) < 1e-3
