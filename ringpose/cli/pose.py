@@ -1,18 +1,17 @@
 """`ringpose pose`: detections, shots, images or a live camera -> one pose line each, or the line of its track."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import fields
 from functools import partial
 from time import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import (
     DEVICES,
-    OUTPUT,
     ROBOT,
     TRACK,
     Force,
@@ -35,15 +34,10 @@ from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.options.known_ring import RingOptions, known_ring
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
-    Format,
-    FrameId,
-    Newest,
-    OutputFormat,
+    LineOptions,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
-    line_messages,
-    record_writer,
     track_writer,
 )
 from ringpose.errors import NO_POSE, UsageError
@@ -97,11 +91,6 @@ Track = Annotated[
     ),
 ]
 
-Brief = Annotated[
-    bool,
-    typer.Option("--brief", help="Write lines without what only filters use, which is long.", rich_help_panel=OUTPUT),
-]
-
 
 @app.command()
 @with_option_groups
@@ -122,10 +111,7 @@ def pose(
     robot_poses: RobotPosesFile = None,
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
-    output_format: OutputFormat = Format.RINGPOSE,
-    frame_id: FrameId = None,
-    newest: Newest = False,
-    brief: Brief = False,
+    written: LineOptions,
     overlay: Overlay = None,
     report: Report = None,
     jobs: Jobs = 1,
@@ -142,7 +128,7 @@ def pose(
     from ringpose.types.rig import NO_ROBOT_POSES
 
     _check_source(inputs, camera, shots)
-    messages_of = line_messages(output_format, frame_id)
+    written.check()
     if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
         raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
     _check_method(method, assumed, robot_poses)
@@ -183,7 +169,7 @@ def pose(
             from ringpose.cli.overlays import PosePictures
 
             pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
-        write = _writer(record_writer(stack, newest), track, messages_of, brief, verbose, batch)
+        write = _writer(written.writer(stack), track, verbose, batch)
         _write(with_progress(stack.enter_context(lines), "shots", quiet), write, pictures, batch, verbose)
     batch.finish()
 
@@ -271,26 +257,18 @@ def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackS
 
 
 def _writer(
-    write: "Callable[[Mapping[str, Any]], None]",
-    track: bool,
-    messages_of: "Callable[[PoseLine | TrackLine], Mapping[str, Any]] | None",
-    brief: bool,
-    verbose: bool,
-    batch: Batch,
+    write: "Callable[[PoseLine | TrackLine], None]", track: bool, verbose: bool, batch: Batch
 ) -> "Callable[[Measured], None]":
-    """A function that writes the record of a pose line, or of the track after it."""
-    from ringpose.files.records.poses import pose_record
-
-    record: Callable[[PoseLine], Mapping[str, Any]] = messages_of or partial(pose_record, brief=brief)
+    """A function that writes a pose line, or the line of the track after it."""
 
     def pose_written(measured: "Measured") -> None:
-        write(record(measured.line))
+        write(measured.line)
         if measured.line.pose is None:
             batch.record_status(NO_POSE)
 
     if not track:
         return pose_written
-    track_written = track_writer(write, messages_of, brief, verbose, batch)
+    track_written = track_writer(write, verbose, batch)
 
     def track_of_pose_written(measured: "Measured") -> None:
         if measured.problem is not None:

@@ -9,20 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import OUTPUT, Quiet, Verbose, app, file_option, number_option, with_option_groups
+from ringpose.cli.app import Quiet, Verbose, app, file_option, number_option, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
-    Format,
-    FrameId,
-    Newest,
-    OutputFormat,
+    LineOptions,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
-    line_messages,
-    record_writer,
     track_writer,
 )
 from ringpose.errors import DataError, NoInputError
@@ -60,12 +55,7 @@ def track(
     robot_poses: RobotPosesFile = None,
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
-    output_format: OutputFormat = Format.RINGPOSE,
-    frame_id: FrameId = None,
-    newest: Newest = False,
-    brief: Annotated[
-        bool, typer.Option("--brief", help="Write lines without attempts and evidence.", rich_help_panel=OUTPUT)
-    ] = False,
+    written: LineOptions,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -75,14 +65,14 @@ def track(
     from ringpose.files.rigs import read_rig
     from ringpose.track.pipeline import Tracker
 
-    messages_of = line_messages(output_format, frame_id)
+    written.check()
     assumed = Assumed(max_speed=max_speed, max_rate=max_rate).options
     motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
     tracker = Tracker(read_rig(rig) if rig is not None else None, settings.options(assumed), motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with batch, ExitStack() as stack:
-        write = track_writer(record_writer(stack, newest), messages_of, brief, verbose, batch)
+        write = track_writer(written.writer(stack), verbose, batch)
         for line in _lines(items, tracker, batch, quiet) if rate is None else _at_rate(items, tracker, batch, rate):
             write(line)
     batch.finish()

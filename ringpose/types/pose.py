@@ -5,7 +5,7 @@ planes.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntFlag, StrEnum
 from math import atan2, hypot, inf, nan
 from typing import Annotated, Any, Literal
@@ -39,6 +39,11 @@ class NoPose(Enum):
         "the robot's poses do not cover the shot, or have gaps: give them from before its first to after its last frame"
     )
     NOT_FINITE = "the solution misses the break points that it came from, as when the ring lies along a light plane"
+
+
+def names_of(flags: "PoseFlag") -> tuple[str, ...]:
+    """Names of flags, in lower case."""
+    return tuple(str(flag.name).lower() for flag in PoseFlag if flag in flags)
 
 
 class PoseFlag(IntFlag):
@@ -599,9 +604,14 @@ class PoseLine:
         return status_of(self.pose, self.flags)
 
     @property
+    def without_times(self) -> "PoseLine":
+        """The line without durations, which differ from run to run."""
+        return replace(self, latency_s=nan, stage_s={})
+
+    @property
     def flag_names(self) -> tuple[str, ...]:
         """Names of the flags, in lower case."""
-        return tuple(str(flag.name).lower() for flag in PoseFlag if flag in self.flags)
+        return names_of(self.flags)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

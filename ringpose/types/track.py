@@ -1,7 +1,7 @@
 """The record of a track: where the ring is and how it moves, from a stream of pose records."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import nan
 from typing import Annotated, Any, Literal
@@ -211,6 +211,11 @@ class TrackLine:
         if not attempts and (shot or fusion_status is not FusionStatus.NONE):
             attempts = (newest,)
         return cls(attempts=attempts, **keys)
+
+    @property
+    def without_times(self) -> "TrackLine":
+        """The line without the time that it took, which differs from run to run."""
+        return replace(self, latency_s=nan)
 
     @property
     def attempt(self) -> Attempt:

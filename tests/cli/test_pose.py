@@ -216,3 +216,23 @@ def test_a_place_of_the_grasp_point_outside_the_image_is_refused(pose, place):
     assert (status, out) == (2, [])
     assert message.startswith("ringpose: --grasp-near:")
     assert "such as" in message
+
+
+def test_a_terminal_gets_a_table_unless_records_are_asked_for(run, rig, detections, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    words = ["pose", detections, "--rig", rig, "--still"]
+
+    table = run(*words).out
+
+    assert [row.split()[0] for row in table[2:] if not row.startswith(" ")] == ["a", "b", "c"]
+    assert [json.loads(line)["shot"] for line in run(*words, "--json").out] == ["a", "b", "c"]
+    assert run(*words, "--brief").out[0].startswith("{")
+
+
+@pytest.mark.parametrize("track", [[], ["--track"]])
+def test_without_times_the_same_input_gives_the_same_output(run, rig, detections, track):
+    words = ["pose", detections, "--rig", rig, "--no-times", *track]
+    once = run(*words).out
+
+    assert run(*words).out == once
+    assert json.loads(once[0])["latency_s"] is None

@@ -1,5 +1,6 @@
 """Options of a track (`ringpose track`, `ringpose pose --track`), and of the format in which lines are written."""
 
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -43,21 +44,72 @@ RobotPosesFile = Annotated[
         rich_help_panel=ROBOT,
     ),
 ]
-OutputFormat = Annotated[
-    Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.", rich_help_panel=OUTPUT)
-]
-FrameId = Annotated[
-    str | None,
-    typer.Option(
-        "--frame-id",
-        metavar="NAME",
-        help="Of --format ros: name of the frame, for camera, tool or base.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-Newest = Annotated[
-    bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.", rich_help_panel=OUTPUT)
-]
+
+
+@dataclass(frozen=True, slots=True)
+class LineOptions:
+    """How pose lines and lines of tracks are written to stdout."""
+
+    PURPOSE: ClassVar = OUTPUT
+
+    output_format: Annotated[Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.")] = (
+        Format.RINGPOSE
+    )
+    frame_id: Annotated[
+        str | None,
+        typer.Option(
+            "--frame-id", metavar="NAME", help="Of --format ros: name of the frame, for camera, tool or base."
+        ),
+    ] = None
+    json: Annotated[
+        bool, typer.Option("--json", help="Write records on a terminal, too, instead of a table for people.")
+    ] = False
+    newest: Annotated[bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.")] = (
+        False
+    )
+    brief: Annotated[
+        bool, typer.Option("--brief", help="Write lines without what only filters and experts use, which is long.")
+    ] = False
+    no_times: Annotated[
+        bool, typer.Option("--no-times", help="Write no durations: the same input gives the same output, byte by byte.")
+    ] = False
+
+    def check(self) -> None:
+        """Reject a name of a frame that is empty or of no use."""
+        if self.frame_id is not None and self.output_format is not Format.ROS:
+            raise UsageError("--frame-id", "is of no use without --format ros", "leave it out, or add the format")
+        if self.frame_id is not None and not self.frame_id.strip():
+            raise UsageError("--frame-id", "is empty", "name the frame as in the TF tree, as camera_optical_frame")
+
+    def writer(self, stack: ExitStack) -> "Callable[[PoseLine | TrackLine], None]":
+        """A function that writes lines; with `newest` a slow reader gets the newest one, by a thread of the stack.
+
+        A terminal gets a table unless something is said about the records.
+        """
+        from ringpose.files import records
+        from ringpose.files.records.newest import NewestWriter
+
+        if self == LineOptions(no_times=self.no_times) and sys.stdout is not None and sys.stdout.isatty():
+            from ringpose.report.pose_table import PoseTable
+
+            table = PoseTable()
+            return lambda line: records.write_text(table.text(line))
+        write, record = stack.enter_context(NewestWriter()).write if self.newest else records.write, self._record()
+        return lambda line: write(record(line.without_times if self.no_times else line))
+
+    def _record(self) -> "Callable[[PoseLine | TrackLine], Mapping[str, Any]]":
+        """A function that makes the record of a line, or messages of ROS 2."""
+        if self.output_format is Format.ROS:
+            from ringpose.files.records.ros import ros_messages
+
+            return partial(ros_messages, frame_id=self.frame_id)
+        from ringpose.files.records.poses import pose_record
+        from ringpose.files.records.tracks import track_record
+        from ringpose.types.pose import PoseLine
+
+        return lambda line: (
+            pose_record(line, self.brief) if isinstance(line, PoseLine) else track_record(line, self.brief)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,44 +202,11 @@ def camera_motion(
     return CameraMotion(poses=whole_motion(reported, robot_poses), mount=mount)
 
 
-def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:
-    """A function that writes records to stdout; with `newest` a slow reader gets the newest one.
-
-    Its thread ends with the stack.
-    """
-    from ringpose.files import records
-    from ringpose.files.records.newest import NewestWriter
-
-    return stack.enter_context(NewestWriter()).write if newest else records.write
-
-
-def line_messages(
-    output_format: Format, frame_id: str | None
-) -> "Callable[[PoseLine | TrackLine], Mapping[str, Any]] | None":
-    """A function that makes messages of ROS 2 of a line; None if records are asked for."""
-    if output_format is not Format.ROS:
-        if frame_id is not None:
-            raise UsageError("--frame-id", "is of no use without --format ros", "leave it out, or add the format")
-        return None
-    if frame_id is not None and not frame_id.strip():
-        raise UsageError("--frame-id", "is empty", "name the frame as in the TF tree, as camera_optical_frame")
-    from ringpose.files.records.ros import ros_messages
-
-    return partial(ros_messages, frame_id=frame_id)
-
-
-def track_writer(
-    write: Callable[[Mapping[str, Any]], None],
-    messages_of: "Callable[[PoseLine | TrackLine], Mapping[str, Any]] | None",
-    brief: bool,
-    verbose: bool,
-    batch: Batch,
-) -> "Callable[[TrackLine], None]":
+def track_writer(write: "Callable[[TrackLine], None]", verbose: bool, batch: Batch) -> "Callable[[TrackLine], None]":
     """A function that writes lines of a track, and with `verbose` reports what became of each measurement."""
-    from ringpose.files.records.tracks import track_record
 
     def written(line: "TrackLine") -> None:
-        write(track_record(line, brief) if messages_of is None else messages_of(line))
+        write(line)
         if line.pose is None:
             batch.record_status(NO_POSE)
         for attempt in line.attempts if verbose else ():
