@@ -68,6 +68,9 @@ CAMERA_LIMITS: Mapping[str, Limit] = {
     "radial_stretch_sd": Limit(0.2, inf,  # k3 of lenses of this model changes the stretch in the corners by up to 0.2
         "k3 is held at 0, because the views determine it to +- {k3_sd:.2g} only: bring the board to the image's "
         "rims and corners"),
+    "folded_share": Limit(0.0, inf,  # of the way from the farthest corner of the image to the principal point
+        "k3 is held at 0, because the k3 of these views folds the image beyond pixel ({x:.0f}, {y:.0f}): bring the "
+        "board to the image's rims and corners"),
     # The following are unknown if there are too few views, which another check reports.
     "view_disagreement": Limit(2.5, 15.0,
         "the views disagree by more than their noise (the standard deviations contain it): check that the board is "

@@ -1,6 +1,7 @@
 """Camera calibration: intrinsic parameters and their covariance from views of a board, with outlier rejection."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,12 @@ from ringpose.calibrate.camera import bundle_adjustment, outliers
 from ringpose.calibrate.camera.assessment import DISTANCES_M, camera_assessment
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameter_names
 from ringpose.calibrate.camera.validation import radial_stretch_sd
+from ringpose.errors import DataError
 from ringpose.geometry.least_squares import covariance_of_free
+from ringpose.geometry.rays import fold_px
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView, BoardViews
-from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, Grade
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, Check, Grade
 from ringpose.types.rig import Camera, ParameterCovariance
 
 MAX_FOCAL_SHARE = 0.1
@@ -33,21 +36,48 @@ def assessed_camera(
 ) -> CameraAssessment:
     """The camera of views of a board, with its covariance as the agreement of the views justifies it.
 
-    If the views do not determine k3, it is held at zero, and a check of the assessment states so.
+    k3 is held at zero, and a check of the assessment states so, if the views do not determine it: if its standard
+    deviation by the corners' noise, or by the disagreement of the views, leaves the image's corners unknown, or if the
+    lens would fold the image. Where the lens without k3 folds the image, a free k3 is the only usable one.
     """
 
-    def assessed(model: CameraModel) -> CameraAssessment:
-        calibration = calibrate_camera(boards.views, boards.image_width, boards.image_height, model, camera_name)
+    def calibrated(model: CameraModel) -> CameraCalibration:
+        return calibrate_camera(boards.views, boards.image_width, boards.image_height, model, camera_name)
+
+    def assessed(calibration: CameraCalibration, model: CameraModel) -> CameraAssessment:
         return camera_assessment(calibration, model, distances_m, compare)
 
-    free = assessed(model)
-    camera = free.calibration.camera
-    k3_sd = free.calibration.standard_deviations["k3"]
-    finding = check(CAMERA_LIMITS, "radial_stretch_sd", radial_stretch_sd(camera), k3_sd=k3_sd)
-    if model.fix_k3 or finding.grade is Grade.GOOD:
-        return free
-    held = assessed(replace(model, fix_k3=True))
-    return replace(held, board=(*held.board, finding))
+    if model.fix_k3:
+        return assessed(calibrated(model), model)
+    fixed = replace(model, fix_k3=True)
+    try:
+        free = calibrated(model)
+    except DataError:
+        return assessed(calibrated(fixed), fixed)
+    undetermined = undetermined_k3(free.camera)
+    whole = None if undetermined else assessed(free, model)
+    if whole is not None and not (undetermined := undetermined_k3(whole.calibration.camera)):
+        return whole
+    with suppress(DataError):
+        held = calibrated(fixed)
+        if fold_px(held.camera) is None or fold_px(free.camera) is not None:
+            found = assessed(held, fixed)
+            return replace(found, board=(*found.board, *undetermined))
+    return whole or assessed(free, model)
+
+
+def undetermined_k3(camera: Camera) -> tuple[Check, ...]:
+    """The checks by which a camera's k3 is not determined: its standard deviation, and an image that it folds."""
+    assert camera.covariance is not None
+    k3_sd = camera.covariance.standard_deviations["k3"]
+    checks = [check(CAMERA_LIMITS, "radial_stretch_sd", radial_stretch_sd(camera), k3_sd=k3_sd)]
+    if (at_px := fold_px(camera)) is not None:
+        principal = camera.camera_matrix[:2, 2]
+        last = np.array([camera.image_width - 1.0, camera.image_height - 1.0])
+        corner_px = float(np.linalg.norm(np.maximum(principal, last - principal)))
+        inside = 1.0 - float(np.linalg.norm(at_px - principal)) / corner_px
+        checks.append(check(CAMERA_LIMITS, "folded_share", inside, x=at_px[0], y=at_px[1]))
+    return tuple(each for each in checks if each.grade is not Grade.GOOD)
 
 
 def calibrate_camera(

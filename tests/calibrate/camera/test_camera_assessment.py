@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import pytest
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view, chessboard_views, true_poses
+from ring_scenes import make_camera
 
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import camera_solution, corners_of
-from ringpose.calibrate.camera.parameters import PLUMB_BOB
+from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel
 from ringpose.calibrate.camera.pipeline import assessed_camera, calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict, projection_sigma_m
 from ringpose.calibrate.camera.validation import (
@@ -20,8 +21,10 @@ from ringpose.calibrate.camera.validation import (
     cameras_without_one,
     displacement_px,
     projection_sigma_px,
+    radial_stretch_sd,
 )
 from ringpose.geometry.board import corner_points
+from ringpose.geometry.rays import fold_px
 from ringpose.types.board import BoardView, BoardViews
 from ringpose.types.calibration import Grade, Verdict
 
@@ -277,14 +280,14 @@ def within(radius_px: float, boards: list[BoardView]) -> BoardViews:
 
 def test_a_k3_that_the_views_do_not_determine_is_held_at_zero_and_reported(views):
     boards = within(250.0, views(12))
-    free = camera_assessment(calibrate_camera(boards.views, 1600, 1200), PLUMB_BOB)
+    free = calibrate_camera(boards.views, 1600, 1200)
 
     found = assessed_camera(boards)
 
     advice = camera_verdict(found, 12).advice
-    sd = free.calibration.standard_deviations["k3"]
+    sd = free.standard_deviations["k3"]
     assert found.calibration.standard_deviations["k3"] == 0
-    assert found.known_sigma_px.max() < free.known_sigma_px.max() / 10
+    assert found.known_sigma_px.max() < projection_sigma_px(free.camera, free.covariance.data).max() / 10
     assert f"k3 is held at 0, because the views determine it to +- {sd:.2g} only" in " ".join(advice)
 
 
@@ -293,3 +296,37 @@ def test_a_k3_that_the_views_determine_is_estimated(views):
 
     assert found.calibration.standard_deviations["k3"] > 0
     assert "held" not in " ".join(camera_verdict(found, 12).advice)
+
+
+def lens_views(rng, distortion: tuple[float, ...], noise_px: float, radius_px: float) -> BoardViews:
+    """Corners near the middle of the images of a wide lens, whose farthest corners see 45 degrees beside the axis."""
+    camera = make_camera((1600, 1200), (1000.0, 1000.0), (803.7, 596.2), distortion)
+    poses = true_poses(rng, 12)
+    noises_px = noise_px * rng.standard_normal((len(poses), len(POINTS), 2))
+    boards = [board_view(POINTS, pose, f"v{i}", noises_px[i], camera) for i, pose in enumerate(poses)]
+    return within(radius_px, boards)
+
+
+def test_a_k3_that_folds_the_image_is_held_at_zero_and_reported(rng):
+    boards = lens_views(rng, (-0.3, 0.2, 0.0, 0.0, -0.4), 0.02, 550.0)
+    at_px = fold_px(calibrate_camera(boards.views, 1600, 1200).camera)
+
+    found = assessed_camera(boards)
+
+    assert at_px is not None
+    assert fold_px(found.calibration.camera) is None
+    assert found.calibration.standard_deviations["k3"] == 0
+    advice = " ".join(camera_verdict(found, 12).advice)
+    assert f"the k3 of these views folds the image beyond pixel ({at_px[0]:.0f}, {at_px[1]:.0f})" in advice
+
+
+def test_a_k3_is_estimated_however_uncertain_where_the_image_folds_without_it(rng):
+    boards = lens_views(rng, (-0.5, 0.0, 0.0, 0.0, 0.3), 0.05, 400.0)
+    without = calibrate_camera(boards.views, 1600, 1200, CameraModel(fix_k3=True))
+
+    found = assessed_camera(boards)
+
+    assert fold_px(without.camera) is not None
+    assert fold_px(found.calibration.camera) is None
+    assert radial_stretch_sd(found.calibration.camera) > 0.2
+    assert "projection_sigma_worst_px" in [check.name for check in camera_verdict(found, 12).poor]

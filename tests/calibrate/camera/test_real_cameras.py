@@ -12,9 +12,10 @@ from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
-from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.calibrate.camera.pipeline import assessed_camera, calibrate_camera
 from ringpose.calibrate.camera.quality import camera_summary, camera_verdict
-from ringpose.types.board import Board, BoardView
+from ringpose.geometry.rays import fold_px
+from ringpose.types.board import Board, BoardView, BoardViews
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, Grade
 
 K2 = CameraModel(fix_k3=True)
@@ -51,6 +52,18 @@ def test_own_corners_fit_opencvs_samples_better_than_the_reference(names, refere
     assert len(calibration.used) == 13
     assert calibration.rms_px < 0.2  # reference: 0.235; of the left ones 0.234 with one view less
     assert parameters_of(calibration.camera)[:2] == pytest.approx(reference, abs=tolerance_px)
+
+
+def test_four_views_whose_k3_folds_the_image_give_a_camera_with_k3_held(shared_data):
+    paths = [shared_data / "real" / "opencv_samples_stereo" / f"left0{number}.jpg" for number in (1, 2, 3, 4)]
+    views = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), SAMPLES, path.stem) for path in paths]
+
+    found = assessed_camera(BoardViews(views=views, image_width=640, image_height=480))
+
+    assert fold_px(found.calibration.camera) is None
+    assert found.calibration.standard_deviations["k3"] == 0
+    assert deviations_from(found.calibration, [534.13, 534.19, 342.84, 233.72]).max() < 5  # of all views but one
+    assert "folded_share" in [check.name for check in camera_verdict(found, 4).poor]
 
 
 @pytest.mark.slow
