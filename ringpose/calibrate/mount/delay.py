@@ -76,7 +76,7 @@ def _moves(solution: MountSolution, stations: Sequence[Station]) -> bool:
     span_s = np.array([2.0 * one.sighting.motion.span_s if one.sighting is not None else 0.0 for one in stations])
     shift = np.array([one.twist for one in stations]) * span_s[:, None] / np.sqrt(solution.sigmas.variances)
     by_chance = 2.0 * (1.0 + _SIGMAS * np.sqrt(2.0 / shift.size))
-    return float(np.mean(shift**2)) > by_chance
+    return bool(np.mean(shift**2) > by_chance)
 
 
 def delayed_covariance(solution: MountSolution, stations: Sequence[Station], sd_s: float) -> Float64[Array, "12 12"]:

@@ -64,8 +64,8 @@ class MountCalibration:
     solution: MountSolution
     covariance: Float64[Array, "common common"]
     """Of mount and board (rotation vector, translation, each in its frame), and of the delay if the robot moved."""
-    systematic: SystematicError | None
-    """The part of the robot's error that depends on its pose; None if the views show none."""
+    systematic: SystematicError
+    """The part of the robot's error that depends on its pose, and how probable it is."""
     disagreement: tuple[float, float]
     """Factors by which the views disagree more about rotation and translation than their likelihood explains."""
     without: LeftOut
@@ -87,10 +87,9 @@ class MountCalibration:
     @property
     def robot_error(self) -> RobotSigmas:
         """Standard deviations of a pose of the robot, widened by the uncertainty of their estimate."""
-        if self.systematic is not None:
-            return self.systematic.robot
-        widening = sqrt(student_factor(len(self.stations)))
-        return RobotSigmas(*(widening * each for each in self.solution.sigmas))
+        share, widening = self.systematic.probability, student_factor(len(self.stations))
+        pairs = zip(self.solution.sigmas, self.systematic.robot, strict=True)
+        return RobotSigmas(*(sqrt((1 - share) * widening * one**2 + share * other**2) for one, other in pairs))
 
     @property
     def mount(self) -> Mount:
@@ -213,7 +212,7 @@ def calibrate_mount(
     _check_fit(solution)
     without = left_out(solution, chosen)
     fixed = None if refine_camera or camera.covariance is None else camera.covariance.data
-    systematic = systematic_error(solution, chosen) if len(chosen) >= MIN_FREE_VIEWS else None
+    systematic = systematic_error(solution, chosen)
     covariance, factors = validated_covariance(solution, without, fixed, systematic)
     if delay is not None:
         covariance = covariance + delayed_covariance(solution, chosen, delay.sd_s)

@@ -23,6 +23,7 @@ from ringpose.calibrate.mount.adjustment import (
     TRANSLATION_BOUNDS_M,
 )
 from ringpose.calibrate.mount.pipeline import MountCalibration
+from ringpose.calibrate.mount.systematic import SystematicError
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import Verdict
@@ -36,6 +37,10 @@ MAX_SCALE_SD = 0.2
 """Standard deviation of the board's scale from which the views do not determine it. Views turned about the board's
 middle at one distance leave it open, and the estimate, which is linear in it, is arbitrary. With half of this a board
 that is wrong by a half would not be named with a poor robot; doubled, chance may name one."""
+
+
+SHOWN = 0.95
+"""Probability from which an error that depends on the robot's pose counts as shown, or as excluded."""
 
 
 def held_out_rms_m(calibration: MountCalibration) -> float:
@@ -129,7 +134,8 @@ def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[st
         robot["prior"] = {
             "rotation_rad": PRIOR_ROTATION_RAD, "translation_m": PRIOR_TRANSLATION_M, "factor": PRIOR_FACTOR
         }  # fmt: skip
-    if calibration.systematic is not None:
+    robot["systematic_probability"] = calibration.systematic.probability
+    if calibration.systematic.probability > SHOWN:
         parts = {"repeatability": calibration.systematic.repeatability, "systematic": calibration.systematic.systematic}
         robot |= {
             name: {"rotation_sd_rad": part.rotation_rad, "translation_sd_m": part.translation_m}
@@ -184,13 +190,7 @@ def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
         f"error of the robot's poses: {1e3 * sigmas.translation_m:.3f} mm, {degrees(sigmas.rotation_rad):.3f} degrees "
         f"each axis{prior}"
     )
-    if calibration.systematic is not None:
-        part, rest = calibration.systematic.systematic, calibration.systematic.repeatability
-        lines.append(
-            f"  it depends on the robot's pose: {1e3 * part.translation_m:.3f} mm, {degrees(part.rotation_rad):.3f} "
-            f"degrees, beside a repeatability of {1e3 * rest.translation_m:.3f} mm, {degrees(rest.rotation_rad):.3f} "
-            "degrees; the same in all views, it is part of the covariance"
-        )
+    lines += _systematic_lines(calibration.systematic)
     frame = "base" if calibration.eye_to_hand else "tool"
     mount, sd = solution.state.mount, np.sqrt(np.diag(calibration.covariance))
     place = ", ".join(
@@ -221,6 +221,23 @@ def _delay_line(calibration: MountCalibration) -> str:
         return f"the robot's stamps are those of the camera + {offset}; it moves by {motion}"
     why = "hardly moves" if calibration.open_delay is not None else "moves alike at all views, as with another mount"
     return f"the offset of the robot's stamps is not determined, {offset}: the robot {why} ({motion})"
+
+
+def _systematic_lines(found: SystematicError) -> list[str]:
+    """What the views show about an error that depends on the robot's pose; nothing if it is improbable."""
+    part, rest = found.systematic, found.repeatability
+    if found.probability > SHOWN:
+        return [
+            f"  it depends on the robot's pose: {1e3 * part.translation_m:.3f} mm, {degrees(part.rotation_rad):.3f} "
+            f"degrees, beside a repeatability of {1e3 * rest.translation_m:.3f} mm, {degrees(rest.rotation_rad):.3f} "
+            "degrees; what is the same in all views is part of the covariance"
+        ]
+    if found.probability > 1.0 - SHOWN:
+        return [
+            f"  the views do not show whether it depends on the robot's pose (probability {found.probability:.0%}): "
+            "the covariance contains so much of what is the same in all views then"
+        ]
+    return []
 
 
 class MountComparison(NamedTuple):

@@ -65,15 +65,15 @@ def validated_covariance(
     solution: MountSolution,
     without: LeftOut,
     camera_covariance: Float64[Array, "parameter parameter"] | None,
-    systematic: SystematicError | None,
+    systematic: SystematicError,
 ) -> tuple[Float64[Array, "common common"], tuple[float, float]]:
     """Covariance of X, Y, delay, and factors by which views disagree more about X than their likelihood explains.
 
     The factors, of rotation and translation, are those between the jackknife by views and its expectation, the
     difference of the covariances with and without a view. They widen the covariance where they are larger. The
-    uncertainty of the robot's standard deviations makes normal errors Student's. A systematic error of the robot, which
-    leaving out views does not show, replaces this where it gives more. The covariance of a camera that is held fixed is
-    propagated.
+    uncertainty of the robot's standard deviations makes normal errors Student's. This and the covariance with a
+    systematic error of the robot, which leaving out views does not show, are averaged by their probabilities. The
+    covariance of a camera that is held fixed is propagated.
     """
     views = len(solution.numbers.z)
     common = camera_from(solution.has_delay)
@@ -89,13 +89,8 @@ def validated_covariance(
         factors.append(jackknife / max(expected, 1e-12))
     widening = np.sqrt(np.repeat(np.maximum(factors[:2] * 2 + factors[2:], student_factor(views)), 3)[:common])
     total = covariance * np.outer(widening, widening)
-    if systematic is not None:
-        less = [
-            np.mean(np.diag(np.linalg.solve(systematic.covariance[block, block], total[block, block])))
-            for block in blocks
-        ]
-        widening = np.sqrt(np.repeat(np.maximum(less, 1.0), 3)[:common])
-        total = systematic.covariance * np.outer(widening, widening)
+    share = systematic.probability
+    total = (1.0 - share) * total + share * systematic.covariance[:common, :common]
     if camera_covariance is not None and len(solution.covariance) == common:
         weighted = solution.numbers.wrt_common.swapaxes(1, 2) @ solution.weights
         influence = covariance @ (weighted @ solution.numbers.wrt_camera).sum(axis=0)
