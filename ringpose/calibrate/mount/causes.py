@@ -45,7 +45,7 @@ def likely_cause(
     rotations = [pose.rotation for pose in given]
     before = _error_rad(given, boards, eye_to_hand)
     readings = [(given, not eye_to_hand, _other_direction(eye_to_hand))]
-    for other, words in _other_rotations(rotations, convention):
+    for other, words in other_rotations(rotations, convention):
         poses = [Transform(rotation, pose.translation_m) for rotation, pose in zip(other, given, strict=True)]
         readings.append((poses, eye_to_hand, words))
     errors = [_error_rad(poses, boards, to_hand) for poses, to_hand, _ in readings]
@@ -78,7 +78,7 @@ def _other_direction(eye_to_hand: bool) -> str:
     return f"the poses are those of the base in the tool, inverted; or {other}"
 
 
-def _other_rotations(
+def other_rotations(
     given: Sequence[Float64[Array, "3 3"]], convention: PoseConvention | None
 ) -> Iterator[tuple[list[Float64[Array, "3 3"]], str]]:
     """The rotations that the same numbers are in other conventions."""

@@ -4,7 +4,7 @@ The robot's stamp that belongs to the camera's stamp t is t + delay (ringpose-me
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -109,6 +109,10 @@ class ToolMotion:
             np.abs(missed * (2.0 * share - 1.0) / 3.0 * interval_s * change),
         )
 
+    def turned(self, rotations: Sequence[Float64[Array, "3 3"]]) -> "ToolMotion":
+        """With other rotations of the same poses."""
+        return ToolMotion(poses=replace(self.poses, rotation=np.array(rotations)), locations=self.locations)
+
     def why_not_at(self, stamp_s: float) -> str:
         """The reason why `at` returns None for this stamp of the robot."""
         span_s = self.span_s
@@ -133,38 +137,56 @@ def twist_between(first: Transform, second: Transform) -> Float64[Array, "6"]:
     return np.append(turn_rad, np.linalg.solve(left_jacobian(turn_rad), step.translation_m))
 
 
-def coarse_delay_s(
+class CoarseDelay(NamedTuple):
+    """The delay of those tried by which robot and camera have the same motions between views."""
+
+    delay_s: float
+    misfit_rad: float
+    """Median difference of the motions; infinite if the robot's poses cover too few views at all delays."""
+
+
+def coarse_delay(
     stamps_s: Sequence[float], boards: Sequence[Transform], motion: ToolMotion, eye_to_hand: bool
-) -> float:
-    """The delay by which robot and camera have the same motions between views; DataError if it is not an expected one.
+) -> CoarseDelay:
+    """The delay within the expected ones with the least misfit; one nearer to zero if it is nearly as good.
 
     Whatever the mount, a motion of the robot and that of the board in the camera have one angle and one shift along
-    their axis (screw congruence, Chen 1991); the delay is the one with the least median difference of both. It is
-    accurate to the motion within a hundredth of a second.
+    their axis (screw congruence, Chen 1991). The result is accurate to the motion within a hundredth of a second.
     """
-    chosen = np.unique(np.linspace(0, len(stamps_s) - 1, min(len(stamps_s), _MAX_VIEWS)).astype(int)).tolist()
-    stamps_s, boards = [stamps_s[index] for index in chosen], [boards[index] for index in chosen]
-    if not _are_clear(_screws(boards)[0]).any():
-        return 0.0  # too little is turned for a mount
     expected = np.arange(-MAX_DELAY_S, MAX_DELAY_S + _STEP_S / 2, _STEP_S)
-    misfit = np.array([_misfit(delay_s, stamps_s, boards, motion, eye_to_hand) for delay_s in expected.tolist()])
-    best = float(misfit.min())
+    misfit = _misfits(expected, stamps_s, boards, motion, eye_to_hand)
+    as_good = expected[misfit <= _AS_GOOD * misfit.min()]
+    return CoarseDelay(float(as_good[int(np.argmin(np.abs(as_good)))]), float(misfit.min()))
+
+
+def check_clocks(
+    coarse: CoarseDelay, stamps_s: Sequence[float], boards: Sequence[Transform], motion: ToolMotion, eye_to_hand: bool
+) -> None:
+    """Raise DataError if the delay is not an expected one."""
+    if not _are_clear(_screws(boards)[0]).any():
+        return  # too little is turned for a mount, and for a delay
     far = np.arange(MAX_DELAY_S + _STEP_S, _FAR_S, _FAR_STEP_S)
     beyond = np.concatenate([-far, far])
-    far_misfit = np.array([_misfit(delay_s, stamps_s, boards, motion, eye_to_hand) for delay_s in beyond.tolist()])
-    usual = np.median(far_misfit[np.isfinite(far_misfit)]) if np.isfinite(far_misfit).any() else np.inf
-    if far_misfit.min() < min(best, usual) / _CLEARLY_BETTER:
-        delay_s = float(beyond[int(np.argmin(far_misfit))])
+    misfit = _misfits(beyond, stamps_s, boards, motion, eye_to_hand)
+    usual = np.median(misfit[np.isfinite(misfit)]) if np.isfinite(misfit).any() else np.inf
+    if misfit.min() < min(coarse.misfit_rad, usual) / _CLEARLY_BETTER:
         finding = (
-            f"the robot's poses fit the views when the robot's stamps are those of the camera {delay_s:+.1f} s, and "
-            f"offsets up to {MAX_DELAY_S:g} s are estimated"
+            "the robot's poses fit the views when the robot's stamps are those of the camera "
+            f"{beyond[int(np.argmin(misfit))]:+.1f} s, and offsets up to {MAX_DELAY_S:g} s are estimated"
         )
         remedy = "likely the clocks are not synchronised: use NTP, or correct the robot's stamps by this"
         raise DataError("calibrate-mount", finding, remedy)
-    if not np.isfinite(best):
+    if not np.isfinite(coarse.misfit_rad):
         raise DataError("calibrate-mount", *_why_apart(stamps_s, motion))
-    as_good = expected[misfit <= _AS_GOOD * best]
-    return float(as_good[int(np.argmin(np.abs(as_good)))])
+
+
+def _misfits(
+    delays_s: Float64[Array, "delay"], stamps_s: Sequence[float], boards: Sequence[Transform], motion: ToolMotion,
+    eye_to_hand: bool,
+) -> Float64[Array, "delay"]:  # fmt: skip
+    chosen = np.unique(np.linspace(0, len(stamps_s) - 1, min(len(stamps_s), _MAX_VIEWS)).astype(int)).tolist()
+    stamps_s, boards = [stamps_s[index] for index in chosen], [boards[index] for index in chosen]
+    return np.array([_misfit(delay_s, stamps_s, boards, motion, eye_to_hand) for delay_s in delays_s.tolist()])
 
 
 def _misfit(

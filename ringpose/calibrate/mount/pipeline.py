@@ -19,10 +19,10 @@ from ringpose.calibrate.mount.adjustment import (
     Station,
     adjusted_mount,
 )
-from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, rotation_error_rad
+from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, other_rotations, rotation_error_rad
 from ringpose.calibrate.mount.closed_form import moving_from_fixed
 from ringpose.calibrate.mount.delay import OpenDelay, delayed_covariance, open_delay
-from ringpose.calibrate.mount.moving import DELAY_PRIOR_S, ToolMotion, coarse_delay_s
+from ringpose.calibrate.mount.moving import DELAY_PRIOR_S, ToolMotion, check_clocks, coarse_delay
 from ringpose.calibrate.mount.systematic import SystematicError, systematic_error
 from ringpose.calibrate.mount.validation import (
     MIN_VIEWS,
@@ -147,10 +147,24 @@ def moving_stations(
     motion: ToolMotion,
     *,
     eye_to_hand: bool,
+    convention: PoseConvention | None = None,
 ) -> tuple[list[Station], list[DataError]]:
-    """The views with the pose of a moving robot at the delay that fits best, and why others have none."""
+    """The views with the pose of a moving robot at the delay that fits best, and why others have none.
+
+    If its poses fit in another convention only, the delay is that of this reading, so that the cause can be named.
+    """
+    if len(views) < MIN_VIEWS:
+        _check_turns(closed_form.Turns(np.zeros((0, 3)), np.zeros((0, 3))), len(views), eye_to_hand)
     boards = [_transform(board_pose(view, camera)) for view in views]
-    delay_s = coarse_delay_s(stamps_s, boards, motion, eye_to_hand)
+    coarse = coarse_delay(stamps_s, boards, motion, eye_to_hand)
+    if CONTRADICTION_RAD < coarse.misfit_rad < np.inf:
+        readings = [
+            coarse_delay(stamps_s, boards, motion.turned(rotations), eye_to_hand)
+            for rotations, _ in other_rotations(list(motion.poses.rotation), convention)
+        ]
+        coarse = min([coarse, *readings], key=lambda one: one.misfit_rad)
+    check_clocks(coarse, stamps_s, boards, motion, eye_to_hand)
+    delay_s = coarse.delay_s
     stations, problems = [], []
     for view, stamp_s, exposure_s in zip(views, stamps_s, exposures_s, strict=True):
         instant = motion.at(stamp_s + delay_s)

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ringpose.calibrate.mount.adjustment import Station
+    from ringpose.calibrate.mount.moving import ToolMotion
     from ringpose.calibrate.mount.pipeline import MountCalibration
     from ringpose.types.board import BoardView
     from ringpose.types.image import Shot
-    from ringpose.types.rig import Camera, Mount
+    from ringpose.types.rig import Mount
     from ringpose.types.robot import ReportedPoses
 
 CameraFile = Annotated[
@@ -98,7 +99,13 @@ def calibrate_mount(
         views = [view for view in boards.views if view.name in times_s]
         times = [times_s[view.name] for view in views]
         if moving:
-            stations, problems = _moving_stations(views, read_cam, times, poses, robot_poses, eye_to_hand)
+            from ringpose.calibrate.mount.pipeline import moving_stations
+
+            stamps_s, exposures_s = [middle_s for middle_s, _ in times], [exposure_s for _, exposure_s in times]
+            stations, problems = moving_stations(
+                views, read_cam, stamps_s, exposures_s, _motion(poses, robot_poses), eye_to_hand=eye_to_hand,
+                convention=convention,
+            )  # fmt: skip
         else:
             stations, problems = _resting_stations(views, times, poses, robot_poses)
         for problem in problems:
@@ -134,32 +141,25 @@ def _resting_stations(
 ) -> "tuple[list[Station], list[DataError]]":
     """The views with the poses of a robot that rests at each of them; a warning if it does not."""
     from ringpose.calibrate.mount.matching import matched_poses, motion_finding
-    from ringpose.calibrate.mount.moving import ToolMotion
     from ringpose.calibrate.mount.pipeline import stations_of
-    from ringpose.files.robot_tables import whole_motion
 
     stamps_s = [middle_s for middle_s, _ in times]
     matched = matched_poses([view.name for view in views], stamps_s, poses.poses, location)
     if len(poses.poses) > 1 and all(pose.stamp_s is not None and not pose.name for pose in poses.poses):
-        finding = motion_finding(stamps_s, ToolMotion(poses=whole_motion(poses, location)))
+        finding = motion_finding(stamps_s, _motion(poses, location))
         if finding:
             messages.echo(f"{location}: warning: {finding}; give --moving")
     return stations_of(views, matched), [each for each in matched if isinstance(each, DataError)]
 
 
-def _moving_stations(
-    views: "Sequence[BoardView]", camera: "Camera", times: "Sequence[tuple[float, float]]", poses: "ReportedPoses",
-    location: str, eye_to_hand: bool,
-) -> "tuple[list[Station], list[DataError]]":  # fmt: skip
-    """The views with the poses of a robot that moves."""
+def _motion(poses: "ReportedPoses", location: str) -> "ToolMotion":
+    """The motion of the tool by its poses, which name their lines."""
     from ringpose.calibrate.mount.moving import ToolMotion
-    from ringpose.calibrate.mount.pipeline import moving_stations
     from ringpose.files.robot_tables import whole_motion
 
+    motion = whole_motion(poses, location)
     in_time = sorted(poses.poses, key=lambda pose: pose.stamp_s or 0.0)
-    motion = ToolMotion(poses=whole_motion(poses, location), locations=tuple(pose.location for pose in in_time))
-    stamps_s, exposures_s = [middle_s for middle_s, _ in times], [exposure_s for _, exposure_s in times]
-    return moving_stations(views, camera, stamps_s, exposures_s, motion, eye_to_hand=eye_to_hand)
+    return ToolMotion(poses=motion, locations=tuple(pose.location for pose in in_time))
 
 
 def _given_mount(check: Path, output: Path | None, eye_to_hand: bool) -> "Mount":

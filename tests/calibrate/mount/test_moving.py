@@ -130,6 +130,24 @@ def test_clocks_that_are_too_far_apart_are_refused_with_the_likely_cause(clock, 
         stations_of(seen._replace(robot_s=clock(seen.robot_s)))
 
 
+def as_wxyz(pose):
+    quaternion = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
+    return matrix(Rotation.from_quat(quaternion).as_rotvec(), pose[:3, 3])
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [(as_wxyz, "the quaternions are wxyz"), (np.linalg.inv, "inverted")],
+    ids=["quaternion", "inverted"],
+)
+def test_poses_read_by_another_convention_are_refused_with_the_likely_cause(change, cause, rng):
+    seen = seen_by_a_moving_robot(rng, rate_hz=50.0, delay_s=0.3, views=8)
+    seen = seen._replace(poses=np.array([change(pose) for pose in seen.poses]))
+
+    with pytest.raises(DataError, match=cause):
+        calibrated(seen)
+
+
 def test_views_without_poses_of_the_robot_around_them_are_named(rng):
     seen = seen_by_a_moving_robot(rng, rate_hz=50.0)
     late = seen.robot_s > seen.stamps_s[2]
