@@ -271,7 +271,7 @@ def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
     """Why a grid of circles is not found: it is mirrored or another one, or circles are missing (OpenCV's blobs)."""
     columns, rows = board.squares_x or 0, board.squares_y or 0
     images = [brightened(image) for image in (grey, negative(grey))]
-    blobs = max((blob_detector(grey, columns * rows).detect(image) for image in images), key=len)
+    blobs = max((blob_detector(image, columns * rows, without_small=True).detect(image) for image in images), key=len)
     circles_px = np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
     if len(circles_px) >= columns * rows:
         if _circles_of(np.ascontiguousarray(grey[:, ::-1]), board) is not None:

@@ -53,6 +53,11 @@ NEAR_PLACE = 0.3
 """Distance of a circle from the place that its neighbours predict, in spacings: distortion displaces it by less than
 0.1; doubled, wrongly ordered circles would pass, and what is printed beside the grid be part of it."""
 
+MIN_SIZE_RATIO = 0.5
+"""Smallest ratio of a circle's diameter to the typical one: 0.56 at the far side of a board that is tilted by 60 degrees
+and fills an image 54 degrees wide. At half of it, the zeros of a ruler beside a grid of 16 mm would pass; doubled, no
+tilted board."""
+
 _ROUNDS = 2
 
 _SHARES = (-0.5, 1.5)
@@ -76,9 +81,10 @@ def circle_centers(
     """
     grid_m = points_m[:, :2].reshape(rows, columns, 2)
     for image in (grey, negative(grey)):
-        ellipses_px = opencv_ellipse_centers(image, columns, rows, is_asymmetric)
-        if ellipses_px is not None and _is_whole_grid(image, ellipses_px, grid_m):
-            return _projected_centers(image, ellipses_px, points_m[:, :2])
+        for without_small in (False, True):  # what is printed beside the circles seldom matters, and circles are whole
+            ellipses_px = opencv_ellipse_centers(image, columns, rows, is_asymmetric, without_small)
+            if ellipses_px is not None and _is_whole_grid(image, ellipses_px, grid_m):
+                return _projected_centers(image, ellipses_px, points_m[:, :2])
     return None
 
 
@@ -97,9 +103,12 @@ def _projected_centers(grey: GreyImage, ellipses_px: Centers, centers_m: Centers
     return CircleCenters(ellipses_px - ellipse_offsets(centers_m, radius_m, image_from_board), radius_m)
 
 
-def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int, is_asymmetric: bool) -> Centers | None:
+def opencv_ellipse_centers(
+    grey: GreyImage, columns: int, rows: int, is_asymmetric: bool, without_small: bool = False
+) -> Centers | None:
     """OpenCV's centres of the dark ellipses in the order of the board's circles; None if not all are found."""
-    detector, image = blob_detector(grey, columns * rows), brightened(grey)
+    image = brightened(grey)
+    detector = blob_detector(image, columns * rows, without_small)
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if is_asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     for by_clusters in (cv2.CALIB_CB_CLUSTERING, 0):  # clusters of near circles; if clutter is near, the graph of them
         is_found, centers = cv2.findCirclesGrid(image, (columns, rows), flags=kind | by_clusters, blobDetector=detector)
@@ -123,10 +132,18 @@ def _rows_in_turn(
     return grid.reshape(-1, 2, *grid.shape[1:])[:, ::-1].reshape(grid.shape)
 
 
-def blob_detector(grey: GreyImage, circles: int) -> cv2.SimpleBlobDetector:
-    """OpenCV's detector of dark blobs, each of them at most of its share of an image that the board fills."""
+def blob_detector(image: GreyImage, circles: int, without_small: bool) -> cv2.SimpleBlobDetector:
+    """OpenCV's detector of the dark blobs in a brightened image, each at most its share of one that the board fills.
+
+    Without small blobs, such as the zeros of the ruler and the label on a sheet: those much smaller than is typical, the
+    median of as many of the largest blobs as the board has circles, however many small ones there are.
+    """
     parameters = cv2.SimpleBlobDetector.Params()
-    parameters.maxArea = grey.size / circles
+    parameters.maxArea = image.size / circles
+    if without_small:
+        diameters_px = sorted(blob.size for blob in cv2.SimpleBlobDetector.create(parameters).detect(image))
+        if diameters_px:
+            parameters.minArea = np.pi / 4 * (MIN_SIZE_RATIO * float(np.median(diameters_px[-circles:]))) ** 2
     return cv2.SimpleBlobDetector.create(parameters)
 
 
@@ -136,7 +153,8 @@ def _is_whole_grid(grey: GreyImage, ellipses_px: Centers, grid_m: Float64[Array,
     Perspective is undone first. A row is predicted by three rows beside it, of which every other one is shifted if the
     grid is asymmetric.
     """
-    blobs = blob_detector(grey, len(ellipses_px)).detect(brightened(grey))
+    image = brightened(grey)
+    blobs = blob_detector(image, len(ellipses_px), without_small=True).detect(image)
     board_from_image = np.linalg.inv(_homography(grid_m.reshape(-1, 2), ellipses_px))
     seen_px = np.concatenate([ellipses_px, np.array([blob.pt for blob in blobs]).reshape(-1, 2)])
     seen_m = cv2.perspectiveTransform(seen_px[None], board_from_image)[0]
