@@ -58,7 +58,7 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
 def _chessboard_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
     """The view of a chessboard: all of it must be visible."""
     columns, rows = (board.squares_x or 0) - 1, (board.squares_y or 0) - 1
-    if chessboard.visible_grid(grey, columns, rows) is None:
+    if not chessboard.is_visible(grey, columns, rows):
         return diagnostics.pattern_failure(grey, board, None)
     corners, seen = chessboard.chessboard_corners(grey, columns, rows)
     return diagnostics.pattern_failure(grey, board, seen) if corners is None else _view(name, board, corners)

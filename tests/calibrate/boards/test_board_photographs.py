@@ -11,7 +11,9 @@ from drawn_boards import CHARUCO
 from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
 from ringpose.files.boards import read_dictionary
+from ringpose.files.images.shots import read_shots
 from ringpose.types.board import Board
+from ringpose.types.image import board_image
 
 
 @pytest.mark.slow
@@ -63,6 +65,17 @@ def test_chessboards_of_opencvs_photographs_are_where_its_tests_expect_them(numb
     expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
     nearest = np.linalg.norm(found.points_px[:, None] - expected, axis=2).min(axis=1)
     assert nearest.max() < 0.5
+
+
+def test_a_board_that_only_the_classic_detector_sees_beside_a_stripe_is_found(shared_data):
+    path = shared_data / "real" / "uba_laser_plane" / "color" / "image011.png"
+    board = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167, square_y_m=0.021125)
+
+    found = find_board(board_image(read_shots(path)[0]), board, "stripe")
+
+    plane, _ = cv2.findHomography(found.points_board_m[:, :2], found.points_px)
+    predicted = cv2.perspectiveTransform(found.points_board_m[None, :, :2], plane)[0]
+    assert np.abs(predicted - found.points_px).max() < 2  # with the lens's distortion
 
 
 @pytest.mark.slow

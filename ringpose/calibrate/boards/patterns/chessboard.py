@@ -54,11 +54,12 @@ EDGE_PX = 2.5
 MIN_CONTRAST_DN = 2.0
 """Minimum difference of the two grey levels."""
 
-_FINDERS: tuple[tuple[Any, int], ...] = (
-    (cv2.findChessboardCornersSB, cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY),
-    (cv2.findChessboardCorners, cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE),
-)
-"""OpenCV's detectors with their flags: the sector-based one first, then the classic one."""
+_Finder = tuple[Any, int]
+"""A detector of OpenCV with its flags."""
+
+_SECTOR_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+_SECTOR_FINDER: _Finder = (cv2.findChessboardCornersSB, _SECTOR_FLAGS)
+_CLASSIC_FINDER: _Finder = (cv2.findChessboardCorners, cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE)
 
 _RANDOM_SEEDS = (1, 2, 3)
 """Random seeds of OpenCV's sector-based detector, which is randomised: fixed, so that results are reproducible."""
@@ -83,12 +84,12 @@ _NORMALISED_ROUNDS, _NORMALISED_MARGIN_PX = 2, 3
 """Rounds of the refinement in normalised windows, and pixels around the window that determine its grey levels too."""
 
 
-def visible_grid(image: GreyImage, columns: int, rows: int) -> Grid | None:
-    """Part of a chessboard of any size, unrefined; None if the image shows none.
+def is_visible(image: GreyImage, columns: int, rows: int) -> bool:
+    """Whether a quick search finds part of a chessboard of any size, or OpenCV's classic detector this one.
 
-    Quick searches by OpenCV's sector-based detector, from a start grid that clutter hardly ever forms, in the reduced
-    image first. Without a board they take a tenth of the time of the detectors of a whole board, which try all scales
-    and thresholds.
+    The quick search is by OpenCV's sector-based detector, from a start grid that clutter hardly ever forms, in the
+    reduced image first. Without a board it takes a tenth of the time of that detector for a whole board, which tries
+    all scales and thresholds. It does not see every board beside which a stripe saturates.
     """
     width, height = _START_GRIDS[-1]
     start = (min(width, max(columns, rows)), min(height, columns, rows))
@@ -96,8 +97,9 @@ def visible_grid(image: GreyImage, columns: int, rows: int) -> Grid | None:
         reduction = factor * reductions(image.shape)[0]
         grid = _grown_grid(reduced(image, reduction), start, _RANDOM_SEEDS[0])
         if grid is not None and irregularity(grid) < MAX_VISIBLE_IRREGULARITY:
-            return in_full_image(grid, reduction)
-    return None
+            return True
+    finder, flags = _CLASSIC_FINDER
+    return bool(finder(reduced(image, reductions(image.shape)[0]), (columns, rows), flags=flags)[0])
 
 
 def _grown_grid(image: GreyImage, start: tuple[int, int], seed: int, flags: int = 0) -> Grid | None:
@@ -138,7 +140,7 @@ def _whole_grids(image: GreyImage, columns: int, rows: int) -> Iterator[tuple[Gr
     """Grids of all inner corners by each of OpenCV's detectors, in less and less reduced images, and refined."""
     for reduction in reductions(image.shape):
         small = reduced(image, reduction)
-        for finder, flags in _FINDERS:
+        for finder, flags in (_SECTOR_FINDER, _CLASSIC_FINDER):
             cv2.setRNGSeed(_RANDOM_SEEDS[0])
             is_found, corners = finder(small, (columns, rows), flags=flags)
             if is_found:
