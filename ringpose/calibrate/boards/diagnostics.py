@@ -76,6 +76,7 @@ class BoardFailure(Enum):
     MIRRORED = "the image or the print is mirrored: its mirror image shows the board; turn the camera's flip off"
     OTHER_LAYOUT = "the markers do not lie as on the board of the board file"
     FEW_CORNERS = "too few of the board's corners found"
+    LARGER = "there are more columns or rows than the board file says"
     OTHER_SIZE = "a pattern of another size or kind than that of the board file"
     NOT_WHOLE = "the whole pattern is not found; it must be in the image, uncovered, and of the size in the board file"
     BLURRED = "blurred"
@@ -175,6 +176,9 @@ def pattern_failure(grey: GreyImage, board: Board, grid: Grid | None) -> NoBoard
         failure = BoardFailure.BLURRED if width_px > BLURRED_PX else BoardFailure.NOT_WHOLE
         if rows >= few or columns >= many:
             failure = BoardFailure.OTHER_SIZE
+            if rows >= few - 1 and columns >= many - 1:
+                failure = BoardFailure.LARGER
+                finding = f"as with {columns + 1} x {rows + 1} squares: {finding}"
         return NoBoard(failure=failure, finding=finding, points_px=grid.reshape(-1, 2))
     other = _other_markers(grey)
     if other:
@@ -276,10 +280,13 @@ def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
     if len(circles_px) >= columns * rows:
         if _circles_of(np.ascontiguousarray(grey[:, ::-1]), board) is not None:
             return NoBoard(failure=BoardFailure.MIRRORED)
-        other = next((other for other in _other_grids(board) if _circles_of(grey, other) is not None), None)
+        other = next(
+            (grid for grid in _other_grids(board, len(circles_px)) if _circles_of(grey, grid) is not None), None
+        )
         if other is not None:
+            failure = BoardFailure.LARGER if len(circles_px) > columns * rows else BoardFailure.OTHER_SIZE
             finding = f"as with kind: {other.kind}, squares_x: {other.squares_x}, squares_y: {other.squares_y}"
-            return NoBoard(failure=BoardFailure.OTHER_SIZE, finding=finding, points_px=circles_px)
+            return NoBoard(failure=failure, finding=finding, points_px=circles_px)
     width_px = edge_width_px(grey)
     finding = f"{len(circles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
     if len(circles_px) == columns * rows:
@@ -298,10 +305,13 @@ def _circles_of(grey: GreyImage, board: Board) -> Float64[Array, "circle xy=2"] 
     return None if centers is None else centers.points_px
 
 
-def _other_grids(board: Board) -> Iterator[Board]:
-    """Grids of as many circles as the board's: rows and columns exchanged, and of the other kind."""
+def _other_grids(board: Board, circles: int) -> Iterator[Board]:
+    """Grids of this many circles with the board's columns or rows, these also exchanged, and of the other kind."""
+    columns, rows = board.squares_x or 1, board.squares_y or 1
+    whole = [(columns, circles // columns), (circles // rows, rows)]
+    counts = [(x, y) for x, y in dict.fromkeys(whole) if x * y == circles]
     for kind in ("asymmetric_circles", "symmetric_circles"):
-        for columns, rows in ((board.squares_x, board.squares_y), (board.squares_y, board.squares_x)):
-            other = replace(board, kind=kind, squares_x=columns, squares_y=rows)
-            if other != board:
+        for squares_x, squares_y in counts + [(y, x) for x, y in counts]:
+            other = replace(board, kind=kind, squares_x=squares_x, squares_y=squares_y)
+            if other != board and min(squares_x, squares_y) >= LAYOUTS[other.kind].min_count:
                 yield other

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO
 
+from ringpose.calibrate.boards.diagnostics import BoardFailure
 from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
 from ringpose.files.boards import read_dictionary
@@ -76,6 +77,19 @@ def test_a_board_that_only_the_classic_detector_sees_beside_a_stripe_is_found(sh
     plane, _ = cv2.findHomography(found.points_board_m[:, :2], found.points_px)
     predicted = cv2.perspectiveTransform(found.points_board_m[None, :, :2], plane)[0]
     assert np.abs(predicted - found.points_px).max() < 2  # with the lens's distortion
+
+
+@pytest.mark.parametrize("number", ["01", pytest.param("09", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("counts", [(9, 7), (10, 6)])
+def test_part_of_a_chessboard_is_not_taken_for_a_smaller_one(number, counts, shared_data):
+    """OpenCV finds 8 x 6 of the 9 x 6 inner corners in 12 of 13 photographs."""
+    image = cv2.imread(str(shared_data / "real" / "opencv_samples_stereo" / f"left{number}.jpg"), cv2.IMREAD_GRAYSCALE)
+    board = Board(kind="chessboard", squares_x=counts[0], squares_y=counts[1], square_m=0.025)
+
+    missing = find_board(image, board, "smaller")
+
+    assert missing.failure in (BoardFailure.LARGER, BoardFailure.NOT_WHOLE)
+    assert number != "01" or missing.finding.startswith("as with 10 x 7 squares")
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from drawn_boards import CHESSBOARD, drawn_board
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.diagnostics import BoardFailure, NoBoard
 from ringpose.calibrate.boards.patterns.circles import opencv_ellipse_centers, refined_ellipse_centers
 from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.board import corner_points
@@ -67,8 +67,8 @@ def test_part_of_a_larger_grid_is_not_taken_for_the_board(counts):
 
     found = find_board(image, replace(GRID, squares_x=counts[0], squares_y=counts[1]), "part")
 
-    assert isinstance(found, NoBoard)
-    assert "28 circles are seen" in found.finding
+    assert found.failure is BoardFailure.LARGER
+    assert found.finding == "as with kind: asymmetric_circles, squares_x: 4, squares_y: 7"
 
 
 def test_squares_of_a_chessboard_are_no_grid_of_circles():

@@ -119,7 +119,11 @@ def chessboard_corners(
     """
     inexact: list[Grid] = []
     unrefined: list[Grid] = []
+    larger: list[Grid] = []
     for grid, refined in _whole_grids(image, columns, rows):
+        if (whole := with_lines_beyond(image, refined)).size > refined.size:
+            larger.append(whole)
+            continue
         if irregularity(refined) < MAX_IRREGULARITY:
             return _exact_corners(image, refined), None
         inexact.append(refined)
@@ -128,12 +132,14 @@ def chessboard_corners(
     if regular is not None and irregularity(regular) < MAX_IRREGULARITY:  # noise can spoil the refinement
         return _exact_corners(image, regular), None
     seen = largest_grid(image)
-    if seen is not None and seen.shape[:2] in ((rows, columns), (columns, rows)):
+    if seen is not None and (whole := with_lines_beyond(image, seen)).size > max(seen.size, 2 * rows * columns):
+        larger.append(whole)
+    elif seen is not None and seen.shape[:2] in ((rows, columns), (columns, rows)):
         return _exact_corners(image, seen if len(seen) == rows else seen.swapaxes(0, 1)), None
     inexact = [grid for grid in inexact if _has_lines_in_place(grid)]
     if inexact:
         return _exact_corners(image, min(inexact, key=irregularity)), None
-    return None, seen
+    return None, max([*larger, *([] if seen is None else [seen])], key=lambda grid: grid.size, default=None)
 
 
 def _whole_grids(image: GreyImage, columns: int, rows: int) -> Iterator[tuple[Grid, Grid]]:
@@ -175,6 +181,28 @@ def without_outline(image: GreyImage, grid: Grid) -> Float64[Array, "inner_row i
         if least > MIN_SADDLE_CONTRAST:
             break
         grid = np.delete(grid, end, axis=axis)
+    return grid
+
+
+def with_lines_beyond(
+    image: GreyImage, grid: Grid
+) -> Float64[Array, "larger_grid_row larger_grid_column xy=2"]:
+    """The grid with the lines of inner corners on which the board goes on beyond it, as far as the image shows them.
+
+    OpenCV's detectors of a board of given size find it also as a part of a larger one, and nothing shows which part.
+    A line is where the last two lines predict it, and shows saddle points there.
+    """
+    is_complete = False
+    while not is_complete:
+        is_complete = True
+        for turns in range(4):
+            turned = np.rot90(grid, turns)
+            beyond = 2 * turned[0] - turned[1]
+            inside = np.all((beyond >= 0) & (beyond <= np.array(image.shape[::-1]) - 1.0), axis=1)
+            contrast = _saddle_contrast(image, np.stack([beyond, turned[0]]))[0]
+            if np.mean(inside) > 0.5 and float(np.median(contrast[inside])) > MIN_SADDLE_CONTRAST:
+                beyond = refined_corners(image, beyond, WINDOW_PER_SQUARE * shortest_side(grid))
+                grid, is_complete = np.rot90(np.concatenate([beyond[None], turned]), -turns), False
     return grid
 
 
