@@ -184,9 +184,7 @@ def without_outline(image: GreyImage, grid: Grid) -> Float64[Array, "inner_row i
     return grid
 
 
-def with_lines_beyond(
-    image: GreyImage, grid: Grid
-) -> Float64[Array, "larger_grid_row larger_grid_column xy=2"]:
+def with_lines_beyond(image: GreyImage, grid: Grid) -> Float64[Array, "larger_grid_row larger_grid_column xy=2"]:
     """The grid with the lines of inner corners on which the board goes on beyond it, as far as the image shows them.
 
     OpenCV's detectors of a board of given size find it also as a part of a larger one, and nothing shows which part.

@@ -54,9 +54,9 @@ NEAR_PLACE = 0.3
 0.1; doubled, wrongly ordered circles would pass, and what is printed beside the grid be part of it."""
 
 MIN_SIZE_RATIO = 0.5
-"""Smallest ratio of a circle's diameter to the typical one: 0.56 at the far side of a board that is tilted by 60 degrees
-and fills an image 54 degrees wide. At half of it, the zeros of a ruler beside a grid of 16 mm would pass; doubled, no
-tilted board."""
+"""Smallest ratio of a circle's diameter to the typical one: 0.56 at the far side of a board that is tilted by 60
+degrees and fills an image 54 degrees wide. At half of it, the zeros of a ruler beside a grid of 16 mm would pass;
+doubled, no tilted board."""
 
 _ROUNDS = 2
 
@@ -135,8 +135,8 @@ def _rows_in_turn(
 def blob_detector(image: GreyImage, circles: int, without_small: bool) -> cv2.SimpleBlobDetector:
     """OpenCV's detector of the dark blobs in a brightened image, each at most its share of one that the board fills.
 
-    Without small blobs, such as the zeros of the ruler and the label on a sheet: those much smaller than is typical, the
-    median of as many of the largest blobs as the board has circles, however many small ones there are.
+    Without small blobs, such as the zeros of the ruler and the label on a sheet: those much smaller than is typical,
+    the median of as many of the largest blobs as the board has circles, however many small ones there are.
     """
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.maxArea = image.size / circles
