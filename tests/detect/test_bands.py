@@ -68,6 +68,21 @@ def test_a_prediction_assigns_the_stripes_of_a_frame_with_all_lasers_on(drawn):
     assert x.max() < predicted.position_px[..., 0].max() + 2.0
 
 
+def test_the_end_of_a_stripe_behind_a_gap_is_assigned_though_the_prediction_ends_before(drawn):
+    rig, shot, predicted = drawn
+    scene_px = predicted.position_px
+    short_px, gap_px = 9.0, 4
+    images = shot.images.copy()
+    for column, row in np.rint(scene_px[:, 0]).astype(int):  # the inner edge is the right one
+        images[0, row - 15 : row + 16, column - 12 - gap_px : column - 12] = 10
+    predicted = replace(predicted, face_end_undistorted_px=predicted.face_end_undistorted_px - [short_px, 0.0])
+
+    found = detect(replace(shot, images=images), rig, Prior(predicted=predicted))
+
+    x = found.stripes.position_px[found.stripes.laser[found.stripes.piece] != UNLABELLED, 0]
+    assert x.max() == pytest.approx(scene_px[:, 0, 0].max(), abs=2.0)
+
+
 @pytest.mark.parametrize("wrong", ["exchanged lasers", "far away"])
 def test_a_wrong_prediction_is_replaced_by_a_search_of_the_whole_frame(drawn, wrong):
     rig, shot, predicted = drawn

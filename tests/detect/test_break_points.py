@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_scene import DrawnScene, draw_shot
 from ring_scenes import break_points_of
 
 from ringpose.detect.break_points import ends_clear
@@ -12,6 +13,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.image import shot_with_frames
 
 
 def found_ends(seen: int, unclear: int) -> BreakPoints:
@@ -67,16 +69,48 @@ def test_edges_are_followed_from_stripes_in_dim_light(shared_data):
     assert len(found.edge) > 100
 
 
+TURNED = (slice(None, None, -1), slice(None, None, -1))
+MIRRORED = (slice(None, None, -1), slice(None))
+
+
 @pytest.mark.parametrize(
-    "turned", [(slice(None, None, -1), slice(None, None, -1)), (slice(None, None, -1), slice(None))]
+    ("name", "turned", "reason"),
+    [
+        ("B_z0300_p00_strong", TURNED, NoBreakPoints.CONTRADICTED_RIG),
+        ("B_z0300_p00_strong", MIRRORED, NoBreakPoints.UPSIDE_DOWN),
+        ("B_z0500_p00_normal", TURNED, NoBreakPoints.UPSIDE_DOWN),
+        ("B_z0500_p00_normal", MIRRORED, NoBreakPoints.UPSIDE_DOWN),
+    ],
 )
-@pytest.mark.parametrize("name", ["B_z0300_p00_strong", "B_z0500_p00_normal"])
-def test_a_shot_that_is_upside_down_is_named(shared_data, name, turned):
+def test_a_shot_that_is_upside_down_is_named(shared_data, name, turned, reason):
     folder = shared_data / "rendered" / "rig_b"
     shot = read_shot(folder / "shots" / f"{name}.npz")
     images = np.ascontiguousarray(shot.images[:, *turned])
 
     found = detect(replace(shot, images=images), read_rig(folder / "rig.yaml")).break_points
 
-    assert isinstance(found, NoBreakPoints)
-    assert "upside down" in found.value
+    assert found is reason
+
+
+@pytest.mark.parametrize("full_dn", [255, 65535], ids=["single exposure", "merged exposures"])
+def test_a_laser_that_is_on_in_the_frame_without_one_is_named(rig, rng, full_dn):
+    shot = draw_shot(DrawnScene(), rig, [0, 7], rng)
+    images = shot.images[::-1].astype(np.min_scalar_type(full_dn))
+    images[:, -1, -1] = full_dn
+    meta = {"saturation_dn": full_dn, "usual_full_dn": 255}
+
+    found = detect(replace(shot, images=images, meta=meta), rig).break_points
+
+    assert found is NoBreakPoints.DARK_FRAME_LIT
+
+
+def test_visible_edges_stand_for_clear_ends_beside_several_stripes_without_a_background(shared_data):
+    folder = shared_data / "rendered" / "variants_b"
+    rig, shot = read_rig(folder / "rig.yaml"), read_shot(folder / "shots" / "V03_occl_B500_strong.npz")
+    lit = shot_with_frames(shot, np.flatnonzero(shot.lasers))
+
+    found = detect(lit, rig)
+
+    assert isinstance(found.break_points, BreakPoints)
+    assert not ends_clear(found.break_points)
+    assert found.ring_edges is not None

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from drawn_scene import DrawnScene, draw_shot, true_break_points
 from recorded_shots import make_shot
+from ring_scenes import RIGS
 
-from ringpose.detect import pipeline, ring_edges
+from ringpose.detect import edge_search, pipeline, ring_edges
 from ringpose.detect.break_points import break_points
 from ringpose.detect.pipeline import Prior, detect
 from ringpose.detect.ring_edges import edges_lit
@@ -245,6 +246,15 @@ def test_lit_edges_that_are_not_found_are_recorded(with_off_frame, monkeypatch):
     assert [each.what for each in detection.rejected] == ["edge"]
 
 
+def test_edges_along_which_no_ring_can_be_fitted_are_not_found(with_off_frame, monkeypatch):
+    monkeypatch.setattr(edge_search, "refine_ring", lambda *_: None)
+
+    detection = detect(*with_off_frame("B_z0500_p01_normal"))
+
+    assert detection.ring_edges is None
+    assert isinstance(detection.break_points, BreakPoints)
+
+
 def test_a_frame_with_all_lasers_after_the_single_ones_is_a_second_measurement(rig, rng):
     scene = DrawnScene(center_m=(0.58, 0.02, 0.5))
 
@@ -255,3 +265,13 @@ def test_a_frame_with_all_lasers_after_the_single_ones_is_a_second_measurement(r
     assert points.repeated.seen.all()
     assert np.abs(points.repeated.position_px - truth).max() < 1 / 3
     np.testing.assert_array_equal(points.repeated.stamp_s, np.full(3, 4.0005))
+
+
+def test_stripes_of_the_second_measurement_halfway_between_two_belong_to_neither(rng):
+    rig = RIGS["A"]  # its stripes are 25 px apart
+    shot = draw_shot(DrawnScene(), rig, [*SWITCHED, 7], rng)
+    half = np.roll(shot.images[-1], 12, axis=0)
+
+    points = found(replace(shot, images=np.stack([*shot.images[:-1], half])), rig)
+
+    assert points.repeated is None

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ring_scenes import break_points_of, face_points_of, make_scene, with_lines, with_stripes
+from moving_cameras import SeenByRobot, in_base, robot
+from moving_rings import START_S, Motion
+from ring_scenes import break_points_of, face_points_of, make_scene, scene_of, with_lines, with_stripes
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
@@ -12,6 +14,7 @@ from ringpose.files.studies.specification import PRESETS
 from ringpose.geometry.rotations import angle_between
 from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
+from ringpose.types.detection import BreakPointFlag
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
@@ -323,6 +326,33 @@ def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(rng)
     found = without_outliers(points, scene.rig, Assumptions(motion=motion_prior()))
 
     assert [(each.what, each.laser) for each in found.rejected] == [("stripe", "right")]
+
+
+@pytest.mark.parametrize(("sigma_px", "known"), [(0.3, True), (1.0, False), (2.0, False)])
+def test_the_edges_of_a_ring_whose_curvature_is_not_significant_are_not_named(sigma_px, known, rng):
+    scene = make_scene("B", distance_m=0.2)
+
+    found = without_outliers(face_points_of(scene, sigma_px, 0.1 * sigma_px, rng), scene.rig)
+
+    assert not found.rejected
+    flag = 0 if known else int(BreakPointFlag.EDGE_UNKNOWN)
+    assert found.break_points.flags.ravel().tolist() == [flag] * 6
+
+
+def test_stripes_that_a_moving_camera_sees_at_different_times_are_those_of_one_ring(scene):
+    times_s = np.array([0.0, 0.5, 1.0])
+    seen = SeenByRobot(in_base(Motion(ring=scene.ring, velocity_m_s=np.zeros(3), rate_rad_s=np.zeros(3))))
+    rng = np.random.default_rng(3)
+    shots = [face_points_of(scene_of(scene.rig, seen.at(time_s)), 0.2, 0.02, rng) for time_s in times_s]
+    names = ("position_px", "face_start_undistorted_px", "face_end_undistorted_px")
+    own = {name: np.stack([getattr(shot, name)[laser] for laser, shot in enumerate(shots)]) for name in names}
+    points = replace(shots[0], **own, stamp_s=START_S + times_s)
+
+    found = without_outliers(points, scene.rig, camera=robot(1.5))
+
+    assert found.ring is not None
+    assert not found.rejected
+    assert not found.break_points.flags.any()
 
 
 def test_ends_are_not_rejected_where_the_other_side_of_the_centre_rejects_others():

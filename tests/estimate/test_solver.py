@@ -8,8 +8,8 @@ from ring_scenes import face_points_of, make_scene
 
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
-from ringpose.estimate.solver import estimate_ring, initial_guess, precise_ring, ring_residuals
-from ringpose.geometry.ring import CURVATURE, LIFT
+from ringpose.estimate.solver import estimate_ring, initial_guess, precise_ring, retract_ring, ring_residuals
+from ringpose.geometry.ring import CURVATURE, HALF_BAND, LIFT, TILT_ALONG
 from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, RingPose
 from ringpose.types.rig import ParameterCovariance
@@ -128,3 +128,16 @@ def test_points_without_lines_that_are_known_impossibly_well_end_the_search_with
     )
 
     assert isinstance(estimate_pose(points, scene.rig), RingPose | NoPose)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "change"),
+    [(LIFT, 1.0), (LIFT, -1e3), (CURVATURE, 1e3), (HALF_BAND, np.inf), (TILT_ALONG, np.nan)],
+    ids=["behind the camera", "far away", "tiny", "infinite", "unknown"],
+)
+def test_a_step_to_an_impossible_ring_ends_the_iteration(noisy, parameter, change):
+    _, measured = noisy
+    start = estimate_ring(measured, Prior()).residuals
+
+    with np.errstate(invalid="ignore"), pytest.raises(np.linalg.LinAlgError, match="diverges"):
+        retract_ring(start, np.where(np.arange(7) == parameter, change, 0.0), np.empty(0))

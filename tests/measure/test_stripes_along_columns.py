@@ -13,7 +13,7 @@ from ringpose.capture.latest_frame import EarlyStripes
 from ringpose.console.engine import Engine
 from ringpose.console.state import first_state
 from ringpose.detect.difference_images import laser_images
-from ringpose.detect.pipeline import detect
+from ringpose.detect.pipeline import Prior, detect
 from ringpose.files import records
 from ringpose.files.images.shots import read_shot
 from ringpose.files.records.poses import pose_line_of, pose_record
@@ -82,6 +82,17 @@ def test_a_faint_ghost_is_found_at_the_column_offset_that_the_rig_states(rig):
 
     assert [each.offset_px for each in detect(turned_shot(shot), stating).ghosts] == [15.0]  # up becomes right
     assert detect(turned_shot(shot), turned_rig(rig)).ghosts == ()
+
+
+def test_a_ghost_of_an_earlier_shot_is_found_again_though_it_is_faint(rig):
+    shot = read_shot(SHOTS / "shots" / "B_z0500_p01_dim.npz")
+    clear, faint = (turned_shot(with_ghost(shot, ratio, -15.0)) for ratio in (0.1, 0.01))
+
+    earlier = detect(clear, turned_rig(rig)).ghosts
+    found = detect(faint, turned_rig(rig), Prior(ghosts=earlier)).ghosts
+
+    assert [each.offset_px for each in found] == [each.offset_px for each in earlier]
+    assert earlier[0].offset_px == pytest.approx(15.0, abs=0.1)
 
 
 def test_its_covariance_and_velocity_hold_in_the_tilt_basis_of_the_turned_normal(moving):

@@ -11,6 +11,8 @@ from ringpose.track.filters import (
     Innovation,
     covariances_after,
     innovation_covariance,
+    mixed,
+    predict,
     schmidt_gain,
 )
 from ringpose.track.motion_models import MODELS, process_noise
@@ -73,6 +75,21 @@ def test_process_noise_is_that_of_white_acceleration():
     both = np.ix_([place, speed], [place, speed])
     for index in range(count):
         np.testing.assert_allclose(noise[index][both], MODELS.velocity_noise[index] * expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("precession", [False, True])
+def test_a_bank_predicts_the_same_without_its_improbable_models(records, precession):
+    bank = track_of(records).track.likeliest
+    bank = replace(bank, log_evidence=np.where(bank.models.precession == precession, bank.log_evidence, -1e3))
+
+    probable = bank.probable()
+
+    assert set(probable.models.precession.tolist()) == {precession}
+    mean, covariance = mixed(predict(probable, bank.stamp_s + 0.2))
+    expected, of_all = mixed(predict(bank, bank.stamp_s + 0.2))
+    sd = np.sqrt(np.diag(of_all))
+    assert (np.abs(mean - expected) <= 0.1 * sd).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sd, rtol=0.15, atol=1e-9)
 
 
 @pytest.mark.parametrize(("lever_m", "weight"), [(0.3, 1.0), (-0.3, 0.0), (np.nan, 0.0)])

@@ -306,6 +306,14 @@ def test_a_record_that_cannot_be_used_changes_nothing(records, changed, status):
     np.testing.assert_array_equal(final_state(tracker), before)
 
 
+def test_a_record_of_no_ring_before_a_camera_is_rejected_with_the_reason(records):
+    tracker = track_of(records[:-1])
+
+    line = tracker.add(at_the_camera(records[-1]))
+
+    assert "does not describe a ring in front of a camera" in line.reason
+
+
 def test_a_record_that_does_not_determine_the_plane_continues_a_track_but_starts_none(records):
     weak = [replace(each, flags=PoseFlag.NORMAL_WEAK) for each in records]
 
