@@ -159,8 +159,12 @@ def worst_depth_sd_m(rig: Rig, distances_m: Sequence[float]) -> Float64[Array, "
 def depth_sd_m(rig: Rig, laser: int, distance_m: float) -> Float64[Array, "position"]:
     """Standard deviations of depths by the rig's covariance (method(7), section 1), without noise of the image.
 
-    They hold along the laser's stripe on the plane z = `distance_m`, at `COLUMNS` positions spread over the image; NaN
-    outside the image.
+    A depth here is the distance from the camera along the ray of a pixel. Unlike z, it does not change with a rotation
+    of the camera frame, as an error of the principal point causes it: such a rotation has no effect on anything
+    calibrated with the same camera (`validation`), and beside the axis z is mostly uncertain by it.
+
+    The values hold along the laser's stripe on the plane z = `distance_m`, at `COLUMNS` positions spread over the
+    image; NaN outside the image.
     """
     camera, normal = rig.camera, rig.lasers.normal[laser]
     size = np.array([camera.image_width, camera.image_height])
@@ -176,8 +180,10 @@ def depth_sd_m(rig: Rig, laser: int, distance_m: float) -> Float64[Array, "posit
     points[:, across] = rest_m / normal[across]
     inside = _in_image(points, camera)
     if inside.any():
-        covariance = _points_covariance(points[inside], np.full(int(inside.sum()), laser), rig)
-        sd[inside] = np.sqrt(np.diag(covariance)[2::3].clip(0))
+        seen = points[inside]
+        covariance = _points_covariance(seen, np.full(len(seen), laser), rig).reshape(len(seen), 3, len(seen), 3)
+        along_ray = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+        sd[inside] = np.sqrt(np.einsum("ni,ninj,nj->n", along_ray, covariance, along_ray).clip(0))
     return sd
 
 

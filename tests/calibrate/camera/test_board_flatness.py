@@ -93,6 +93,33 @@ def test_the_covariance_contains_half_of_the_difference_of_two_halves_of_the_vie
     assert normalised_error(assessed) < 3.1
 
 
+SHAPES = {
+    "bent about an axis": lambda x, y: 1 - x**2,
+    "bent about a diagonal": lambda x, y: 1 - (x + y) ** 2 / 2,
+    "saddle": lambda x, y: x * y,
+    "dish": lambda x, y: 1 - (x**2 + y**2) / 2,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_standard_deviations_of_a_bent_board_are_as_wide_as_the_errors(shape, rng):
+    bent = POINTS.copy()
+    bent[:, 2] = 3e-4 * SHAPES[shape]((POINTS[:, 0] - 0.15) / 0.125, (POINTS[:, 1] - 0.125) / 0.1)
+    normalised, errors_px, sds_px = [], [], []
+    for _ in range(8):
+        poses = true_poses(rng, 8)
+        drawn = [board_view(bent, pose, "v", 0.05 * rng.standard_normal((len(POINTS), 2))) for pose in poses]
+        boards = [replace(view, points_board_m=POINTS) for view in drawn]
+        found = camera_assessment(calibrate_camera(boards, 1600, 1200), PLUMB_BOB).calibration
+        normalised.append(normalised_error(found))
+        errors_px.append(found.camera.camera_matrix[0, 0] - TRUE_CAMERA.camera_matrix[0, 0])
+        sds_px.append(found.standard_deviations["fx"])
+
+    assert np.mean(normalised) < 1.5
+    assert 0.8 < np.sqrt(np.mean(np.square(sds_px)) / np.mean(np.square(errors_px))) < 2.5
+
+
 def test_noise_alone_does_not_inflate_the_covariance(rng):
     found = calibrate_camera(views(rng, [0.0] * 10), 1600, 1200)
 

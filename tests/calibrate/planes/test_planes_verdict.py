@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from known_views import NORMALS, TRUE_CAMERA, stripe_views, true_poses
 
+from ringpose.calibrate.camera.parameters import parameter_names
 from ringpose.calibrate.planes.covariance import depth_sd_m
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import plane_angles, planes_verdict
 from ringpose.geometry.rays import project, rays
-from ringpose.geometry.rotations import tilted
+from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.types.calibration import Grade
 from ringpose.types.rig import ParameterCovariance, Rig
 
@@ -113,9 +114,24 @@ def test_depth_deviations_are_those_of_drawn_rigs(good, rng):
     for step in rng.standard_normal((3000, 7)) * sigma:
         matrix = TRUE_CAMERA.camera_matrix + np.array([[step[0], 0, step[2]], [0, step[1], step[3]], [0, 0, 0]])
         seen = rays(pixel, replace(TRUE_CAMERA, camera_matrix=matrix))[0]
-        depths.append((distance_m + step[6]) / (tilted(normal, step[4:6]) @ seen))
+        depths.append(np.linalg.norm(seen) * (distance_m + step[6]) / (tilted(normal, step[4:6]) @ seen))
     assert np.std(depths) == pytest.approx(found, rel=0.08)
     assert np.isnan(depth_sd_m(rig, 0, 0.05)).all()  # outside the image
+
+
+def test_depth_deviations_do_not_depend_on_a_rotation_of_the_camera_frame(good):
+    """The frame turns by 0.01 rad about the image's y axis: the principal point moves, and the light plane tilts."""
+    distance_m = 0.5 * good.planes.normal[:, 2]  # the stripes at 0.5 m cross the middle of the image
+    columns = [*parameter_names("plumb_bob"), "left.tilt_1", "left.tilt_2"]
+    step = np.zeros(len(columns))
+    step[columns.index("cx")] = -1e-2 * TRUE_CAMERA.camera_matrix[0, 0]
+    step[-2:] = tilt_basis(good.planes.normal[0]) @ np.cross([0.0, 1e-2, 0.0], good.planes.normal[0])
+    covariance = ParameterCovariance(parameters=tuple(columns), data=np.outer(step, step))
+    rig = Rig(camera=TRUE_CAMERA, lasers=replace(good.planes, distance_m=distance_m), covariance=covariance)
+
+    sd = depth_sd_m(rig, 0, 0.5)
+
+    assert np.max(sd) < 4e-4  # z at the image's border changes by 0.01 * 0.22 m
 
 
 def renamed(calibration, way):
