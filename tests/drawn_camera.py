@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+from drawn_scene import exposed, noise
 from fake_camera import FakeCamera
 
 from ringpose.capture.lasers.driver import LaserDriver
@@ -48,12 +49,11 @@ class DrawnCamera(FakeCamera):
         self.triggered_s.append(began_s)
         time.sleep(exposed_s)
         shares = self.contacts.shares(began_s, began_s + exposed_s)
-        light = np.full((HEIGHT, WIDTH), 10.0)
+        light = np.full((HEIGHT, WIDTH), 10.0, dtype=np.float32)
         for laser, share in enumerate(() if self.taken in self.hidden else shares):
             light[10 + 15 * laser : 13 + 15 * laser, 20:180] += self.brightness_dn * share
         grey = 2.0 + light * exposed_s / 0.005
-        noisy = grey + self.rng.normal(size=grey.shape) * np.sqrt(0.5 + 0.05 * grey)
-        image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        image = exposed(grey + noise(grey.shape, self.rng) * np.sqrt(0.5 + 0.05 * grey))
         time.sleep(2.0 if self.taken >= self.slow_from else 0.0)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposed_s)
 
