@@ -90,11 +90,11 @@ def test_the_p_value_of_many_shots_is_that_of_random_exchanges(rng):
 @pytest.mark.parametrize("shots", [40, pytest.param(10, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("quantity", ["grasp_m", "center_nees", "available"])
 def test_a_row_of_two_equal_results_is_significant_no_more_often_than_it_may_be(rng, shots, quantity):
-    draws = 500
+    draws = 300
     loss = COMPARED[quantity].loss
     scores = rng.random((draws, 2, shots)) < 0.8 if quantity == "available" else rng.chisquare(1, (draws, 2, shots))
 
-    alarms = sum(permutation_p_value(*map(np.asarray, pair), loss, permutations=199) <= 0.05 for pair in scores * 1.0)
+    alarms = sum(permutation_p_value(*map(np.asarray, pair), loss, permutations=99) <= 0.05 for pair in scores * 1.0)
 
     assert alarms <= scipy.stats.binom.ppf(0.999, draws, 0.05)
     if quantity != "available":

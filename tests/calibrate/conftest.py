@@ -1,7 +1,9 @@
 """Rendered views of boards."""
 
+import functools
 import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,14 +15,18 @@ from ringpose.types.image import Shot
 
 
 @pytest.fixture(scope="session")
-def rendered_plane_views(shared_data) -> list[tuple[Shot, BoardView]]:
-    """The rendered shots of the four-marker board, and the board in each; finding it takes most of a second."""
+def rendered_plane_views(shared_data) -> Callable[[str], list[tuple[Shot, BoardView]]]:
+    """The rendered shots of the four-marker board whose files are named so, and the board in each."""
     from ringpose.calibrate.boards.views import find_board
     from ringpose.files.images.shots import read_shot
     from ringpose.types.image import board_image
 
-    shots = [read_shot(path) for path in sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))]
-    return [(shot, find_board(board_image(shot), FOUR, shot.name)) for shot in shots]
+    @functools.cache  # finding a board takes a fifth of a second
+    def view(path: Path) -> tuple[Shot, BoardView]:
+        shot = read_shot(path)
+        return shot, find_board(board_image(shot), FOUR, shot.name)
+
+    return lambda names: [view(path) for path in sorted((shared_data / "rendered/calib_b/planes").glob(names))]
 
 
 @pytest.fixture

@@ -52,9 +52,9 @@ def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
     return height[0] - height[1]
 
 
-@pytest.mark.parametrize("ratio", [0.0, 0.1])
+@pytest.mark.parametrize("ratio", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
 def test_a_ghost_that_several_views_show_is_a_property_of_the_rig(rendered_plane_views, ratio):
-    switched = [(shot, found) for shot, found in rendered_plane_views if len(shot.lasers) > 2]
+    switched = rendered_plane_views("*_0[0246].npz")
     views = [stripe_view(with_ghost(shot, ratio, -12.0), found, FOUR, TRUE_CAMERA, "abc") for shot, found in switched]
 
     calibration = calibrate_planes(views, TRUE_CAMERA, PlanesModel(names=("left", "middle", "right")))
@@ -77,7 +77,7 @@ def test_reflections_at_another_offset_in_every_view_are_not_a_ghost_of_the_rig(
 @pytest.fixture(scope="module")
 def rendered(rendered_plane_views):
     """Planes of the rendered views by either method, with the true camera."""
-    views = [stripe_view(shot, found, FOUR, TRUE_CAMERA, "abc") for shot, found in rendered_plane_views]
+    views = [stripe_view(shot, found, FOUR, TRUE_CAMERA, "abc") for shot, found in rendered_plane_views("*")]
     model = PlanesModel(names=("left", "middle", "right"))
     return {method: calibrate_planes(views, TRUE_CAMERA, replace(model, method=method)) for method in PlanesMethod}
 
