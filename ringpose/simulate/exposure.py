@@ -9,7 +9,7 @@ from ringpose.optics.sensor import electrons_per_radiance
 from ringpose.simulate.break_points import inside_image, ring_crossings_m
 from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, radiance_along
 from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S
-from ringpose.simulate.renderer import pixel_rays
+from ringpose.simulate.renderer import angle_per_px
 from ringpose.simulate.target.parts import face_part, target_tables
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.scene import Scene
@@ -39,7 +39,7 @@ def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[A
     points = np.stack([ring_crossings_m(illuminated, scene.ring, middle_m, side)[:, 0] for side in (-1.0, 1.0)], axis=1)
     lasers, sides = np.nonzero(inside_image(project(points, camera), -0.5, camera))
     point_m = points[lasers, sides]
-    per_px_m = point_m[:, 2] * pixel_rays(camera).angle_per_px
+    per_px_m = point_m[:, 2] * angle_per_px(camera)
     range_m = np.linalg.norm(point_m - planes.projector_m[lasers], axis=1)
     sigma_px = half_thickness_m(scene.lasers, range_m) / per_px_m
     blurred = sigma_px / np.sqrt(sigma_px**2 + scene.lens.blur_px**2 + 1 / 12)

@@ -171,13 +171,9 @@ class PixelRays:
     direction: Float64[Array, "xy=2 pixel"]
     per_px: Float64[Array, "axis=2 xy=2 pixel"]
     """Derivative of (x, y) along the row, and along the column."""
+    angle_per_px: float
     height: int
     width: int
-
-    @property
-    def angle_per_px(self) -> float:
-        """Width of a pixel at depth 1, in the image centre."""
-        return float(np.abs(self.per_px[:, :, self.direction.shape[1] // 2 + self.width // 2]).max())
 
 
 def layers(
@@ -269,7 +265,20 @@ def pixel_rays(camera: Camera) -> PixelRays:
         np.stack([spline(rows, columns, dx=of_row, dy=of_column).ravel() for spline in splines])
         for of_row, of_column in ((0, 0), (0, 1), (1, 0))
     )
-    return PixelRays(direction=direction, per_px=np.stack([along_row, along_column]), height=height, width=width)
+    return PixelRays(
+        direction=direction,
+        per_px=np.stack([along_row, along_column]),
+        angle_per_px=angle_per_px(camera),
+        height=height,
+        width=width,
+    )
+
+
+def angle_per_px(camera: Camera) -> float:
+    """Width of a pixel at depth 1, in the image centre, by central differences."""
+    middle_px = np.array([camera.image_width // 2, camera.image_height // 2], dtype=np.float64)
+    steps_px = np.array([[0.5, 0.0], [0.0, 0.5]])
+    return float(np.abs(undistort(middle_px + steps_px, camera) - undistort(middle_px - steps_px, camera)).max())
 
 
 def speckle_pattern(
