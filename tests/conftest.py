@@ -23,7 +23,8 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")  # its threads mostly wait 
 gc.disable()  # until the tests are collected: going through the modules, which stay, takes a tenth of the time
 
 _TIMED = [HealthCheck.too_slow]  # says how busy the machine is
-settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=30, suppress_health_check=_TIMED)
+settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50, suppress_health_check=_TIMED)
+settings.register_profile("fast", settings.get_profile("ringpose"), max_examples=20)
 settings.load_profile("ringpose")
 
 for _number in (signal.SIGINT, signal.SIGHUP):  # inherited as ignored from nohup or a background job
@@ -172,7 +173,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_collection_finish() -> None:
     """Let no later garbage collection go through what the test modules hold: a million objects, for good."""
-    gc.collect()
     gc.freeze()
     gc.enable()
     gc.set_threshold(100_000)  # as the command does
@@ -182,6 +182,12 @@ def pytest_collection_finish() -> None:
 def pytest_runtest_setup() -> None:
     """Run before all fixtures of the test."""
     shape_checks.begin()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw fewer examples where shapes are not checked either, in `make test`: the other runs have them all."""
+    if not config.getoption("jaxtyping_packages"):
+        settings.load_profile("fast")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
