@@ -142,6 +142,7 @@ MOUNT_LIMITS: Mapping[str, Limit] = {
 
 MOVING_LIMITS: Mapping[str, Limit] = {
     "delay_sd_s": Limit(2e-3, inf, "{more}"),  # 0.1 mm at 50 mm/s
+    "stamp_sd_s": Limit(2e-3, inf, "the images are stamped late by different times: use the camera's own stamps"),
     "blur_sigmas": Limit(1.0, inf,  # of the corners' residuals
         "expose shorter or move slower: corners move by {blur_px:.2g} px within an exposure"),
 }

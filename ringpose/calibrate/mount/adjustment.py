@@ -11,7 +11,7 @@ likelihood (Patterson and Thompson 1971) gives s_r and s_t without the bias by t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,13 +20,14 @@ from ringpose.calibrate.boards.corner_errors import moderated_variances, view_eq
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.mount.closed_form import Transform, moving_from_fixed
-from ringpose.calibrate.mount.moving import DELAY_PRIOR_S, ToolMotion, moved
+from ringpose.calibrate.mount.moving import DELAY_PRIOR_S
+from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.camera_motion import left_jacobian
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import rotation_vector, skew
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.board import BoardPose
 from ringpose.types.rig import Camera
 
 PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M = float(np.radians(0.02)), 1e-4
@@ -44,76 +45,12 @@ ROTATION_BOUNDS_RAD, TRANSLATION_BOUNDS_M = (1e-6, 0.05), (1e-6, 0.05)
 MIN_CORNER_PX = 0.01
 """Lower limit of the standard deviation of a corner's coordinate."""
 
+STAMP_BOUNDS_S = (1e-5, 0.1)
+"""Bounds of the standard deviation of the stamps of single images, about the delay."""
+
 _ITERATIONS = 12
 _MIN_STEP = 1e-3
 """Mahalanobis length of a step below which the iteration has converged."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Station:
-    """One view of the board, and the pose that the robot reported for it."""
-
-    view: BoardView
-    base_from_tool: Transform
-    location: str = ""
-    """File and line of the robot's pose."""
-    sighting: "Sighting | None" = None
-    """When the board was seen, if the robot moved."""
-    twist: Float64[Array, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Rate (rad/s) and velocity (m/s) of the tool, in its frame."""
-    interpolation_sd: Float64[Array, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Of the robot's pose between two that it reported: rotation vector, translation, in the tool frame."""
-
-    @property
-    def name(self) -> str:
-        """Name of the image."""
-        return self.view.name
-
-    @property
-    def has_delay(self) -> bool:
-        """Whether the delay is one of the unknowns."""
-        return self.sighting is not None and not self.sighting.is_held
-
-    @property
-    def delay_s(self) -> float:
-        """The delay to which the robot's pose belongs."""
-        return 0.0 if self.sighting is None else self.sighting.delay_s
-
-    def at(self, delay_s: float) -> "Station":
-        """With the robot's pose at another delay; unchanged if the robot was at rest.
-
-        Where the robot's poses do not cover it, the tool is taken to go on at its twist.
-        """
-        if self.sighting is None:
-            return self
-        sighting, stamp_s = replace(self.sighting, delay_s=delay_s), self.sighting.stamp_s + delay_s
-        instant = sighting.motion.at(stamp_s)
-        if instant is None:
-            further = moved(self.base_from_tool, (delay_s - self.delay_s) * self.twist)
-            return replace(self, base_from_tool=further, sighting=sighting)
-        return replace(
-            self, base_from_tool=instant.base_from_tool, twist=instant.twist, sighting=sighting,
-            interpolation_sd=instant.interpolation_sd, location=sighting.motion.location_at(stamp_s),
-        )  # fmt: skip
-
-    def held_at(self, delay_s: float) -> "Station":
-        """With the robot's pose at a delay that is not estimated."""
-        there = self.at(delay_s)
-        return there if there.sighting is None else replace(there, sighting=replace(there.sighting, is_held=True))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sighting:
-    """When a moving robot saw the board."""
-
-    motion: ToolMotion
-    stamp_s: float
-    """Middle of the exposure, by the camera's clock."""
-    exposure_s: float = 0.0
-    delay_s: float = 0.0
-    """The delay to which the robot's pose belongs: the robot's stamp is `stamp_s` + `delay_s`."""
-    is_held: bool = False
-    """Whether this delay is not estimated, as the views do not determine it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,6 +90,8 @@ class ViewNumbers:
     """With respect to X, Y (rotation vector, translation, each in its frame), the delay if the robot moves, and the
     camera's free parameters."""
     wrt_error: Float64[Array, "view 6 6"]
+    wrt_stamp: Float64[Array, "view 6"]
+    """With respect to the stamp of the view; zero if the robot was at rest."""
     camera_information: Float64[Array, "view common common"]
     """Information about the camera that does not depend on the pose."""
     camera_gradient: Float64[Array, "view common"]
@@ -180,6 +119,8 @@ class MountSolution:
     """Of X, Y (rotation vector, translation, each in its frame), delay and refined camera, by the likelihood."""
     has_delay: bool = False
     """Whether the delay is one of the unknowns."""
+    stamp_sd_s: float = 0.0
+    """Standard deviation of the stamps of single images about the delay, of a robot that moves."""
 
     @property
     def weights(self) -> Float64[Array, "view 6 6"]:
@@ -205,12 +146,15 @@ def adjusted_mount(
         delay_s=stations[0].delay_s,
     )  # fmt: skip
     # the robot's error starts large, so that the first iterations follow the corners and not the closed form
-    sigmas = RobotSigmas(1e-2, 1e-2)
+    sigmas, stamp_sd_s = RobotSigmas(1e-2, 1e-2), 0.0
     prior = _prior(camera, refine_camera, has_delay)
     for iteration in range(_ITERATIONS):
         numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
-        if iteration:
+        if iteration and has_delay:
+            sigmas, stamp_sd_s = moving_sigmas(numbers, prior, None if iteration == 1 else (sigmas, stamp_sd_s))
+        elif iteration:
             sigmas = robot_sigmas(numbers, prior, None if iteration == 1 else sigmas)
+        numbers = _with_stamps(numbers, stamp_sd_s)
         information, gradient = _normal_equations(numbers, sigmas)
         pull = prior @ _offset(state, camera, has_delay, len(prior))
         total, right = information.sum(axis=0) + prior, gradient.sum(axis=0) - pull
@@ -218,9 +162,9 @@ def adjusted_mount(
         length = float(np.sqrt(max(step @ total @ step, 0.0)))
         if iteration > 1 and length < _MIN_STEP:
             break
-        state, stations = _moved(state, stations, numbers, sigmas, step)
+        state, stations = _moved(state, stations, numbers, sigmas, stamp_sd_s, step)
     else:  # the last step is not in the linear model yet
-        numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
+        numbers = _with_stamps(view_numbers(stations, state, corner_px, eye_to_hand, refine_camera), stamp_sd_s)
     shown = list(zip(stations, _poses(state, eye_to_hand), strict=True))
     residuals = [view_equations(one.view, pose, state.camera, 1.0).residual for one, pose in shown]
     rms_px = np.array([np.sqrt(2.0 * np.mean(each**2)) for each in residuals])
@@ -229,7 +173,7 @@ def adjusted_mount(
         state=state, sigmas=sigmas, corner_px=corner_px, numbers=numbers, information=information, gradient=gradient,
         prior=prior, pull=prior @ _offset(state, camera, has_delay, len(prior)),
         boards=tuple(pose for _, pose in shown), residual_rms_px=rms_px,
-        covariance=covariance_of_free(information.sum(axis=0) + prior), has_delay=has_delay,
+        covariance=covariance_of_free(information.sum(axis=0) + prior), has_delay=has_delay, stamp_sd_s=stamp_sd_s,
     )  # fmt: skip
 
 
@@ -298,19 +242,26 @@ def view_numbers(
         information, gradient = np.zeros((count, count)), np.zeros(count)
         common = np.zeros((6, count))
         common[:, :6], common[:, 6:12] = wrt_mount, wrt_board
-        common[:, 12:first] = (wrt_error @ station.twist)[:, None]  # a later pose is displaced like a wrong one
+        wrt_stamp = wrt_error @ station.twist  # a later pose is displaced like a wrong one
+        common[:, 12:first] = wrt_stamp[:, None]
         if refine_camera:
             common[:, first:] = wrt_camera
             information[first:, first:], gradient[first:] = outside.T @ outside, outside.T @ equations.residual
         between = wrt_error * station.interpolation_sd
         z = inverse @ (basis.T @ equations.residual) + wrt_error @ error
         covariance = inverse @ inverse.T + between @ between.T
-        rows.append((z, covariance, common, wrt_error, information, gradient, wrt_camera))
+        rows.append((z, covariance, common, wrt_error, wrt_stamp, information, gradient, wrt_camera))
     columns = [np.array(each) for each in zip(*rows, strict=True)]
     return ViewNumbers(
         z=columns[0], covariance=columns[1], wrt_common=columns[2], wrt_error=columns[3],
-        camera_information=columns[4], camera_gradient=columns[5], wrt_camera=columns[6],
+        wrt_stamp=columns[4], camera_information=columns[5], camera_gradient=columns[6], wrt_camera=columns[7],
     )  # fmt: skip
+
+
+def _with_stamps(numbers: ViewNumbers, stamp_sd_s: float) -> ViewNumbers:
+    """With the errors of the stamps of single images as part of the noise."""
+    shift = stamp_sd_s * numbers.wrt_stamp
+    return replace(numbers, covariance=numbers.covariance + shift[:, :, None] * shift[:, None])
 
 
 def _marginal(numbers: ViewNumbers, sigmas: RobotSigmas) -> Float64[Array, "view 6 6"]:
@@ -337,21 +288,41 @@ def robot_sigmas(
     numbers: ViewNumbers, prior: Float64[Array, "common common"], start: RobotSigmas | None = None
 ) -> RobotSigmas:
     """The robot's error by restricted maximum likelihood within bounds; with few views by its prior, too."""
+    return RobotSigmas(*_likeliest(numbers, prior, _USUAL_STARTS if start is None else [start]))
+
+
+def moving_sigmas(
+    numbers: ViewNumbers, prior: Float64[Array, "common common"], start: tuple[RobotSigmas, float] | None = None
+) -> tuple[RobotSigmas, float]:
+    """The same of a robot that moves, with the standard deviation of the stamps of single images."""
+    starts = [(*one, 3e-4) for one in _USUAL_STARTS] if start is None else [(*start[0], start[1])]
+    rotation_rad, translation_m, stamp_sd_s = _likeliest(numbers, prior, starts)
+    return RobotSigmas(rotation_rad, translation_m), stamp_sd_s
+
+
+_USUAL_STARTS = ((5e-4, 5e-4), (PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M))
+
+
+def _likeliest(
+    numbers: ViewNumbers, prior: Float64[Array, "common common"], starts: Sequence[Sequence[float]]
+) -> list[float]:
+    """The likeliest standard deviations from several starts: of the robot's error and, if given, of the stamps."""
     from scipy.optimize import minimize
 
-    lower = np.log([ROTATION_BOUNDS_RAD[0], TRANSLATION_BOUNDS_M[0]])
-    upper = np.log([ROTATION_BOUNDS_RAD[1], TRANSLATION_BOUNDS_M[1]])
+    lower, upper = np.log([ROTATION_BOUNDS_RAD, TRANSLATION_BOUNDS_M, STAMP_BOUNDS_S]).T[:, : len(starts[0])]
     usual = np.log([PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M])
     has_prior = len(numbers.z) < MIN_FREE_VIEWS
     design, z, wrt_error = numbers.wrt_common, numbers.z[..., None], numbers.wrt_error
+    noise, by_stamp = numbers.covariance, numbers.wrt_stamp[:, :, None] * numbers.wrt_stamp[:, None]
     fixed_information = numbers.camera_information.sum(axis=0) + prior
     fixed_gradient = numbers.camera_gradient.sum(axis=0)
     known = np.flatnonzero((design != 0).any(axis=(0, 1)) | (np.diag(fixed_information) > 0))
 
     def minus_log_likelihood(logarithms: np.ndarray[Any, Any]) -> float:  # some hundred times: without shape checks
         within = np.clip(logarithms, lower, upper)
-        variances = np.repeat(np.exp(2.0 * within), 3)
-        marginal = numbers.covariance + (wrt_error * variances) @ wrt_error.swapaxes(1, 2)
+        variances = np.repeat(np.exp(2.0 * within[:2]), 3)
+        marginal = noise if len(within) < 3 else noise + np.exp(2.0 * within[2]) * by_stamp
+        marginal = marginal + (wrt_error * variances) @ wrt_error.swapaxes(1, 2)
         weights = np.linalg.inv(marginal)
         weighted = design.swapaxes(1, 2) @ weights
         information = ((weighted @ design).sum(axis=0) + fixed_information)[np.ix_(known, known)]
@@ -362,16 +333,16 @@ def robot_sigmas(
         determinants = np.linalg.slogdet(marginal)[1].sum() + np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum()
         value = determinants + chi2 + 20.0 * np.abs(logarithms - within).sum()
         if has_prior:
-            value += np.sum(((logarithms - usual) / np.log(PRIOR_FACTOR)) ** 2)
+            value += np.sum(((logarithms[:2] - usual) / np.log(PRIOR_FACTOR)) ** 2)
         return float(0.5 * value)
 
-    starts = [np.log([5e-4, 5e-4]), usual] if start is None else [np.log(np.array(start))]
     options: Any = {"xatol": 0.01, "fatol": 1e-3}
     likeliest = min(
-        (minimize(minus_log_likelihood, start, method="Nelder-Mead", options=options) for start in starts),
+        (minimize(minus_log_likelihood, np.log(start), method="Nelder-Mead", options=options) for start in starts),
         key=lambda minimum: float(minimum.fun),
     )
-    return RobotSigmas(*np.exp(np.clip(likeliest.x, lower, upper)).tolist())
+    sds: list[float] = np.exp(np.clip(likeliest.x, lower, upper)).tolist()
+    return sds
 
 
 def camera_from(has_delay: bool) -> int:
@@ -401,12 +372,14 @@ def _offset(state: MountState, given: Camera, has_delay: bool, parameters: int) 
 
 
 def _moved(
-    state: MountState, stations: Sequence[Station], numbers: ViewNumbers, sigmas: RobotSigmas,
+    state: MountState, stations: Sequence[Station], numbers: ViewNumbers, sigmas: RobotSigmas, stamp_sd_s: float,
     step: Float64[Array, "common"],
 ) -> tuple[MountState, list[Station]]:  # fmt: skip
     """State and stations after a step of the common parameters, with the most likely error of each pose."""
     rest = numbers.z - numbers.wrt_common @ step
-    gain = sigmas.variances[:, None] * (numbers.wrt_error.swapaxes(1, 2) @ inverse_marginal(numbers, sigmas))
+    by_stamp = stamp_sd_s * np.array([station.twist for station in stations])
+    spread = np.diag(sigmas.variances) + by_stamp[:, :, None] * by_stamp[:, None]
+    gain = spread @ numbers.wrt_error.swapaxes(1, 2) @ inverse_marginal(numbers, sigmas)
     errors = (gain @ rest[..., None])[..., 0]
     first = camera_from(stations[0].has_delay)
     delay_s = state.delay_s + float(step[12:first].sum())

@@ -5,7 +5,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from ringpose.calibrate.mount.adjustment import Station
 from ringpose.calibrate.mount.closed_form import (
     Transform,
     Turns,
@@ -14,6 +13,7 @@ from ringpose.calibrate.mount.closed_form import (
     moving_from_fixed,
     turns_between,
 )
+from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.robot_conventions import ANGLE_ORDERS, PoseConvention
 from ringpose.types.arrays import Array, Float64
 

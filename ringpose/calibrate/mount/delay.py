@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.mount.adjustment import MountSolution, Station
+from ringpose.calibrate.mount.adjustment import MountSolution
 from ringpose.calibrate.mount.moving import MAX_DELAY_S, twist_between
+from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Float64
 

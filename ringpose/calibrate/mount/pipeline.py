@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -15,14 +15,13 @@ from ringpose.calibrate.mount.adjustment import (
     TRANSLATION_BOUNDS_M,
     MountSolution,
     RobotSigmas,
-    Sighting,
-    Station,
     adjusted_mount,
 )
 from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, other_rotations, rotation_error_rad
 from ringpose.calibrate.mount.closed_form import moving_from_fixed
 from ringpose.calibrate.mount.delay import OpenDelay, delayed_covariance, open_delay
 from ringpose.calibrate.mount.moving import DELAY_PRIOR_S, ToolMotion, check_clocks, coarse_delay
+from ringpose.calibrate.mount.stations import Sighting, Station
 from ringpose.calibrate.mount.systematic import SystematicError, systematic_error
 from ringpose.calibrate.mount.validation import (
     MIN_VIEWS,
@@ -102,7 +101,7 @@ class MountCalibration:
             robot_rotation_sd_rad=self.robot_error.rotation_rad,
             robot_translation_sd_m=self.robot_error.translation_m,
             delay_s=self.solution.state.delay_s,
-            delay_sd_s=self.delay_sd_s,
+            delay_sd_s=hypot(self.delay_sd_s, self.solution.stamp_sd_s),
         )
 
     @property

@@ -94,6 +94,7 @@ def mount_verdict(calibration: MountCalibration) -> Verdict:
         worst = int(np.argmax(sigmas_of_blur))
         findings += [
             check(MOVING_LIMITS, "delay_sd_s", calibration.delay_sd_s, more=_delay_advice(calibration)),
+            check(MOVING_LIMITS, "stamp_sd_s", calibration.solution.stamp_sd_s),
             check(MOVING_LIMITS, "blur_sigmas", float(sigmas_of_blur[worst]), blur_px=moved_px[worst]),
         ]
     return Verdict(findings=tuple(findings))
@@ -151,8 +152,9 @@ def mount_quality(calibration: MountCalibration, verdict: Verdict) -> Mapping[st
     delay = {} if not calibration.is_moving else {
         "delay": {
             "delay_s": solution.state.delay_s, "sd_s": calibration.delay_sd_s,
-            "is_determined": calibration.is_delay_known, "speed_m_s": calibration.speeds[0],
-            "rate_rad_s": calibration.speeds[1], "image_motion_px": float(image_motion_px(calibration).max()),
+            "is_determined": calibration.is_delay_known, "stamp_sd_s": solution.stamp_sd_s,
+            "speed_m_s": calibration.speeds[0], "rate_rad_s": calibration.speeds[1],
+            "image_motion_px": float(image_motion_px(calibration).max()),
         }
     }  # fmt: skip
     known = [
@@ -218,7 +220,8 @@ def _delay_line(calibration: MountCalibration) -> str:
     offset = f"{1e3 * calibration.solution.state.delay_s:.2f} ± {1e3 * calibration.delay_sd_s:.2f} ms"
     motion = f"up to {1e3 * speed_m_s:.3g} mm/s and {degrees(rate_rad_s):.2g} degrees/s at the views"
     if calibration.is_delay_known:
-        return f"the robot's stamps are those of the camera + {offset}; it moves by {motion}"
+        scatter = f"the stamps of the images scatter by {1e3 * calibration.solution.stamp_sd_s:.2f} ms"
+        return f"the robot's stamps are those of the camera + {offset}, {scatter}; it moves by {motion}"
     why = "hardly moves" if calibration.open_delay is not None else "moves alike at all views, as with another mount"
     return f"the offset of the robot's stamps is not determined, {offset}: the robot {why} ({motion})"
 

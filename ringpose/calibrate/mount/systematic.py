@@ -28,8 +28,8 @@ from ringpose.calibrate.mount.adjustment import (
     TRANSLATION_BOUNDS_M,
     MountSolution,
     RobotSigmas,
-    Station,
 )
+from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.rotations import skew
 from ringpose.types.arrays import Array, Float64

@@ -9,12 +9,12 @@ import numpy as np
 from ringpose.calibrate.mount.adjustment import (
     MIN_FREE_VIEWS,
     MountSolution,
-    Station,
     ViewNumbers,
     camera_from,
     inverse_marginal,
     robot_sigmas,
 )
+from ringpose.calibrate.mount.stations import Station
 from ringpose.calibrate.mount.systematic import SystematicError
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool, Float64
@@ -87,7 +87,8 @@ def validated_covariance(
             float(np.trace(inner @ (fewer[block, block] - covariance[block, block]))) for fewer in without.covariance
         )
         factors.append(jackknife / max(expected, 1e-12))
-    widening = np.sqrt(np.repeat(np.maximum(factors[:2] * 2 + factors[2:], student_factor(views)), 3)[:common])
+    by_sigmas = [student_factor(views)] * 4 + [stamp_factor(views)] * (common > 12)
+    widening = np.sqrt(np.repeat(np.maximum(factors[:2] * 2 + factors[2:], by_sigmas), 3)[:common])
     total = covariance * np.outer(widening, widening)
     share = systematic.probability
     total = (1.0 - share) * total + share * systematic.covariance[:common, :common]
@@ -102,6 +103,11 @@ def student_factor(views: int) -> float:
     """Factor by which variances widen because the robot's standard deviations are estimated: Student's over normal."""
     degrees_of_freedom = 3 * views - 6 + (views < MIN_FREE_VIEWS)
     return degrees_of_freedom / (degrees_of_freedom - 2)
+
+
+def stamp_factor(views: int) -> float:
+    """The same of the delay, whose stamps have one error a view."""
+    return (views - 1) / max(views - 3, 1)
 
 
 class WrongViews(NamedTuple):

@@ -14,9 +14,9 @@ from ringpose.types.options import PoseFrame
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ringpose.calibrate.mount.adjustment import Station
     from ringpose.calibrate.mount.moving import ToolMotion
     from ringpose.calibrate.mount.pipeline import MountCalibration
+    from ringpose.calibrate.mount.stations import Station
     from ringpose.types.board import BoardView
     from ringpose.types.image import Shot
     from ringpose.types.rig import Mount

@@ -8,10 +8,10 @@ import pytest
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view
 from scipy.spatial.transform import Rotation
 
-from ringpose.calibrate.mount.adjustment import Station
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.pipeline import calibrate_mount
 from ringpose.calibrate.mount.quality import compared_mount, comparison_verdict, mount_verdict
+from ringpose.calibrate.mount.stations import Station
 from ringpose.errors import DataError
 from ringpose.geometry.board import corner_points
 from ringpose.geometry.robot_conventions import convention_named

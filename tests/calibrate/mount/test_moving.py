@@ -71,10 +71,28 @@ def test_mount_and_delay_are_as_accurate_as_reported(eye_to_hand, rate_hz, delay
     assert calibration.delay_sd_s < 1e-3
     assert calibration.is_delay_known
     assert calibration.mount.delay_s == calibration.solution.state.delay_s
-    assert calibration.mount.delay_sd_s == calibration.delay_sd_s
+    assert calibration.mount.delay_sd_s == pytest.approx(
+        np.hypot(calibration.delay_sd_s, calibration.solution.stamp_sd_s)
+    )
     verdict = mount_verdict(calibration)
     assert "the robot's stamps are those of the camera + " in " ".join(mount_summary(calibration, verdict))
     assert mount_quality(calibration, verdict)["delay"]["is_determined"]
+
+
+def test_stamps_that_scatter_are_told_from_errors_of_the_robot(rng):
+    """As those that a computer gives to images when they arrive."""
+    seen = seen_by_a_moving_robot(rng, robot=(1e-4, 5e-5))
+    late_s = rng.normal(0, 3e-3, len(seen.views))
+    seen = seen._replace(stamps_s=(seen.stamps_s + late_s).tolist())
+
+    calibration = calibrated(seen)
+
+    assert calibration.solution.stamp_sd_s == pytest.approx(3e-3, rel=0.5)
+    assert calibration.solution.sigmas.rotation_rad < 2e-4
+    error, delay_error_s = errors_of(calibration, seen)
+    assert abs(delay_error_s) < 4.0 * calibration.delay_sd_s
+    assert np.abs(error / np.sqrt(np.diag(calibration.covariance)[:6])).max() < 4.5
+    assert "use the camera's own stamps" in " ".join(mount_verdict(calibration).advice)
 
 
 def test_a_given_mount_is_compared_with_its_delay(usual):
@@ -199,7 +217,7 @@ def test_a_tool_that_always_moves_alike_makes_the_delay_part_of_the_mount(rng):
 
 @pytest.mark.slow
 def test_the_nees_of_mount_and_delay_is_in_its_band(rng):
-    """Over delays, rates of the poses, qualities of the robot, and both places of the camera."""
+    """Over delays, rates of the poses, qualities of the robot and of the stamps, and both places of the camera."""
     runs, of_mount, of_delay = 40, [], []
     for run in range(runs):
         eye_to_hand = bool(run % 2)
@@ -208,6 +226,8 @@ def test_the_nees_of_mount_and_delay_is_in_its_band(rng):
             robot=((3.5e-4, 1e-4), (1e-4, 3e-5), (1e-3, 4e-4))[run % 3], views=(10, 15, 20)[run // 4 % 3],
             period_s=(3.0, 6.0)[run // 2 % 2],
         )  # fmt: skip
+        late_s = (0.0, 1e-3, 5e-3)[run // 3 % 3] * rng.normal(size=len(seen.views))
+        seen = seen._replace(stamps_s=(seen.stamps_s + late_s).tolist())
         calibration = calibrated(seen, eye_to_hand)
         error, delay_error_s = errors_of(calibration, seen)
         of_mount.append(error @ np.linalg.solve(calibration.covariance[:6, :6], error) / 6)

@@ -8,10 +8,10 @@ from calibrated import chi_squared
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view
 from scipy.spatial.transform import Rotation
 
-from ringpose.calibrate.mount.adjustment import Station
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.pipeline import calibrate_mount
 from ringpose.calibrate.mount.quality import mount_quality, mount_summary, mount_verdict
+from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.board import corner_points
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.types.options import PoseFrame
