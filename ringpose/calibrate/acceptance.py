@@ -110,7 +110,7 @@ PLANES_LIMITS: Mapping[str, Limit] = {
     "disagreement": Limit(3.0, 100.0,
         "the stripes of {place} disagree with the boards{others}: see with --overlay whether they are its own"),
     "depth_sd_m": Limit(1e-3, 1e-2,  # over the distance of the farthest board
-        "add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {laser} over the whole image"),
+        "{remedy}"),
     "ring_center_sd_m": Limit(1e-3, 1e-2,  # over the distance; the errors of a shot at 0.5 m are five times as large
         "poses {distance_m:.2f} m away will be off by {sd_mm:.1f} mm from this calibration alone: {remedy}"),
     "angle_error_rad": Limit(radians(1), radians(5),
@@ -208,9 +208,11 @@ def verdict_lines(verdict: Verdict) -> list[str]:
 
 
 def _reason(finding: Check) -> str:
-    """`left views 3 (limit 5)`, or `left views 1 (redo below 2)`."""
-    value = "unknown" if isnan(finding.value) else f"{finding.value:.4g}"
-    limit = f"limit {finding.pass_limit:.4g}"
+    """`left views 3 (limit 5)`, or `left views 1 (redo below 2)`; with as many digits as tell the two numbers apart."""
+    missed, words = finding.pass_limit, "limit"
     if finding.grade is Grade.REDO:
-        limit = f"redo {'beyond' if finding.fail_limit >= finding.pass_limit else 'below'} {finding.fail_limit:.4g}"
-    return f"{finding.place} {finding.name} {value} ({limit})".lstrip()
+        missed = finding.fail_limit
+        words = f"redo {'beyond' if finding.fail_limit >= finding.pass_limit else 'below'}"
+    digits = next((n for n in range(4, 17) if f"{finding.value:.{n}g}" != f"{missed:.{n}g}"), 17)
+    value = "unknown" if isnan(finding.value) else f"{finding.value:.{digits}g}"
+    return f"{finding.place} {finding.name} {value} ({words} {missed:.{digits}g})".lstrip()

@@ -7,7 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import tilt_basis
@@ -104,9 +106,7 @@ def space_picture(views: Sequence[DrawnView], camera: Camera, lasers: Sequence[L
     figure = canvas(8, 5.5)
     axes: Any = figure.add_subplot(projection="3d")
     for view in views:
-        corners = _rectangle(view.board.points_board_m) @ view.pose.rotation.T + view.pose.translation_m
-        axes.plot(*_in_view(corners[[0, 1, 2, 3, 0]]), color=_LEFT_OUT if view.remark else _USED, linewidth=1)
-        axes.text(*_in_view(corners[0]), drawn(view.board.name), fontsize=6)
+        axes.plot(*_in_view(_outline(view)[[0, 1, 2, 3, 0]]), color=_LEFT_OUT if view.remark else _USED, linewidth=1)
     for index, laser in enumerate(lasers):
         points = np.concatenate([view.points for view in laser.views])
         patch, color = _in_view(_hull(points, laser.normal)).T, f"C{index + 1}"
@@ -121,16 +121,42 @@ def space_picture(views: Sequence[DrawnView], camera: Camera, lasers: Sequence[L
         axes.plot(*_in_view(np.stack([np.zeros(3), 0.5 * size_m * direction])), color=color, linewidth=2)
         axes.text(*_in_view(0.55 * size_m * direction), name, color=color)
     axes.set_aspect("equal")
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_locator(MaxNLocator(4))
     axes.set_xlabel("z (m)")
     axes.set_ylabel("-x (m)")
     axes.set_zlabel("-y (m)")
     axes.view_init(elev=25, azim=-140)
     if lasers:
-        axes.legend()
+        axes.legend(loc="upper left")
+    _name_boards(axes, views)
     caption = "The camera and its axes, the boards" + (
         ", and each light plane as far as they show it." if lasers else "."
     )
     return Picture(png=png_of(figure), caption=caption)
+
+
+def _name_boards(axes: Any, views: Sequence[DrawnView]) -> None:
+    """Names of the boards in a column beside the drawing, in the order of their heights, each with a line to its board.
+
+    At the boards themselves they would cover each other: good views overlap.
+    """
+    first_corners = np.stack([_in_view(_outline(view)[0]) for view in views], axis=1)
+    across, up, _ = proj_transform(*first_corners, axes.get_proj())
+    order = np.argsort(up)
+    rows = np.linspace(0.05, 0.95, len(views)) if len(views) > 1 else np.array([0.5])
+    for row, index in zip(rows, order.tolist(), strict=True):
+        axes.annotate(
+            drawn(views[index].board.name), (across[index], up[index]), xytext=(1.0, row), textcoords="axes fraction",
+            fontsize=min(7, 280 / len(views)), va="center",
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.4, "shrinkB": 0},
+        )  # fmt: skip
+
+
+def _outline(view: DrawnView) -> Float64[Array, "corner=4 xyz=3"]:
+    """The rectangle around a board's corners, in the camera frame."""
+    outline = _rectangle(view.board.points_board_m) @ view.pose.rotation.T + view.pose.translation_m
+    return np.asarray(outline, dtype=np.float64)
 
 
 def _in_view(points: Float64[Array, "*n xyz=3"]) -> Float64[Array, "3 *n"]:

@@ -324,6 +324,8 @@ class CameraAssessment:
     comparison: ModelComparison | None = None
     board: tuple[Check, ...] = ()
     """Consistency checks of the images with each other and with the dimensions in the board file."""
+    bow_sigma_px: float = 0.0
+    """The part of the projection uncertainty that a bow of the board causes, median over the image; 0 without a bow."""
 
     @property
     def known_sigma_px(self) -> Float64[Array, "map_point"]:

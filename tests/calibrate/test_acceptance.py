@@ -20,6 +20,15 @@ def test_lines_name_the_value_that_is_not_good_and_the_advice():
     assert verdict_lines(Verdict(findings=(GOOD,))) == ["verdict: good: every number is within its limit"]
 
 
+def test_a_value_and_its_limit_have_as_many_digits_as_tell_them_apart():
+    near = Check(name="distance_ratio", value=1.199996, pass_limit=1.2, fail_limit=-math.inf)
+    beyond = Check(name="rms_px", value=1.00003, pass_limit=0.3, fail_limit=1.0)
+
+    (line,) = verdict_lines(Verdict(findings=(near, beyond)))
+
+    assert line == "verdict: redo: rms_px 1.00003 (redo beyond 1); distance_ratio 1.199996 (limit 1.2)"
+
+
 def test_numbers_that_cause_redo_come_first_with_their_own_limit_then_those_nearest_to_it():
     findings = [
         Check(name="rms_px", value=0.4, pass_limit=0.3, fail_limit=1.0, advice="focus"),

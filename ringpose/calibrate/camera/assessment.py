@@ -74,11 +74,10 @@ def camera_assessment(
     halves = validation.split_halves(used, whole, model)
     half = np.zeros(len(model.free)) if halves is None else (parameters_of(halves[0]) - parameters_of(halves[1])) / 2
     bow = bow_error(used, whole, model, widening)
-    data = widening**2 * covariance.data
+    of_bow = np.outer(bow.shift, bow.shift) * (bow.finding.grade is not Grade.GOOD)
+    data = widening**2 * covariance.data + of_bow
     if widening > 1:
         data = data + np.outer(half, half)
-    if bow.finding.grade is not Grade.GOOD:
-        data = data + np.outer(bow.shift, bow.shift)
     wider = replace(calibration.camera, covariance=replace(covariance, data=data))
     return CameraAssessment(
         calibration=replace(calibration, camera=wider),
@@ -95,6 +94,7 @@ def camera_assessment(
             *marker_size_findings([view.board for view in calibration.views]),
             bow.finding,
         ),
+        bow_sigma_px=float(np.median(validation.projection_sigma_px(calibration.camera, of_bow)[known])),
     )
 
 

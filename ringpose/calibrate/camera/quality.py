@@ -214,18 +214,25 @@ def _coverage_findings(covered: Coverage) -> list[Check]:
 
 
 def _uncertainty_findings(assessment: CameraAssessment) -> list[Check]:
-    """Checks of the focal length's and the projection's standard deviations."""
+    """Checks of the focal length's and the projection's standard deviations.
+
+    More views do not help where a bow of the board causes most of the projection's variance: then its advice is given.
+    """
     calibration = assessment.calibration
     sigma_px, deviations = assessment.sigma_px, calibration.standard_deviations
     x, y = map_points_px(calibration.camera)[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     focal_share = deviations["fx"] / float(calibration.camera.camera_matrix[0, 0])
     or_hold = ", or hold k3 (--fix-k3)" if deviations["k3"] else ""
-    return [
+    checks = [
         check(CAMERA_LIMITS, "focal_sigma_share", focal_share),
         check(CAMERA_LIMITS, "projection_sigma_px", float(np.nanmedian(sigma_px))),
         check(CAMERA_LIMITS, "projection_sigma_worst_px", float(np.nanmax(sigma_px)), x=x, y=y, or_hold=or_hold),
         check(CAMERA_LIMITS, "projection_unknown_share", assessment.unknown_share),
     ]
+    if 2 * assessment.bow_sigma_px**2 <= float(np.nanmedian(sigma_px)) ** 2:
+        return checks
+    flatten = next(each.advice for each in assessment.board if each.name == "bow_sigmas")
+    return [replace(each, advice=flatten) for each in checks[:3]] + checks[3:]
 
 
 def _validation_findings(assessment: CameraAssessment) -> list[Check]:

@@ -331,13 +331,18 @@ def _laser_checks(laser: LaserCalibration, lasers: int) -> list[Check]:
 
 def _depth_checks(rig: Rig, near_m: float, far_m: float) -> list[Check]:
     """Checks of the standard deviation of depths at the farthest board; none for a laser whose stripe misses it."""
-    depths = zip(rig.lasers.names, worst_depth_sd_m(rig, [far_m])[:, 0].tolist(), strict=True)
-    at = f"at {far_m:.2f} m"
-    return [
-        check(PLANES_LIMITS, "depth_sd_m", sd, f"{name} {at}", scale=far_m, near_m=near_m, far_m=far_m, laser=name)
-        for name, sd in depths
-        if np.isfinite(sd)
-    ]
+    assert rig.covariance is not None
+    by_camera = replace(rig, covariance=of_camera(rig.covariance))
+    depths, of_these = (worst_depth_sd_m(each, [far_m])[:, 0].tolist() for each in (rig, by_camera))
+    checks = []
+    for name, sd, camera_sd in zip(rig.lasers.names, depths, of_these, strict=True):
+        remedy = f"add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {name} over the whole image"
+        if camera_sd > PLANES_LIMITS["depth_sd_m"].good * far_m:
+            remedy = "the camera is too uncertain for these depths: follow the advice of its calibration"
+        if np.isfinite(sd):
+            at = f"{name} at {far_m:.2f} m"
+            checks.append(check(PLANES_LIMITS, "depth_sd_m", sd, at, scale=far_m, remedy=remedy))
+    return checks
 
 
 def _angle_checks(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Check]:

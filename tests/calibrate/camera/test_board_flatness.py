@@ -11,6 +11,7 @@ from ringpose.calibrate.camera.assessment import bow_error, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, parameters_of
 from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.geometry.board import corner_points
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import CameraCalibration, Grade
@@ -76,6 +77,16 @@ def test_the_covariance_contains_the_error_by_a_bow(rng):
 
     assert normalised_error(found) > 20
     assert normalised_error(assessed.calibration) < 3.1  # the 99.9 % bound of nine parameters
+
+
+def test_a_bow_that_causes_the_uncertainty_is_the_advice_against_it(rng):
+    found = calibrate_camera(views(rng, [3e-4] * 12), 1600, 1200)
+
+    verdict = camera_verdict(camera_assessment(found, PLUMB_BOB), 12)
+
+    uncertain = [each for each in verdict.poor if each.name in ("focal_sigma_share", "projection_sigma_px")]
+    assert uncertain
+    assert all("the board is not flat" in each.advice for each in uncertain)
 
 
 def test_the_covariance_contains_half_of_the_difference_of_two_halves_of_the_views(rng):

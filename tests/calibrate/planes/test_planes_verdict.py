@@ -134,6 +134,17 @@ def test_depth_deviations_do_not_depend_on_a_rotation_of_the_camera_frame(good):
     assert np.max(sd) < 4e-4  # z at the image's border changes by 0.01 * 0.22 m
 
 
+def test_depths_that_the_camera_makes_uncertain_ask_for_a_better_camera(rng):
+    names = parameter_names("plumb_bob")
+    covariance = ParameterCovariance(parameters=names, data=np.diag([20.0] * 4 + [0.0] * 5) ** 2)
+    views = stripe_views(facing([0.4, 0.45, 0.5, 0.55, 0.6, 0.65]), rng, 0.02, 0.05)
+
+    verdict = planes_verdict(calibrate_planes(views, replace(TRUE_CAMERA, covariance=covariance), MODEL))
+
+    depths = [each.advice for each in verdict.poor if each.name == "depth_sd_m"]
+    assert depths == ["the camera is too uncertain for these depths: follow the advice of its calibration"] * 3
+
+
 def renamed(calibration, way):
     """The calibration as it is where the lasers are exchanged in all shots."""
     planes = calibration.planes
